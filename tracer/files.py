@@ -52,32 +52,33 @@ def atomic_file(
                 raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
     folder = os.path.dirname(target)
     # Not derived from the name of the file, which may be as long as a name can be.
-    part = os.path.join(folder, f".{os.urandom(8).hex()}.part")
-    _part_files.add(part)
+    part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
+    _part_files.add(part_path)
     try:
-        with open(part, "xb") if is_named else _open_nameless(folder, part) as file:
+        with open(part_path, "xb") if is_named else _open_nameless(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
-                os.link(f"/proc/self/fd/{file.fileno()}", part, src_dir_fd=0, follow_symlinks=True)
+                nameless = f"/proc/self/fd/{file.fileno()}"
+                os.link(nameless, part_path, src_dir_fd=0, follow_symlinks=True)
         if mode is not None:
-            os.chmod(part, stat.S_IMODE(mode))
-        os.replace(part, target)
+            os.chmod(part_path, stat.S_IMODE(mode))
+        os.replace(part_path, target)
     except BaseException as error:
-        if isinstance(error, OSError) and error.filename in (folder, part):
+        if isinstance(error, OSError) and error.filename == part_path:
             error.filename = target
         with suppress(OSError):
-            os.unlink(part)
+            os.unlink(part_path)
         raise
     finally:
-        _part_files.discard(part)
+        _part_files.discard(part_path)
 
 
-def _open_nameless(folder: str, part: str) -> IO[bytes]:
-    """Open a new file without a name in a folder; where this is impossible, one named `part`."""
+def _open_nameless(folder: str, part_path: str) -> IO[bytes]:
+    """Open a new file without a name in a folder; if this is impossible, one named `part_path`."""
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # not on all file systems
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
-    return open(part, "xb")
+    return open(part_path, "xb")
 
 
 def remove_part_files() -> None:

@@ -1,6 +1,7 @@
 """The command line as a process that a user starts, and how all commands start."""
 
 import os
+import pickle
 import re
 import resource
 import signal
@@ -19,8 +20,9 @@ from running import ROOT, SCENE, drop_jit, file_names, peak_memory, run, start_p
 import tracer
 from converters import to_mitsuba
 from reference import compare
+from tracer import SceneFileError
 from tracer.command import cli
-from tracer.command.failure import Failure
+from tracer.command.failure import Failure, errors_as_failure
 
 
 @pytest.fixture
@@ -105,6 +107,41 @@ def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkey
     assert (str(caught.value), caught.value.status) == (text, status)
 
 
+def caused(error: Exception, cause: Exception) -> Exception:
+    """Return an error with its cause, as Dr.Jit raises it."""
+    error.__cause__ = cause
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (OSError(28, "full disk"), "a.png: cannot be read: full disk; R"),
+        (MemoryError(), "a.png: cannot be read: not enough memory; M"),
+        (ChildProcessError(), "a.png: cannot be read: not enough memory; M"),
+        (KeyError(), "a.png: cannot be read: KeyError; R"),
+        (caused(RuntimeError("loop"), KeyError("two\n words")),
+         "a.png: cannot be read: 'two\\n words'; R"),
+        (SceneFileError(["a.xml:3: wrong", "a.xml:5: wrong"]), "a.xml:3: wrong\na.xml:5: wrong"),
+        (Failure("b", "first", "F", 3), "b: first; F"),
+        (ValueError("a bug"), None),
+        (BrokenPipeError(), None),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, Exception) else "",
+)  # fmt: skip
+def test_errors_become_failures_where_they_arise(error, text):
+    with (
+        pytest.raises(type(error) if text is None else Failure) as caught,
+        errors_as_failure(
+            "a.png", "read", "R", memory_remedy="M", status=3, errors=(KeyError, RuntimeError)
+        ),
+    ):
+        raise error
+    if text is not None:
+        copy = pickle.loads(pickle.dumps(caught.value))
+        assert (str(caught.value), caught.value.status, str(copy), copy.status) == (text, 3) * 2
+
+
 @pytest.mark.parametrize("samples", [1, 4])
 def test_linear_radiance_is_written_exactly_or_as_float32(scene, samples):
     other = scene.with_name("other.xml")
@@ -171,7 +208,7 @@ def test_little_memory(scene, size, megabytes, error):
 
 @pytest.mark.parametrize("megabytes", [20, 40])
 def test_too_little_memory_to_load_numpy(scene, megabytes):
-    """Some versions of OpenBLAS never end with 60 to 80 MB; above, Python may fail anywhere."""
+    """With 60 to 80 MB, versions of OpenBLAS never end; above, Python may fail anywhere."""
     limit = megabytes << 20
     status, out, err = run(
         scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

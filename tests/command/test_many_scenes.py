@@ -103,6 +103,12 @@ def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
     assert codes(scenes[30])[0] == (4000, 2000)
 
 
+def test_one_process_if_the_user_wants_no_more(scenes, monkeypatch):
+    submitted = counted_pool(monkeypatch)
+    assert cli.main([*map(str, scenes), "--processes", "1", "--quiet"]) == 0
+    assert submitted == []
+
+
 def test_this_process_repeats_what_workers_cannot_do(scenes, monkeypatch):
     """Workers, which are forked, have no memory to read a scene."""
     parent, load = os.getpid(), batch.load_scene
@@ -123,7 +129,7 @@ def test_this_process_repeats_what_workers_cannot_do(scenes, monkeypatch):
 
 @needs_two
 def test_standard_input_among_many_scenes(scenes):
-    """Only the command's own process can read it."""
+    """Workers cannot read standard input."""
     arguments = [*scenes[:20], "-", *scenes[20:], "-o", "new/", "--processes", 2, "--quiet"]
     ended = run(*arguments, cwd=scenes[0].parent, input=SCENE.format(7, 5))
     assert ended == (0, "", "")

@@ -30,7 +30,7 @@ def codes() -> NDArray[np.uint8]:
 
 
 def test_two_processes_render_all_scenes(tmp_path):
-    """Only on Linux is the second process a fork of the first."""
+    """The second process is a fork of the first on Linux only."""
     command = [sys.executable, "-m", "tracer", *map(str, SCENES), "-o", f"{tmp_path}/pictures/"]
     options = ["--size", "320x180", "--processes", "2", "--quiet"]
     process = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300)

@@ -12,7 +12,7 @@ from tracer.command.failure import Failure, errors_as_failure, reason_of
 from tracer.messages import printable
 
 OTHER_NAME = "choose another with -o"
-"""What to do if a result cannot be written."""
+"""The remedy if a result cannot be written."""
 
 
 class CommandParser(argparse.ArgumentParser):

@@ -2,7 +2,7 @@
 
 There are two ways to use several processes.  (1) Each process takes whole scenes: it reads them,
 renders them and writes the pictures, so that the processes exchange only names and lines of text.
-This is best if there are at least as many scenes as processes.  (2) All processes share the tiles
+This is best for many scenes.  (2) All processes share the tiles
 of one picture.  This is best for a single large picture.
 
 A batch combines both.  It distributes whole scenes, but a worker process refuses a scene that is

@@ -126,14 +126,14 @@ def print_result(stream: TextIO | None, text: str) -> None:
             line = text.encode(encoding, "backslashreplace").decode(encoding)
             print(line, file=stream, flush=True)
     except OSError:
-        # What remains in the stream's buffer would fail again at the end.
+        # The text that remains in the stream's buffer would fail again at the end.
         with suppress(OSError):
             stream.close()
         raise
 
 
 def end_on_signals() -> None:
-    """Let signals end this process at once, without part files, and without a message.
+    """Let signals end this process immediately, without part files, and without a message.
 
     Signals that are ignored stay ignored: in the background of a script, or under nohup.
     """
