@@ -97,13 +97,15 @@ class _Reader:
         Line and message of each error so far.
     unique : dict of Element
         The root, the camera and the image, by their tags.
-    misspelt : set of str
+    misspelt : set of (str or None)
         Tags that unknown children of the scene probably stand for.  They do not count as missing.
     empty : Scene
         A scene of the right size, without content.
     cameras, lights : Table
     shaders, surfaces : dict of Table
         Tables by the value of the attribute `type`.
+    surface_count : int
+        Number of surfaces so far, in all tables.
     shader_indices : dict of int
         Indices of the shaders that have names.  A shader gets its index when the name first occurs,
         in a reference or in a definition.
