@@ -453,13 +453,8 @@ def _tangents(u: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[
     half_angle = np.arctan2(np.sqrt(chord2), np.sqrt(power_bound))
     center_angle = np.arctan2(u, ahead)
     half_angle[power < 0] = np.inf
-    ends = (
-        np.clip(angle, -np.pi / 2, np.pi / 2)
-        for angle in (center_angle - half_angle, center_angle + half_angle)
-    )
+    angle = np.array([center_angle - half_angle, center_angle + half_angle])
+    angle = angle.clip(-np.pi / 2, np.pi / 2)
     # The tangent of the rounded number pi / 2 is 1.6e16, but windows may be wider.
-    low, high = (
-        np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
-        for angle in ends
-    )
+    low, high = np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
     return low, high
