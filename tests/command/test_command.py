@@ -22,6 +22,7 @@ from converters import to_mitsuba
 from reference import compare
 from tracer import SceneFileError
 from tracer.command import cli
+from tracer.command.batch import read_scene
 from tracer.command.failure import Failure, errors_as_failure
 
 
@@ -61,6 +62,14 @@ def test_where_pictures_are_written(scene, arguments, written):
     with Image.open(scene.parent / written[0]) as picture:
         assert (np.asarray(picture) == expected).all()
     assert expected.max() > 0
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [((81,), (81, 61)), ((1,), (1, 1)), ((7, 8), (7, 8)), (None, (40, 30))]
+)
+def test_a_width_alone_keeps_the_proportions(scene, size, expected):
+    resized = read_scene(str(scene), size)
+    assert (resized.width, resized.height) == expected
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,7 @@ USAGE = [
      f"{NEEDED} SCENE.xml; for the file named -dashed.xml, write ./-dashed.xml"),
     ("tracer ball.xml --samples 0", f"{COUNT} '0'"),
     ("tracer ball.xml --samples 1_0", f"{COUNT} '1_0'"),
+    ("tracer ball.xml --samples \u0663", f"{COUNT} '\u0663'"),  # an Arabic 3
     ("tracer ball.xml --samples 9999999999", f"{COUNT} '9999999999'"),
     ("tracer ball.xml -o=", "argument -o/--output: the name is empty; name a file"),
     ("tracer ball.xml -o -b.png", f"argument -o/--output: {ONE}"),
