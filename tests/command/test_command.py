@@ -65,9 +65,10 @@ def test_where_pictures_are_written(scene, arguments, written):
 
 
 @pytest.mark.parametrize(
-    ("size", "expected"), [((81,), (81, 61)), ((1,), (1, 1)), ((7, 8), (7, 8)), (None, (40, 30))]
+    ("size", "expected"), [((81,), (81, 20)), ((1,), (1, 1)), ((7, 8), (7, 8)), (None, (40, 10))]
 )
 def test_a_width_alone_keeps_the_proportions(scene, size, expected):
+    scene.write_text(SCENE.format(40, 10))
     resized = read_scene(str(scene), size)
     assert (resized.width, resized.height) == expected
 

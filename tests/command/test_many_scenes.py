@@ -213,7 +213,7 @@ def test_a_slow_command_shows_its_progress_or_does_without(bar, scenes, monkeypa
     assert out.count("\n") == 3
     if bar == "shown":
         assert re.search(
-            r"33%\|\S* *\| 1 of 3 pictures \[\d\d:\d\d, [\d:]+ left, 0[.]028 million", err
+            r"67%\|\S* *\| 2 of 3 pictures \[\d\d:\d\d, [\d:]+ left, 0[.]052 million", err
         )
     else:
         assert err == ""

@@ -99,20 +99,20 @@ def _parser() -> CommandParser:
     text = "smooth edges as accurately as N samples per pixel (default: 1, the pixel's centre)"
     add("--samples", type=count, default=1, metavar="N", help=text)
     text = "width and height of the pictures in pixels; without xH, in the file's proportions"
-    size = _whole_numbers("x", 1, (1, 2), "width and height in pixels, as 640x360 or 640")
+    size = _separated_numbers("x", 1, (1, 2), "width and height in pixels, as 640x360 or 640")
     add("--size", type=size, metavar="W[xH]", help=text)
     add("--watch", action="store_true", help="render again whenever a scene file is saved")
     text = "maximum number of processes that render (default: one for each processor)"
     add("--processes", type=count, metavar="N", help=text)
     text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
-    pixel = _whole_numbers(",", 0, (2,), "column and row, as 160,90")
+    pixel = _separated_numbers(",", 0, (2,), "column and row, as 160,90")
     add("--pixel", type=pixel, metavar="X,Y", help=text)
     add("--quiet", action="store_true", help="print only errors")
     add("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
 
-def _whole_numbers(
+def _separated_numbers(
     separator: str, minimum: int, counts: tuple[int, ...], rule: str
 ) -> Callable[[str], tuple[int, ...]]:
     """Make a parser of arguments that consist of several whole numbers.
