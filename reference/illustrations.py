@@ -183,7 +183,7 @@ def draw_classes() -> None:
     classified = classify(prepared, cells, samples, every_pixel)
     class_index = np.zeros(every_pixel.size, dtype=np.intp)
     class_index[classified.lines.cell] = 1
-    class_index[classified.unresolved] = 2
+    class_index[classified.is_unresolved] = 2
     _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
     _show(left, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")
     _show(right, _CLASS_COLORS[class_index].reshape(20, 28, 3), "Classes, edges and samples")

@@ -224,7 +224,7 @@ def test_crowded_pixels_are_divided_as_well(monkeypatch):
 
     def crowded(*cells):
         found = real(*cells)
-        return found._replace(crowded=np.ones_like(found.crowded))
+        return found._replace(is_crowded=np.ones_like(found.is_crowded))
 
     monkeypatch.setattr(antialias, "classify", crowded)
     # Of the tenth column the wall covers 0.33.
@@ -237,8 +237,8 @@ def test_unresolved_pixels_that_look_alike_are_sampled(monkeypatch):
 
     def unresolved(*cells):
         found = real(*cells)
-        lines, everywhere = found.lines.take(slice(0)), np.ones_like(found.unresolved)
-        return found._replace(lines=lines, unresolved=everywhere)
+        lines, everywhere = found.lines.take(slice(0)), np.ones_like(found.is_unresolved)
+        return found._replace(lines=lines, is_unresolved=everywhere)
 
     # The second holds a bead that five samples in its pixel miss: it is split after all.
     scenes = from_afar(back), from_afar(back, bead)

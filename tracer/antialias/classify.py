@@ -145,17 +145,17 @@ class Classification(NamedTuple):
         Radiance and id of the samples through the centres of the cells.
     lines : Lines
         Straight lines that divide the cells, at most `MAX_LINES` for each cell, sorted by cell.
-    unresolved : (n,) bool array
+    is_unresolved : (n,) bool array
         Whether the cell may contain something other than straight edges.
-    crowded : (n,) bool array
+    is_crowded : (n,) bool array
         Whether finding all edges in the cell would cost more than a lattice of samples.
     """
 
     cells: Cells
     center: CenterSamples
     lines: Lines
-    unresolved: Bools
-    crowded: Bools
+    is_unresolved: Bools
+    is_crowded: Bools
 
 
 def classify(
@@ -181,41 +181,42 @@ def classify(
     -------
     classification : Classification
         Its field `center` describes the sample of each cell; `lines` contains straight lines along
-        the edges; `unresolved` (n,) is True for cells with other edges; and `crowded` (n,) is True
-        for cells with too many edges.  A cell is smooth if it has no lines and is not unresolved.
+        the edges; `is_unresolved` (n,) is True for cells with other edges; and `is_crowded` (n,) is
+        True for cells with too many edges.  A cell is smooth if it has no lines and is not
+        unresolved.
     """
     count = sample_cell.size
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
-    unresolved, crowded = np.zeros((2, count), dtype=np.bool_)
+    is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
     hits, hidden_hits = nearest_and_hidden(prepared, samples)
     hit_cell, footprint = sample_cell[hits.sample], footprints_of(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     outlines = _visible_silhouettes(prepared, cells)
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
     lines, curved_cell = fit_lines(edges, cells.tolerance)
-    unresolved[curved_cell] = True
+    is_unresolved[curved_cell] = True
     shading, all_lines = Shading(hits, with_ids=True), [lines]
     for lights in prepared.light_batches:
         lines, unresolved_cell, crowded_cell = _add_lights(
             shading, surfaces, lights, cells.tolerance
         )
         all_lines.append(lines)
-        unresolved[unresolved_cell] = True
-        crowded[crowded_cell] = True
+        is_unresolved[unresolved_cell] = True
+        is_crowded[crowded_cell] = True
     radiance[:, sample_cell] = shading.radiance()
     center_id[hit_cell] = shading.ids
     lines = Lines.joined(all_lines).distinct()
     if prepared.light_count > _MAX_DETAILED_LIGHTS:
-        crowded |= np.bincount(lines.cell, minlength=count) > MAX_LINES
+        is_crowded |= np.bincount(lines.cell, minlength=count) > MAX_LINES
     lines = lines.first(MAX_LINES)
     center = CenterSamples(radiance, center_id)
-    return Classification(cells, center, lines, unresolved, crowded)
+    return Classification(cells, center, lines, is_unresolved, is_crowded)
 
 
 def _add_lights(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add the light from some lights to the shading, and find the edges that these lights cause.
+    """Add the light of a batch of lights to the shading, and find the edges that they cause.
 
     The edges are shadow edges and terminators (where a surface turns away from the light).
 
