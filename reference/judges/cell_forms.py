@@ -676,7 +676,7 @@ class CellForms:
         n_dot_l = (height * inverse_distance).unit()
         intensity = faces.prepared_lights.intensity[light].T
         radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, obj])
-        glossy = np.flatnonzero(prepared.glossy[obj])
+        glossy = np.flatnonzero(prepared.is_glossy[obj])
         glossy_pair, position = np.unique(pair[glossy], return_inverse=True)
         inverse_length = self.square.power(-0.5)
         eye_height = self._function(glossy_pair, *self._heights(glossy_pair, 0 * glossy_pair - 1))

@@ -224,6 +224,12 @@ def test_exposure_of_a_large_picture_is_estimated():
     assert (is_black, lit / 30_000, clipped / 6_000) == (False, pytest.approx(1, abs=0.01),
                                                          pytest.approx(1, abs=0.01))  # fmt: skip
     assert Exposure().including(Exposure.of_pixels(image)) == (False, lit, clipped)
+    image[:, :150] = 2
+    _, _, clipped = Exposure.of_pixels(image)
+    assert clipped == pytest.approx(30_000 + 3_000, rel=0.01)
+    narrow = np.zeros((20_000, 4, 3))
+    narrow[:, 1] = 2
+    assert Exposure.of_pixels(narrow).clipped == pytest.approx(20_000, rel=0.01)
 
 
 def test_a_notebook_shows_an_explanation_as_text():

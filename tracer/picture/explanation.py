@@ -1,4 +1,4 @@
-"""Explanations of pixels: all numbers that lead to the color of a pixel.
+"""Explanations of pixels: all numbers that lead to the colour of a pixel.
 
 The numbers come from the functions that render pictures.  A pixel is traced once, and its hit is
 then shaded twice: by all lights together, as in a picture, and by each light alone.
@@ -88,7 +88,7 @@ class LightPart:
 
 @dataclass(frozen=True)
 class Explanation:
-    """All numbers that lead to the color of a pixel; as text, one line for each number.
+    """All numbers that lead to the colour of a pixel; as text, one line for each number.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Explanation:
         Position of the hit, and the unit normal on the side of the eye; NaN if the ray meets no
         surface.
     kd, ks : (float, float, float)
-        Diffuse and specular color of the surface, linear RGB.  `ks` is 0 if the surface is
+        Diffuse and specular colour of the surface, linear RGB.  `ks` is 0 if the surface is
         Lambertian, and both are 0 if the ray meets no surface.
     exponent : float
         Exponent of the surface's highlights; 1 if it has none.
@@ -114,7 +114,7 @@ class Explanation:
     radiance : (float, float, float)
         Linear RGB radiance of the pixel, in a picture with one sample per pixel.
     codes : (int, int, int)
-        The color of the pixel in a PNG file, from 0 to 255.
+        The colour of the pixel in a PNG file, from 0 to 255.
     """
 
     x: int
@@ -186,7 +186,7 @@ def _text(vector: Vector) -> str:
 
 @np.errstate(all="ignore")
 def explain(scene: Scene, x: int, y: int) -> Explanation:
-    """Explain the color of a pixel, in a picture with one sample per pixel.
+    """Explain the colour of a pixel, in a picture with one sample per pixel.
 
     Parameters
     ----------

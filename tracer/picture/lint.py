@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from math import gcd
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +60,10 @@ class Exposure(NamedTuple):
     @classmethod
     def of_pixels(cls, radiance: Floats) -> Exposure:
         """Examine pixels, given by their linear RGB radiance (rows, columns, 3)."""
-        step = 1 + radiance.size // (3 * _MAX_EXAMINED)
+        height, width, _ = radiance.shape
+        step = max(1, -(-height * width // _MAX_EXAMINED))
+        while gcd(step, width) > 1:  # else only some of the columns would be examined
+            step += 1
         red, green, blue = radiance.reshape(-1, 3)[::step].T
         maximum = np.maximum(np.maximum(red, green), blue)
         lit, clipped = (step * int(np.count_nonzero(maximum > limit)) for limit in (0, 1))

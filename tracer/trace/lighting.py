@@ -101,7 +101,7 @@ class Shading:
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        self._glossy = [group.per_sample(hits.prepared.glossy) for group in hits.groups]
+        self._is_glossy = [group.per_sample(hits.prepared.is_glossy) for group in hits.groups]
         # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
         # the colours of the surfaces.
         self._diffuse, self._specular = np.zeros((2, *hits.local.shape))
@@ -121,7 +121,7 @@ class Shading:
         for bits in is_lit if self._with_ids else ():
             # The factor is odd: with more lights than bits, the first lights still count.
             self.ids = self.ids * 3 + bits
-        for group, glossy in zip(self._hits.groups, self._glossy, strict=True):
+        for group, glossy in zip(self._hits.groups, self._is_glossy, strict=True):
             interval, any_glossy = group.interval, glossy.any()
             for light, lit in enumerate(is_lit[:, interval]):
                 if not lit.any():
@@ -153,7 +153,7 @@ class Shading:
         """
         prepared = self._hits.prepared
         for (group, glossy), k in product(
-            zip(self._hits.groups, self._glossy, strict=True), range(3)
+            zip(self._hits.groups, self._is_glossy, strict=True), range(3)
         ):
             diffuse = self._diffuse[k, group.interval] * group.per_sample(prepared.diffuse[k])
             specular = None
@@ -224,7 +224,7 @@ def narrow_highlights(
     """
     prepared, distance = geometry.hits.prepared, geometry.hits.distance
     for group in geometry.hits.groups:
-        glossy, interval = group.per_sample(prepared.glossy), group.interval
+        glossy, interval = group.per_sample(prepared.is_glossy), group.interval
         if not np.any(glossy):
             continue
         eye_turn = 1 / distance[interval] + group.per_sample(prepared.curvature)

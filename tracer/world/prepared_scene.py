@@ -110,7 +110,7 @@ class PreparedScene:
         Linear RGB colours of the objects.
     exponent : (n,) float array
         Exponents of the highlights.
-    glossy : (n,) bool array
+    is_glossy : (n,) bool array
         Whether the object has highlights.
     position_error : (n,) float array
         Upper bound on the rounding errors of points on each object.
@@ -138,7 +138,7 @@ class PreparedScene:
         ]
         table = np.array(colors).reshape(-1, 7).T.take(surfaces.shader_index, axis=1)
         self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
-        self.glossy = np.any(table[3:6] > 0, axis=0)
+        self.is_glossy = np.any(table[3:6] > 0, axis=0)
         size = np.concatenate([shape.coordinate_size for shape in shapes])
         self.position_error = POSITION_ROUNDING * (size + np.abs(frame.eye).sum())
         # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
