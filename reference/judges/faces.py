@@ -124,12 +124,13 @@ class Faces:
         self._add_faces(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._add_shadows(low, high)
-        # A light on a side of a box counts as inside for `side`, but reaches what it faces.
+        # A light on a side of a box counts as outside.  But with the eye in the box, it reaches
+        # other objects in the box.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box = boxes.objects.indices()
         side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
         is_dark = np.any(np.where(eye_inside, side > 0, side < 0), axis=1, keepdims=True)
-        # With the eye inside a box, such a light does not reach this box from within.
+        # It does not reach the box itself, whose sides are seen from within.
         is_unlit = is_dark | (eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 

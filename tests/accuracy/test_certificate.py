@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from probe import scene_of
+from probe import Vector, scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import small
 
@@ -28,7 +28,7 @@ from reference.judges.forms import Form, R, Z
 from reference.judges.regions import Strips, divide
 from reference.judges.true_picture import supersampled, true_picture
 from reference.measured.workloads import crowd, resized
-from tracer import Camera, Scene, Sphere, render
+from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
 
@@ -275,6 +275,29 @@ def test_means(name: str) -> None:
     assert (certified.image <= certified.high).all()
     assert np.abs(certified.image - sampled).max() < 0.01
     assert truth.rmse(certified.image, sampled) < 6e-4
+
+
+FLOOR = Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9))
+
+
+@pytest.mark.parametrize(
+    ("box", "light"),
+    [
+        # The light is in the lower side of the ceiling, and reaches the floor.
+        (Box(min_pt=(-9, 2, -9), max_pt=(9, 3, 9)), (0, 2, -4)),
+        # The eye is in a room, and the light in its ceiling.
+        (Box(min_pt=(-9, -3, -9), max_pt=(9, 2, 9)), (0, 2, -4)),
+        # The light is in the plane of a sheet, which has no shadow.
+        (Box(min_pt=(0.5, -1, -5), max_pt=(0.5, 0, -3)), (0.5, 2, -4)),
+        # The light is above the sheet, which has a shadow.
+        (Box(min_pt=(-1, 0, -5), max_pt=(1, 0, -3)), (0.5, 2, -4)),
+    ],
+)
+def test_means_with_lights_on_sides_and_in_planes_of_boxes(box: Box, light: Vector) -> None:
+    scene = scene_of(box, FLOOR, size=(8, 6), lights=light)
+    certified, sampled = certify(scene, 1 / 256), render(scene, 256)
+    assert sampled.max() > 0.5
+    assert np.abs(certified.image - sampled).max() < 0.01
 
 
 @pytest.mark.slow
