@@ -264,7 +264,7 @@ def test_threads_share_prepared_lights(monkeypatch):
         position = np.concatenate([lights.position for lights in batches_of_threads[3]])
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
         # The same for a picture of which threads render tiles.
-        monkeypatch.setattr("tracer.picture.render._MAX_SHARED_TILE_SECONDS", 1e-4)
+        monkeypatch.setattr("tracer.picture.render._MAX_TILE_SECONDS", 1e-4)
         assert len(RenderJob(scene).tiles(shared=True)) > 10
         np.testing.assert_array_equal(render(scene, executor=pool), expected)
 

@@ -38,6 +38,22 @@ def test_sizes_may_be_integers_of_any_kind(kind):
     assert type(a_scene(True, 2).width) is int
 
 
+@pytest.mark.parametrize("name", [n for n in tracer.__all__ if n != "Shader"])
+def test_type_hints_can_be_evaluated(name):
+    value = getattr(tracer, name)
+    assert isinstance(get_type_hints(value), dict)
+    if isinstance(value, type):
+        assert isinstance(get_type_hints(value.__init__), dict)
+
+
+def test_a_png_of_a_scene():
+    scene, file = a_scene(), io.BytesIO()
+    write_png(file, render(scene, 4))
+    assert to_png(scene, 4) == file.getvalue() != to_png(scene)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        assert [*pool.map(partial(to_png, samples=4), [scene] * 2)] == [file.getvalue()] * 2
+
+
 OFFSETS = [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.zeros(3)]
 
 

@@ -39,8 +39,8 @@ def picture(width: int = 300, height: int = 200) -> Scene:
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let pictures have many tiles, and share even the smallest pictures."""
     monkeypatch.setattr(render_module, "MIN_SHARED_SECONDS", 0)
-    for name in ("_MAX_TILE_SAMPLES", "_MAX_CLASSIFIED_TILE_SAMPLES"):
-        monkeypatch.setattr(render_module, name, 1000)
+    monkeypatch.setattr(render_module, "_MAX_TILE_SAMPLES", 1000)
+    monkeypatch.setattr(render_module, "_CLASSIFIED_FACTOR", 1)
 
 
 class Wrapped(Executor):

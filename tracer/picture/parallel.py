@@ -47,8 +47,8 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Submitter(Protocol):
-    """The part of an executor that `Distribution` uses."""
+class Executor(Protocol):
+    """The part of a `concurrent.futures.Executor` that is used here."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Schedule the call ``fn(*args)``, and return the future of its result."""
@@ -71,7 +71,7 @@ class Distribution(Generic[_Item, _Result]):
         Called with an item, in this process.  Its exceptions are passed on.
     items : sequence
         The arguments of the calls.
-    executor : Submitter or None
+    executor : Executor or None
         If None, this process does all the work.
     remote_function : callable
         Called with an item by the executor.  If the executor has processes, the function and the
@@ -84,7 +84,7 @@ class Distribution(Generic[_Item, _Result]):
 
     Attributes
     ----------
-    executor : Submitter or None
+    executor : Executor or None
         May be set, at any time, to share the remaining items.
     """
 
@@ -92,7 +92,7 @@ class Distribution(Generic[_Item, _Result]):
         self,
         function: Callable[[_Item], _Result],
         items: Sequence[_Item],
-        executor: Submitter | None,
+        executor: Executor | None,
         remote_function: Callable[[_Item], _Result],
         accepts: Callable[[_Item, Any], bool],
         *,

@@ -11,8 +11,9 @@ classified
     A picture is classified if pixels are sampled adaptively: edges are found first, and only pixels
     that edges cross are sampled more than once.  Otherwise all pixels have the same samples.
 
-The library's `render` returns linear radiance in an array, and may use any executor.  The command's
-`render_tiles` yields tiles that are compressed for a PNG file, and uses its own pool of processes.
+A `RenderJob` is a picture to render.  It is sent to other processes as its arguments, and each of
+them prepares the scene once.  `render` collects the radiance of its tiles in an array, with any
+executor.  `render_tiles` yields the tiles of a job, encoded for a file, with the pool of a command.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 from itertools import pairwise, product
 from math import isqrt, sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, SupportsFloat, SupportsIndex, TypeAlias
 
 import numpy as np
 
@@ -34,53 +35,46 @@ from tracer.antialias.refine import antialiased, prefers_supersampling
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
-from tracer.picture.parallel import Distribution, WorkerPool, in_order, processors
+from tracer.picture.parallel import Distribution, Executor, WorkerPool, in_order, processors
 from tracer.picture.png import compressed, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
 from tracer.world.prepared_scene import PreparedScene
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
 # Infinities and NaN are valid results in NumPy operations of the tracer: for example, the distance
 # at which a ray parallel to a plane meets the plane.
 _QUIET = np.errstate(all="ignore")
 
-# Maximum number of samples in a tile, which limits memory: in a picture that is classified, few
-# pixels are divided, and the arrays of their samples should be long, too.
-_MAX_TILE_SAMPLES, _MAX_CLASSIFIED_TILE_SAMPLES = 3 * CACHE_SIZE, 12 * CACHE_SIZE
+# Maximum number of samples in a tile, which limits memory, and the factor by which it is larger if
+# the picture is classified: few pixels are divided there, and the arrays of their samples should be
+# long, too.
+_MAX_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 * CACHE_SIZE, 4
 
-# Maximum estimated seconds for a tile, in a picture that one process renders, and in one that is
-# shared: so a bar shows progress, and processes share the work evenly.
-_MAX_TILE_SECONDS, _MAX_SHARED_TILE_SECONDS = 0.25, 0.15
-
-# Minimum estimated seconds for a tile of a shared picture, and of one that is classified: below,
-# the overhead of NumPy calls and of communication counts.
-_MIN_TILE_SECONDS, _MIN_CLASSIFIED_TILE_SECONDS = 0.004, 0.03
+# Maximum estimated seconds for a tile, so that a bar shows progress and processes share the work
+# evenly; and minimum estimated seconds for a tile of a shared picture: below, the overhead of NumPy
+# calls and of communication counts.
+_MAX_TILE_SECONDS, _MIN_TILE_SECONDS = 0.2, 0.02
 
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
 _TILES_PER_PROCESSOR = 4
 
-# Estimated seconds for each sample, light, and object that the sample's ray meets on average.  It
-# was measured for 20 scenes of 1 to 10,000 objects, and is off by a factor of at most 2.2 there.
+# Estimated seconds for each sample, light, and object that the ray through the sample meets.  For
+# 20 scenes of 1 to 10,000 objects the measured time was 0.4 to 2.1 times the estimate.
 _SECONDS_PER_SAMPLE = 4e-8
 
 # Estimated number of samples in a pixel of a classified picture, if n x n samples are requested:
 # the first number, plus n + n^2 / (the fourth number) for each edge in the pixel.  The number of
 # edges is estimated as the second number divided by the square root of the number of pixels, plus
 # the third number times the density of pairs of silhouettes.  For 30 pictures of n = 2 to 200 the
-# estimate is off by a factor of at most 3.
+# measured time was 0.4 to 2.2 times the estimate.
 _CLASSIFIED_SAMPLES, _EDGES, _EDGES_PER_SILHOUETTE_PAIR, _CROWDED_SIDE = 2.5, 330, 400, 100
 
-MIN_POOL_SECONDS = 0.1
-"""Minimum estimated time of rendering, in seconds, for which starting a pool is worth it."""
-
-MIN_SHARED_SECONDS = 0.015
-"""Minimum estimated time of rendering, in seconds, for which using a running pool is worth it."""
+MIN_POOL_SECONDS, MIN_SHARED_SECONDS = 0.1, 0.03
+"""Minimum estimated time of rendering, in seconds, for which starting a pool is worth it, and for
+which sharing a picture with an executor that runs already is worth it."""
 
 # Maximum number of samples per pixel.
-_MAX_COUNT = 999_999_999
+_MAX_SAMPLES = 999_999_999
 
 # Maximum number of jobs that a process remembers: several pictures may be rendered at the same time
 # on one executor, and to prepare a scene for each tile would take longer than to render the tile.
@@ -92,10 +86,10 @@ Rectangle: TypeAlias = tuple[slice, slice]
 
 def render(
     scene: Scene,
-    samples: int = 1,
+    samples: SupportsIndex = 1,
     *,
     executor: Executor | None = None,
-    offset: tuple[float, float] = (0.0, 0.0),
+    offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
 ) -> Floats:
     """Render a scene to an array of linear radiance.
 
@@ -161,7 +155,7 @@ def render(
     return image
 
 
-def to_png(scene: Scene, samples: int = 1) -> bytes:
+def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
     """Render a scene, and return the bytes of a PNG file.
 
     Many pictures are rendered fastest by several processes, of which each renders whole pictures::
@@ -247,34 +241,25 @@ def render_tiles(
             _remembered_jobs.pop(job.pickled, None)
 
 
-def _validated_count(value: int, name: str) -> int:
-    """Validate that `value` is an integer from 1 to `_MAX_COUNT`, and return it as a Python int.
-
-    A Python int is needed because NumPy integers overflow, and lack some methods of int.
-
-    Parameters
-    ----------
-    value : int or NumPy integer
-        The number to validate.
-    name : str
-        Name of the argument, for error messages.
+def _samples_per_side(samples: SupportsIndex) -> int:
+    """Return the smallest n for which n x n is at least `samples`.
 
     Raises
     ------
     TypeError
-        If `value` is not an integer.
+        If `samples` is not an integer.
     ValueError
-        If `value` is less than 1 or more than `_MAX_COUNT`.
+        If `samples` is less than 1 or more than `_MAX_SAMPLES`.
     """
     try:
-        number = int(operator.index(value))
+        number = int(operator.index(samples))  # NumPy integers overflow
     except TypeError:
-        raise TypeError(f"{name} must be an int, is {value!r}") from None
+        raise TypeError(f"samples must be an int, is {samples!r}") from None
     if number < 1:
-        raise ValueError(f"{name} must be at least 1, is {number}")
-    if number > _MAX_COUNT:
-        raise ValueError(f"{name} must be at most {_MAX_COUNT}")
-    return number
+        raise ValueError(f"samples must be at least 1, is {number}")
+    if number > _MAX_SAMPLES:
+        raise ValueError(f"samples must be at most {_MAX_SAMPLES}")
+    return isqrt(number - 1) + 1
 
 
 class RenderJob:
@@ -307,41 +292,39 @@ class RenderJob:
 
     @_QUIET
     def __init__(
-        self, scene: Scene, samples: int = 1, offset: tuple[float, float] = (0.0, 0.0)
+        self,
+        scene: Scene,
+        samples: SupportsIndex = 1,
+        offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
     ) -> None:
         self._arguments = scene, samples, offset
-        samples_per_side = isqrt(_validated_count(samples, "samples") - 1) + 1
+        self._per_side = _samples_per_side(samples)
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
             raise ValueError(f"offset must be two finite numbers, is {offset!r}")
         right, down = shift.tolist()
         self.prepared = PreparedScene(scene, (right, down))
-        self._samples_per_side = samples_per_side
-        self._is_classified = samples_per_side > 1 and not prefers_supersampling(
-            self.prepared, samples_per_side
-        )
-        is_supersampled = samples_per_side > 1 and not self._is_classified
-        self._lattice = Lattice.at_least(samples_per_side) if is_supersampled else CENTERS
-        self._max_tile_samples = (
-            _MAX_CLASSIFIED_TILE_SAMPLES if self._is_classified else _MAX_TILE_SAMPLES
-        )
-        block_samples = self.prepared.batch_size(self._max_tile_samples)
+        is_antialiased = self._per_side > 1
+        has_lattice = is_antialiased and prefers_supersampling(self.prepared, self._per_side)
+        self._is_classified = is_antialiased and not has_lattice
+        self._lattice = Lattice.at_least(self._per_side) if has_lattice else CENTERS
+        self._max_samples = _MAX_TILE_SAMPLES * (_CLASSIFIED_FACTOR if self._is_classified else 1)
+        block_samples = self.prepared.batch_size(self._max_samples)
         self._max_block_pixels = max(1, block_samples // self._lattice.size)
-        seconds_per_sample = _SECONDS_PER_SAMPLE * self.prepared.depth_complexity
-        seconds_per_sample *= max(1, len(scene.lights))
-        self._seconds_per_pixel = seconds_per_sample * self._estimated_samples()
         self.seconds = self._seconds_per_pixel * scene.width * scene.height
 
-    def _estimated_samples(self) -> float:
-        """Estimate how many samples are traced in a pixel, on average."""
-        if not self._is_classified:
-            return self._lattice.size
-        frame = self.prepared.frame
-        silhouette_pairs = self.prepared.bounds.silhouette_density(frame)
-        edges = _EDGES / sqrt(frame.width * frame.height)
-        edges += _EDGES_PER_SILHOUETTE_PAIR * silhouette_pairs
-        per_side = self._samples_per_side
-        return _CLASSIFIED_SAMPLES + edges * (per_side + per_side**2 / _CROWDED_SIDE)
+    @cached_property
+    def _seconds_per_pixel(self) -> float:
+        """Rough estimate of the time, in seconds, that one process needs for a pixel."""
+        prepared, samples = self.prepared, float(self._lattice.size)
+        if self._is_classified:
+            pixels = prepared.frame.width * prepared.frame.height
+            silhouette_pairs = prepared.bounds.silhouette_density(prepared.frame)
+            edges = _EDGES / sqrt(pixels) + _EDGES_PER_SILHOUETTE_PAIR * silhouette_pairs
+            per_edge = self._per_side + self._per_side**2 / _CROWDED_SIDE
+            samples = _CLASSIFIED_SAMPLES + edges * per_edge
+        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared.light_count)
+        return samples * seconds_per_hit * prepared.depth_complexity
 
     def tiles(self, *, shared: bool) -> list[Rectangle]:
         """Divide the picture into tiles: rectangles of whole rows, or parts of one row.
@@ -358,18 +341,13 @@ class RenderJob:
             Rows and columns of each tile, from top to bottom and from left to right.
         """
         width, height = self.prepared.frame.width, self.prepared.frame.height
-        seconds_per_pixel = max(self._seconds_per_pixel, 1e-12)  # 0 if no object is in view
-        max_seconds = _MAX_SHARED_TILE_SECONDS if shared else _MAX_TILE_SECONDS
-        max_pixels = min(
-            self._max_tile_samples / self._lattice.size, max_seconds / seconds_per_pixel
-        )
+        pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
+        pixels = min(self._max_samples / self._lattice.size, _MAX_TILE_SECONDS * pixels_per_second)
         if shared:
-            is_classified = self._is_classified
-            min_seconds = _MIN_CLASSIFIED_TILE_SECONDS if is_classified else _MIN_TILE_SECONDS
             balanced_pixels = width * height / (_TILES_PER_PROCESSOR * processors())
-            max_pixels = min(max_pixels, max(min_seconds / seconds_per_pixel, balanced_pixels))
-        row_ranges = _divide(slice(0, height), max(1, int(max_pixels / width)))
-        return list(product(row_ranges, _divide(slice(0, width), max(1, int(max_pixels)))))
+            pixels = min(pixels, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_pixels))
+        row_ranges = _divide(slice(0, height), max(1, int(pixels / width)))
+        return list(product(row_ranges, _divide(slice(0, width), max(1, int(pixels)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments only."""
@@ -428,7 +406,7 @@ class RenderJob:
         if self._is_classified:
             visible = _overlap(columns, self.prepared.window[1])
             if visible.start < visible.stop:
-                mean = antialiased(self.prepared, rows, visible, self._samples_per_side)
+                mean = antialiased(self.prepared, rows, visible, self._per_side)
                 out[:, _relative_to_start(visible, columns)] = mean
             return
         samples = self._lattice.samples(rows, columns)
