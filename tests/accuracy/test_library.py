@@ -1,13 +1,18 @@
-"""What programs rely on: numbers of any kind, faults in what is given, and first hits."""
+"""The library: types of arguments, invalid arguments, PNG data, and first hits."""
 
+import io
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
 from probe import Surface, scene_of
 from random_scenes import random_scene
 
+import tracer
 from tracer import (
     Box,
     Camera,
@@ -18,14 +23,24 @@ from tracer import (
     Sphere,
     first_hits,
     render,
+    to_png,
+    write_png,
 )
 from tracer.trace import first_hits as first_hits_module
 
 
 def a_scene(width: int = 40, height: int = 30, **camera: Any) -> Scene:
-    """A ball that is lit."""
-    ball = Sphere(center=(0, 0, -3))
-    return scene_of(ball, camera=Camera(**camera), size=(width, height), lights=(3, 4, 5))
+    """Return a scene of a sphere under a light; `camera`: arguments of the camera."""
+    sphere = Sphere(center=(0, 0, -3))
+    return scene_of(sphere, camera=Camera(**camera), size=(width, height), lights=(3, 4, 5))
+
+
+@pytest.mark.parametrize("name", [name for name in tracer.__all__ if name != "Shader"])
+def test_type_hints_can_be_evaluated(name):
+    value = getattr(tracer, name)
+    assert isinstance(get_type_hints(value), dict)
+    if isinstance(value, type):
+        assert isinstance(get_type_hints(value.__init__), dict)
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.int16, np.uint64, np.int64, np.array])
@@ -38,27 +53,11 @@ def test_sizes_may_be_integers_of_any_kind(kind):
     assert type(a_scene(True, 2).width) is int
 
 
-@pytest.mark.parametrize("name", [n for n in tracer.__all__ if n != "Shader"])
-def test_type_hints_can_be_evaluated(name):
-    value = getattr(tracer, name)
-    assert isinstance(get_type_hints(value), dict)
-    if isinstance(value, type):
-        assert isinstance(get_type_hints(value.__init__), dict)
-
-
-def test_a_png_of_a_scene():
-    scene, file = a_scene(), io.BytesIO()
-    write_png(file, render(scene, 4))
-    assert to_png(scene, 4) == file.getvalue() != to_png(scene)
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        assert [*pool.map(partial(to_png, samples=4), [scene] * 2)] == [file.getvalue()] * 2
-
-
 OFFSETS = [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.zeros(3)]
 
 
 @pytest.mark.parametrize(
-    ("given", "error", "message"),
+    ("arguments", "error", "message"),
     [
         ({"samples": 4.0}, TypeError, r"samples must be an int, is 4\.0$"),
         ({"samples": "4"}, TypeError, "samples must be an int, is '4'$"),
@@ -68,15 +67,22 @@ OFFSETS = [(np.nan, 0), (0, np.inf), (0,), (0, 0, 0), 0.5, None, [[0, 0]], np.ze
         *(({"offset": o}, ValueError, "offset must be two finite numbers, is ") for o in OFFSETS),
     ],
 )
-def test_samples_and_offsets_that_are_refused(given, error, message):
+def test_samples_and_offsets_that_are_refused(arguments, error, message):
     with pytest.raises(error, match=f"^{message}"):
-        render(a_scene(), **given)
+        render(a_scene(), **arguments)
+
+
+def test_only_a_scene_is_rendered():
+    with pytest.raises(
+        TypeError, match=r"^render takes a Scene, as load_scene returns it; 'x\.xml"
+    ):
+        render("x.xml")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     "view_dir", [(0, 1e-200, -1), (1e-200, 0, -1), (0, 1e-300, -1e300), (0, 3e-320, -1e-320)]
 )
-def test_underflow_is_no_error_to_anyone(view_dir):
+def test_underflow_raises_no_error(view_dir):
     scene = a_scene(view_dir=view_dir)
     image = render(scene)
     with np.errstate(all="raise"):
@@ -87,52 +93,60 @@ def test_underflow_is_no_error_to_anyone(view_dir):
 def test_an_offset_may_be_any_two_numbers():
     image = render(a_scene(), offset=(0.5, 1))
     for offset in ([0.5, 1], np.array([0.5, 1]), (np.float32(0.5), np.int8(1))):
-        assert np.array_equal(render(a_scene(), offset=offset), image)
+        assert np.array_equal(render(a_scene(), offset=offset), image)  # type: ignore[arg-type]
 
 
-BALL = Sphere(center=(0, 0, -5), radius=2)
+def test_png_data_of_a_scene_in_a_pool():
+    scene, file = a_scene(), io.BytesIO()
+    write_png(file, render(scene, 4))
+    assert to_png(scene, 4) == file.getvalue() != to_png(scene)
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        assert [*pool.map(partial(to_png, samples=4), [scene] * 2)] == [file.getvalue()] * 2
+
+
+SPHERE = Sphere(center=(0, 0, -5), radius=2)
 WALL = Box(min_pt=(-50, -50, -12), max_pt=(50, 50, -10))
 
 
-def seen(*surfaces: Surface) -> Scene:
-    """Surfaces in a window 2 wide at a distance of 1, in pixels of .5."""
+def view_of(*surfaces: Surface) -> Scene:
+    """Return a scene seen in 4 x 4 pixels, through a window of 2 x 2 at a distance of 1."""
     window = Camera(view_width=2, view_height=2)
     return scene_of(*surfaces, camera=window, size=(4, 4), lights=(3, 5, 4))
 
 
 def test_first_hits_in_closed_form():
-    # Positions on the axis, a ray (.5, -.5, -1) past the ball, and two that leave the picture; of
-    # equal surfaces the first.
-    hits = first_hits(seen(WALL, BALL, WALL, BALL), [2, 3, 2, -2], [2, 3, -2, 2])
+    # Rays through the centre of the picture, in the direction (.5, -.5, -1), which misses the
+    # sphere, and through two positions outside the picture.  Of equal surfaces, the first is hit.
+    hits = first_hits(view_of(WALL, SPHERE, WALL, SPHERE), [2, 3, 2, -2], [2, 3, -2, 2])
     assert hits.surface.tolist() == [1, 0, 0, 0]
-    far = 10 * np.sqrt([1.5, 5, 5])
-    np.testing.assert_allclose(hits.distance, [3, *far], rtol=1e-15)
+    wall_distances = 10 * np.sqrt([1.5, 5, 5])
+    np.testing.assert_allclose(hits.distance, [3, *wall_distances], rtol=1e-15)
     points = [(0, 0, -3), (5, -5, -10), (0, 20, -10), (-20, 0, -10)]
     np.testing.assert_allclose(hits.point, points, atol=1e-14)
     np.testing.assert_allclose(hits.normal, [(0, 0, 1)] * 4, atol=1e-15)
-    # From inside, normals look towards the eye as well.
+    # From inside, normals also point towards the eye.
     for surface in (Sphere(radius=3), Box(min_pt=(-3, -3, -3), max_pt=(3, 3, 3))):
-        inside = first_hits(seen(surface), [2], [2])
+        inside = first_hits(view_of(surface), [2], [2])
         np.testing.assert_allclose(inside.point, [(0, 0, -3)], atol=1e-15)
         np.testing.assert_allclose(inside.normal, [(0, 0, 1)], atol=1e-15)
-    # No digit of a short distance to the wall of a ball is lost: here power = 1 - |eye|^2.
+    # A short distance to a sphere from inside has all digits; `power` is 1 - |eye|^2.
     z = 2.0**-20 - 1
-    close = replace(seen(Sphere()), camera=Camera(view_point=(0, 0, z), view_width=2))
+    close = replace(view_of(Sphere()), camera=Camera(view_point=(0, 0, z), view_width=2))
     cosine, power = np.sqrt([1, 0.8, 0.5]), (1 + z) * (1 - z)
     expected = power / (np.hypot(z * cosine, np.sqrt(power)) - z * cosine)
     distance = first_hits(close, [2, 3, 4], [2, 2, 2]).distance
     np.testing.assert_allclose(distance, expected, rtol=1e-15)
 
 
-def test_first_hits_of_nothing():
-    hits = first_hits(seen(BALL), [0.5, 2], [0.5, 2])
+def test_rays_without_a_hit_and_shapes_of_results():
+    hits = first_hits(view_of(SPHERE), [0.5, 2], [0.5, 2])
     assert hits.surface.tolist() == [-1, 0]
     assert hits.distance[0] == np.inf
     assert np.isnan([hits.point[0], hits.normal[0]]).all()
-    nowhere = first_hits(seen(BALL), [], [])
-    assert (nowhere.surface.shape, nowhere.normal.shape) == ((0,), (0, 3))
+    no_positions = first_hits(view_of(SPHERE), [], [])
+    assert (no_positions.surface.shape, no_positions.normal.shape) == ((0,), (0, 3))
     row, column = np.mgrid[0:3, 0:2] + 0.5
-    picture, one = first_hits(seen(BALL), column, row), first_hits(seen(BALL), 1.5, 2.5)
+    picture, one = first_hits(view_of(SPHERE), column, row), first_hits(view_of(SPHERE), 1.5, 2.5)
     assert (picture.distance.shape, picture.point.shape) == ((3, 2), (3, 2, 3))
     assert (one.surface.shape, one.normal.shape) == ((), (3,))
     assert one.distance == picture.distance[2, 1]
@@ -143,10 +157,10 @@ def test_first_hits_of_nothing():
 )
 def test_positions_that_are_refused(x, y):
     with pytest.raises(ValueError, match="x and y must "):
-        first_hits(seen(BALL), x, y)
+        first_hits(view_of(SPHERE), x, y)
 
 
-def test_first_hits_of_many_rays_are_those_of_few(monkeypatch):
+def test_first_hits_do_not_depend_on_the_size_of_batches(monkeypatch):
     x, y = np.random.default_rng(2).uniform(0, 60, (2, 500))
     scene = random_scene("crowd", 3, 60, 60)
     few = first_hits(scene, x, y)
@@ -173,7 +187,7 @@ def test_first_hits_of_a_whole_picture():
 
 
 @pytest.mark.parametrize("far", [1e7, 2.0**53, 1e20, 1e200, 1e308])
-def test_positions_far_outside_spoil_no_others(far):
+def test_positions_far_outside_do_not_change_other_hits(far):
     scene = random_scene("rooms", 7, 40, 30)
     x, y = np.random.default_rng(4).uniform(0, 30, (2, 300))
     alone = first_hits(scene, x, y)
@@ -190,7 +204,7 @@ def test_positions_far_outside_spoil_no_others(far):
 
 @pytest.mark.parametrize("kind", ["nested", "duplicated", "crowd"])
 def test_first_hits_are_those_of_the_picture(kind):
-    # The scene is lit from the eye; of each surface's colour, green over red is its place.
+    # A light at the eye reaches all that is visible.  Green divided by red is the surface's index.
     scene = random_scene(kind, 3, 60, 40)
     surfaces = [
         replace(surface, shader=Lambertian(diffuse=(1, i, 0)))
@@ -200,7 +214,7 @@ def test_first_hits_are_those_of_the_picture(kind):
     scene = replace(scene, surfaces=surfaces, lights=lights)
     row, column = np.random.default_rng(1).permutation(np.indices((40, 60)).reshape(2, -1), axis=1)
     red, green, _ = render(scene)[row, column].T
-    lit = red > 0
-    assert lit.sum() > 100
+    is_lit = red > 0
+    assert is_lit.sum() > 100
     hits = first_hits(scene, column + 0.5, row + 0.5)
-    np.testing.assert_allclose(green[lit] / red[lit], hits.surface[lit])
+    np.testing.assert_allclose(green[is_lit] / red[is_lit], hits.surface[is_lit])
