@@ -22,8 +22,8 @@ FILE = """<scene>
 <camera><viewPoint>0 0 5</viewPoint></camera> <image>9 9</image>
 <light><position>0 9 9</position></light>
 <light><position>9 0 0</position></light>
-<surface type="Sphere"/>
 <surface type="Box"><minPt>2 -1 -1</minPt><maxPt>3 1 1</maxPt></surface>
+<surface type="Sphere"/>
 </scene>
 """
 
@@ -50,10 +50,15 @@ def test_explanations_agree_with_the_picture(kind, seed):
         terms = [np.add(light.diffuse, light.specular) for light in pixel.lights]
         np.testing.assert_allclose(sum(terms, np.zeros(3)), image[y, x], rtol=1e-12)
         assert (pixel.surface is None) == np.isinf(pixel.distance)
+        assert len(pixel.lights) == (len(scene.lights) if pixel.surface else 0)
         if pixel.surface:
             hit = np.add(pixel.eye, np.multiply(pixel.distance, pixel.direction))
             np.testing.assert_allclose(hit, pixel.point, rtol=1e-9, atol=1e-9)
-        for light, term in zip(pixel.lights, terms, strict=True):
+        for source, light, term in zip(scene.lights, pixel.lights, terms, strict=False):
+            to_light, to_eye = np.subtract((source.position, pixel.eye), pixel.point)
+            half = to_light / np.linalg.norm(to_light) + to_eye / np.linalg.norm(to_eye)
+            n_dot_half = light.n_dot_h * np.linalg.norm(half)
+            np.testing.assert_allclose(n_dot_half, half @ pixel.normal, atol=1e-6)
             if light.occluders:
                 assert not any(term)
                 continue
@@ -66,7 +71,7 @@ def test_explanations_agree_with_the_picture(kind, seed):
 
 def test_an_explanation_names_occluders(path):
     pixel = tracer.explain(tracer.load_scene(path), 4, 4)
-    assert str(pixel.surface) == "Sphere 0 (line 5)"
+    assert str(pixel.surface) == "Sphere 1 (line 6)"
     assert pixel.distance == pytest.approx(4)
     assert (pixel.eye, pixel.direction) == ((0, 0, 5), (0, 0, -1))
     np.testing.assert_allclose((pixel.point, pixel.normal), [(0, 0, 1)] * 2, atol=1e-12)
@@ -74,13 +79,13 @@ def test_an_explanation_names_occluders(path):
     assert (above.line, above.occluders) == (3, ())
     assert above.n_dot_l == pytest.approx(8 / np.hypot(9, 8))
     assert (right.line, right.n_dot_l < 0) == (4, True)
-    assert [str(ref) for ref in right.occluders] == ["Sphere 0 (line 5)"]
+    assert [str(ref) for ref in right.occluders] == ["Sphere 1 (line 6)"]
     # From farther right, the camera sees the side of the sphere that faces the second light.  The
     # box is between them.
     camera = Camera(view_point=(5, 0, 5), view_dir=(-4.2, 0, -4.4))
     (_, right) = tracer.explain(replace(tracer.load_scene(path), camera=camera), 4, 4).lights
     assert right.n_dot_l > 0
-    assert [str(ref) for ref in right.occluders] == ["Box 1 (line 6)"]
+    assert [str(ref) for ref in right.occluders] == ["Box 0 (line 5)"]
 
 
 def test_a_face_blocks_a_light_in_its_plane():
@@ -107,7 +112,7 @@ def test_an_explanation_of_the_background(path):
 def test_the_command_explains_a_pixel_and_writes_no_picture(path):
     status, out, err = run(path, "--pixel", "4,4")
     assert (status, err) == (0, "")
-    assert "surface   Sphere 0 (line 5)" in out
+    assert "surface   Sphere 1 (line 6)" in out
     assert "shader    kd 1 1 1, ks 0 0 0, exponent 1\n" in out
     assert re.search(r"light 0 \(line 3\): n.l = 0.66\d+, n.h = 0.91\d+, reaches the point\n", out)
     assert re.search(r"  diffuse   (0.66\d+) \1 \1 = 1 1 1 \* 1 1 1 \* \1\n", out)

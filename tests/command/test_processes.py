@@ -78,6 +78,14 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
         assert (counts == 1).all()
 
 
+def test_the_estimated_time_grows_with_samples_and_lights():
+    scene = picture()
+    more_light = replace(scene, lights=[*scene.lights] * 3)
+    few, many, lit = RenderJob(scene, 4), RenderJob(scene, 400), RenderJob(more_light, 4)
+    assert many.seconds > 2 * few.seconds
+    assert lit.seconds == pytest.approx(3 * few.seconds)
+
+
 def test_a_worker_remembers_the_jobs_of_several_pictures():
     """Each of four pictures that are rendered in turns is prepared once."""
     jobs = [RenderJob(picture(), samples) for samples in (1, 4, 9, 16)]

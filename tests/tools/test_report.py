@@ -142,13 +142,13 @@ def test_scenes_that_cannot_be_compared_are_reported(small, report):
     assert (status, error) == (1, f"{message}\n")
     assert "Where methods fail" not in text, "charts belong to the project's own scenes"
     assert f"Not compared: {message}" in text
-    assert "1 agree." in text
+    assert '<strong class="bad">1 agree.</strong>' in text
 
 
 def test_without_standard_error_the_page_is_written(small, report, monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     status, _, text = report(small.with_name("report.html"), small)
-    assert (status, "All agree." in text) == (0, True)
+    assert (status, '<strong class="good">All agree.<' in text) == (0, True)
 
 
 def test_scenes_with_the_same_name_are_named_by_their_paths(small, report):
