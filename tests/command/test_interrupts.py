@@ -28,7 +28,7 @@ COMMANDS = {
     ],
     "converters.to_mitsuba ball.xml": ["ball.mitsuba.xml"],
     "reference.check ball.xml -o out.png": ["out.png"],
-    "reference.certify ball.xml -o sure.png --bounds wide.png": ["sure.png", "wide.png"],
+    "reference.certify ball.xml -o certified.png": ["certified.png"],
     "reference.compare hand-ins right.png --json": [],
     "reference.report ball.xml -o page.html": ["page.html"],
 }
