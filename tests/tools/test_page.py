@@ -88,7 +88,8 @@ def test_flicker_shows_the_pictures_alternately(page):
     for _ in range(3):
         button.click()
         shown.append({*shot(page)[:, :, 2].ravel().tolist()})
-    assert sorted(map(tuple, shown[:2])) == [(40,), (200,)]
+    assert shown[0] != shown[1]
+    assert all(blues in ({40}, {200, 255}) for blues in shown)
     assert shown[2] == shown[0]
     assert button.get_attribute("aria-pressed") == "true"
     page.locator("input").fill("50")
@@ -148,7 +149,9 @@ def test_a_page_about_hand_ins(browser, tmp_path):
         widths = page.evaluate("[...document.images].map(i => i.naturalWidth)")
         assert widths == [8] * len(widths)
         links = page.locator("td a")
-        assert links.all_text_contents() == ["✗ differs", "✓ agrees"]
+        verdicts = links.all_text_contents()
+        assert verdicts[0].startswith("✗ None of the ")
+        assert verdicts[1:] == ["✓ agrees"]
         links.first.click()
         assert page.url.endswith("#pair-0")
         for _ in range(2):
