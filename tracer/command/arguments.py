@@ -36,7 +36,7 @@ def file_name(text: str) -> str:
 
 
 def whole_number(minimum: int) -> Callable[[str], int]:
-    """Make a parser of arguments that are whole numbers from `minimum` to 999,999,999."""
+    """Return a function that parses arguments: whole numbers from `minimum` to 999,999,999."""
 
     def parse(text: str) -> int:
         if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= minimum):
@@ -48,7 +48,7 @@ def whole_number(minimum: int) -> Callable[[str], int]:
 
 
 def is_folder(path: str) -> bool:
-    """Return whether a path names a folder, which need not exist yet."""
+    """Test whether a path names a folder: an existing one, or by a slash at the end."""
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
 
 

@@ -126,7 +126,7 @@ class Batch:
     Parameters
     ----------
     settings : Settings
-        What all pictures have in common.
+        The settings that all pictures have in common.
     processes : int
         Maximum number of processes.
     """
@@ -284,7 +284,21 @@ class Batch:
 
 
 def _render_whole(settings: Settings, job: Job) -> Report | None:
-    """Render a scene in a worker process; return None if all processes should share it."""
+    """Read a scene, render it, and write the picture, in a worker process.
+
+    Parameters
+    ----------
+    settings : Settings
+        The settings that all pictures of the command have in common.
+    job : Job
+        The scene and its picture.
+
+    Returns
+    -------
+    report : Report or None
+        None if only the command's own process can do this: because the scene comes from standard
+        input, or because all processes should share the picture.
+    """
     return None if job.scene == "-" else Batch(settings, processes=1)._render(job)
 
 

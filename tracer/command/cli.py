@@ -115,7 +115,7 @@ def _parser() -> CommandParser:
 def _separated_numbers(
     separator: str, minimum: int, counts: tuple[int, ...], rule: str
 ) -> Callable[[str], tuple[int, ...]]:
-    """Make a parser of arguments that consist of several whole numbers.
+    """Return a function that parses arguments: several whole numbers with a separator.
 
     Parameters
     ----------

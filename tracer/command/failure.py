@@ -93,7 +93,7 @@ def errors_as_failure(
 
 
 def is_lack_of_memory(error: BaseException) -> bool:
-    """Return whether an error means that memory ran out.
+    """Test whether an error means that there was not enough memory.
 
     A ChildProcessError counts, because the system ends processes that take too much memory.
     """

@@ -103,7 +103,10 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 
 
 def print_line(stream: TextIO | None, text: str) -> None:
-    """Print a notice immediately; ignore it if that fails, because results matter more."""
+    """Print a notice as `print_result` does, but do nothing if it cannot be printed.
+
+    A notice is less important than the result of the command, which must not fail for it.
+    """
     with suppress(OSError):
         print_result(stream, text)
 
@@ -111,7 +114,12 @@ def print_line(stream: TextIO | None, text: str) -> None:
 def print_result(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above a progress bar if one is shown.
 
-    Characters that the stream cannot encode are escaped.
+    Parameters
+    ----------
+    stream : text file or None
+        Standard output or standard error; None if it is closed.
+    text : str
+        The line.  Characters that the stream cannot encode are escaped.
 
     Raises
     ------

@@ -50,7 +50,15 @@ class Progress:
             self._bar.close()
 
     def update(self, done: float, note: str = "") -> None:
-        """Show the amount of work that is done, of `total`, and a note beside the bar."""
+        """Update the progress, and show the bar if the work has taken a second.
+
+        Parameters
+        ----------
+        done : float
+            Amount of work that is done, in the unit of `total`.
+        note : str
+            Text beside the bar.
+        """
         seconds = perf_counter() - self._start
         if self._bar is None and seconds >= _BAR_SECONDS:
             self._bar = self._new_bar(seconds)
@@ -59,10 +67,20 @@ class Progress:
             self._bar.update(round(done, 2) - self._bar.n)
 
     def _new_bar(self, seconds: float) -> Any:
-        """Return a progress bar for work that has taken some seconds; False if there can be none.
+        """Create a progress bar.
 
         The work must not fail because tqdm is not installed, or because the environment has
         settings for tqdm that it cannot read.
+
+        Parameters
+        ----------
+        seconds : float
+            Time that the work has taken so far.
+
+        Returns
+        -------
+        bar : tqdm.tqdm or False
+            False if tqdm cannot be used.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture

@@ -17,17 +17,36 @@ NPY, EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 
 
 def raw(radiance: Floats, *, from_left: bool = True) -> bytes:
-    """Return the radiance of a tile as the bytes of its float64 values, in the order of pixels.
+    """Return the radiance of a tile as bytes.
 
-    `from_left` makes no difference: it is an argument of all encodings of tiles.
+    Parameters
+    ----------
+    radiance : (rows, columns, 3) float array
+        Linear RGB radiance of the pixels.
+    from_left : bool
+        Ignored; present because every function that encodes tiles has this argument.
+
+    Returns
+    -------
+    data : bytes
+        The float64 values, in the order of the pixels.
     """
     return radiance.tobytes()
 
 
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write the raw tiles of a picture, in order, as an array (height, width, 3) for `numpy.load`.
+    """Write a picture as a float64 array (height, width, 3) that `numpy.load` reads.
 
-    The array has the type float64: the values are exactly those of `render`.
+    The values are exactly those of `render`.
+
+    Parameters
+    ----------
+    file : binary file
+        The file to write to.
+    width, height : int
+        Size of the picture, in pixels.
+    tiles : iterable of bytes
+        All pixels of the picture, encoded by `raw`, from top to bottom and from left to right.
     """
     header = {"descr": "=f8", "fortran_order": False, "shape": (height, width, 3)}
     np.lib.format.write_array_header_1_0(file, header)
@@ -36,7 +55,7 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
 
 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write the raw tiles of a picture, in order, as an OpenEXR file with channels R, G and B.
+    """Write a picture as an OpenEXR file with channels R, G and B.
 
     Values are rounded to float32; those beyond its range become infinite.
 
@@ -47,7 +66,7 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        All pixels of the picture: from top to bottom and from left to right.
+        All pixels of the picture, encoded by `raw`, from top to bottom and from left to right.
 
     Raises
     ------
