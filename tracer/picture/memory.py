@@ -1,4 +1,7 @@
-"""Memory for arrays: where it comes from is half of the time of many pictures."""
+"""Keep freed memory for the next arrays.
+
+In many pictures, half of the time would be spent on getting fresh memory from the system.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +11,34 @@ from functools import cache
 
 import numpy as np
 
-# In glibc's malloc.h: parameters of mallopt(3).
+# Parameters of mallopt(3), from glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
-# Blocks of up to this many bytes come from the heap; glibc allows no more.  So much of that lies in
-# large pages, and twice as much is kept: arrays take some 30 MB, or 130 where pixels are split.
-_BLOCK_BYTES, _HEAP_BYTES = 1 << 25, 1 << 27
+# Maximum size of an array that comes from the heap, in bytes: glibc allows no more.
+_MAX_HEAP_BLOCK_BYTES = 1 << 25
+
+# Size of the heap's part that consists of large pages, in bytes; twice as much is kept when it is
+# free.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
+_LARGE_PAGE_BYTES = 1 << 27
 
 
 @cache
 def keep_heap() -> None:
     """Let the C library keep freed memory for the next array, in large pages.
 
-    Fresh pages cost more than the arithmetic on them, and by default glibc gives back whatever is
-    free at the heap's end.  With another C library nothing happens, nor when called again.
+    Getting fresh pages takes longer than the arithmetic on them, and by default glibc returns all
+    memory that is free at the end of the heap to the system.  With another C library, or when it is
+    called again, this function does nothing.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
-        mallopt(_M_MMAP_THRESHOLD, _BLOCK_BYTES)
-        mallopt(_M_TRIM_THRESHOLD, 2 * _HEAP_BYTES)
-        # For blocks this large NumPy asks for large pages (madvise(2)).  They are never touched;
-        # if there is not as much memory, the picture may need far less.
+        mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
+        # For arrays of this size NumPy requests large pages, by madvise(2).  The arrays are never
+        # written to, so they take no memory now.  If they cannot be allocated, the picture may
+        # still need far less.
         with suppress(MemoryError):
             _ = [
-                np.empty(_BLOCK_BYTES - 4096, np.uint8) for _ in range(_HEAP_BYTES // _BLOCK_BYTES)
+                np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)
+                for _ in range(_LARGE_PAGE_BYTES // _MAX_HEAP_BLOCK_BYTES)
             ]

@@ -1,9 +1,9 @@
 """Distribute work between this process and others: those of any executor, or a command's own pool.
 
-The problem is that workers fail: they are killed, stop, run out of memory, or never answer.  So all
-items of work can be processed in any process, with the same result, and this process never depends
-on another one: when no item is left that nobody has begun, it processes itself those that workers
-still have.  A worker that fails costs time, but no result.
+The problem is that workers fail: they are killed, stop, run out of memory, or never answer.  The
+solution has two parts.  (1) Any process can process any item, with the same result.  (2) This
+process depends on no other one: when all items are taken, it repeats those that are not finished.
+So a worker that fails costs time, but no result.
 
 Processes are used rather than threads.  Between two operations on arrays, a thread needs the lock
 of the Python interpreter, so threads would often wait for each other.
@@ -16,7 +16,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -25,15 +24,15 @@ from tracer.files import remove_part_files
 # Importing these takes longer than rendering a small picture, and only a pool needs them.
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
-    from multiprocessing.process import BaseProcess
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-# Number of items for each worker that are submitted and not yet finished: enough to keep it busy.
+# Maximum number of items for each worker that are submitted and not yet finished: enough to keep
+# the worker busy.
 _ITEMS_PER_WORKER = 2
 
-# Maximum number of times that a pool is started: again if a worker has died.
+# Maximum number of times that a pool is started.  It is started again if a worker has died.
 _MAX_STARTS = 4
 
 # Maximum time, in seconds, for which the end of a pool is waited for.  Usually it takes
@@ -57,13 +56,14 @@ class Executor(Protocol):
 class Distribution(Generic[_Item, _Result]):
     """Work that this process shares with an executor; iterate over it for the results.
 
-    Both take the next item from the front.  When all items are taken, this process repeats those
-    that the executor has not finished: first the items that no worker has begun; then, after
-    waiting for as long as the longest item has taken in this process, also the others.  If the
-    executor fails to process an item, for whatever reason, this process does it.
+    This process and the executor both take the next item from the front.  When all items are taken,
+    this process repeats the items that the executor has not finished.  It begins with those that no
+    worker has begun.  It repeats another one only after waiting for it as long as the longest item
+    has taken in this process.  If the executor fails to process an item, for whatever reason, this
+    process does it.
 
-    Iterating yields pairs of the index of an item and its result.  The order is nearly that of the
-    items; `in_order` restores it.
+    Each step of the iteration yields the index of an item and its result.  The order is nearly that
+    of the items; `in_order` restores the order.
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ class Distribution(Generic[_Item, _Result]):
     executor : Executor or None
         If None, this process does all the work.
     remote_function : callable
-        Called with an item by the executor.  If the executor has processes, the function and the
-        items must be picklable.
+        Called with an item by the executor.  If the executor has processes, the function, the items
+        and the results must be picklable.
     accepts : callable
         Called with an item and what the executor returned for it.  If it returns False, the
         executor counts as having failed.
@@ -136,7 +136,7 @@ class Distribution(Generic[_Item, _Result]):
         A `function` that takes long should call this method from time to time.
         """
         pending = sum(not future.done() for future in self._futures.values())
-        # This process leaves its own share of the items to itself.
+        # This process keeps its own share of the remaining items.
         share = (len(self._items) - self._next_index) * self._workers // (self._workers + 1)
         for _ in range(min(_ITEMS_PER_WORKER * self._workers - pending, share)):
             if self.executor is None:
@@ -168,14 +168,14 @@ class Distribution(Generic[_Item, _Result]):
         return index, result
 
     def _is_accepted(self, index: int, future: Future[_Result]) -> bool:
-        """Test whether a future has a result, and `accepts` does not refuse it."""
+        """Test whether the future of an item has a result that `accepts` does not refuse."""
         # An exception may be a worker's KeyboardInterrupt: it must not be raised here.
         if not future.done() or future.cancelled() or future.exception() is not None:
             return False
         return self._accepts(self._items[index], future.result())
 
     def _wait(self) -> bool:
-        """Wait until a future is done, but no longer than the longest item has taken here.
+        """Wait until a future is done, but no longer than the longest item has taken so far.
 
         Returns
         -------
@@ -201,10 +201,11 @@ def in_order(results: Iterable[tuple[int, _Result]]) -> Iterator[_Result]:
 class WorkerPool:
     """Worker processes of a command, started when the first work is submitted.
 
-    For the command line only, because the pool forks this process where this is safe.  A forked
-    worker already has all modules, and whatever this process has prepared for it.  Workers ignore
-    SIGINT: when the user presses Ctrl-C, the terminal sends it to all processes, and this process
-    ends the workers.  Workers end by themselves if this process has ended.
+    Use this only from the command line: on Linux the pool may fork the calling process, and when it
+    ends, it kills all children of the calling process that `multiprocessing` has started.  A forked
+    worker already has all modules, and whatever the calling process has prepared.  Workers ignore
+    SIGINT, because when the user presses Ctrl-C, the terminal sends it to all processes, and the
+    calling process ends the workers.  Workers end by themselves if the calling process has ended.
 
     Parameters
     ----------
@@ -222,9 +223,7 @@ class WorkerPool:
     def __init__(self, workers: int, initializer: Callable[[], None] | None = None) -> None:
         self.workers, self._initializer = workers, initializer
         self._executor: ProcessPoolExecutor | None = None
-        self._other_children: set[BaseProcess] = set()
         self._starts = 0
-        self._excepthook = threading.excepthook
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Schedule the call ``fn(*args)`` in a worker, and return the future of its result.
@@ -255,10 +254,9 @@ class WorkerPool:
         # It is not safe to fork while other threads run: they may hold locks.
         method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
         context = multiprocessing.get_context(method)
-        self._other_children = {*multiprocessing.active_children()}
-        # If the system has no thread left, the pool's own thread fails.  This process then does all
+        # If the system has no thread left, a thread of the pool fails.  This process then does all
         # the work, so nobody needs to know.
-        self._excepthook, threading.excepthook = threading.excepthook, lambda _: None
+        threading.excepthook = lambda _: None
         return ProcessPoolExecutor(self.workers, context, _begin_worker, (self._initializer,))
 
     def close(self) -> None:
@@ -267,19 +265,17 @@ class WorkerPool:
             return
         import multiprocessing
 
-        for process in {*multiprocessing.active_children()} - self._other_children:
+        for process in multiprocessing.active_children():
             process.kill()
-        end = partial(self._executor.shutdown, wait=True, cancel_futures=True)
-        waiting = threading.Thread(target=end, daemon=True)
+        shut_down = threading.Thread(target=self._executor.shutdown, daemon=True)
+        self._executor = None
         try:
-            waiting.start()
-            waiting.join(_MAX_END_SECONDS)
-            is_ended = not waiting.is_alive()
+            shut_down.start()
+            shut_down.join(_MAX_END_SECONDS)
         except RuntimeError:  # the system has no thread left
-            is_ended = False
-        # Beside a thread that has not ended no process can be forked.
-        self._starts = self._starts if is_ended else _MAX_STARTS
-        self._executor, threading.excepthook = None, self._excepthook
+            self._starts = _MAX_STARTS
+        if shut_down.is_alive():  # no process can be forked while the pool's own thread runs
+            self._starts = _MAX_STARTS
 
 
 def _begin_worker(initializer: Callable[[], None] | None) -> None:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import io
 import operator
 import pickle
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cached_property, partial
@@ -419,17 +420,22 @@ class RenderJob:
 _remembered_jobs = dict[bytes, RenderJob]()
 """The latest jobs of this process, by their pickled arguments, in order of last use."""
 
+_jobs_lock = threading.Lock()
+
 
 def _remember(job: RenderJob) -> None:
     """Keep a job, so that this process and its forks need not prepare its scene again."""
-    _remembered_jobs[job.pickled] = job
-    if len(_remembered_jobs) > _MAX_REMEMBERED_JOBS:
-        _remembered_jobs.pop(next(iter(_remembered_jobs)), None)
+    with _jobs_lock:
+        _remembered_jobs[job.pickled] = job
+        if len(_remembered_jobs) > _MAX_REMEMBERED_JOBS:
+            del _remembered_jobs[next(iter(_remembered_jobs))]
 
 
 def _job_from_pickle(pickled: bytes) -> RenderJob:
     """Return the job with these pickled arguments: the one that is remembered, or a new one."""
-    job = _remembered_jobs.pop(pickled, None) or RenderJob(*pickle.loads(pickled))
+    with _jobs_lock:
+        job = _remembered_jobs.pop(pickled, None)
+    job = job or RenderJob(*pickle.loads(pickled))
     _remember(job)
     return job
 
