@@ -27,15 +27,17 @@ from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 
+import numpy as np
+
 from reference.command import forbid_overwriting_inputs, parser
-from reference.figures import figures, linear, write_comparison
+from reference.figures import SSIM_WINDOW, figures, linear, write_comparison
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
 from reference.handins.folders import HandIn, hand_ins, match
 from reference.handins.results import Result, csv_of, json_of, text_of, with_common_causes_first
 from reference.handins.workers import start_workers
 from reference.page import Pair
-from reference.pictures import UNREADABLE, Picture, read_picture
+from reference.pictures import UNREADABLE, Codes, Picture, read_picture
 from tracer import load_scene
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.failure import Failure, errors_as_failure
@@ -45,6 +47,7 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 
 _FAILED = 3
+_PIXELS_PER_BAND = 500_000
 
 
 def tolerance(text: str) -> float:
@@ -194,6 +197,25 @@ def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | 
         return _failed(hand_in, f"cannot be compared: {what}; this is a bug, please report it")
 
 
+def _figures(a: Codes, b: Codes) -> tuple[float, float, float]:
+    """Return SSIM, RMSE and the maximum difference in linear light, of codes of one shape.
+
+    They are computed for bands of rows, because their arrays take 100 bytes per pixel.
+    """
+    (height, width, _), margin = a.shape, SSIM_WINDOW - 1
+    step = max(1, _PIXELS_PER_BAND // width)
+    ssim, squares, largest, rows = 0.0, 0.0, 0.0, max(1, height - margin)
+    for start in range(0, rows, step):
+        part = slice(start, start + step + margin)
+        band = figures(linear(a[part]), linear(b[part]))
+        ssim += band.ssim * min(step, rows - start) / rows
+        largest = max(largest, band.max)
+    for start in range(0, height, step):
+        part = slice(start, start + step)
+        squares += float(((linear(a[part]) - linear(b[part])) ** 2).sum())
+    return ssim, float(np.sqrt(squares / a.size)), largest
+
+
 def _compared(
     options: argparse.Namespace, hand_in: HandIn, picture: Picture, solution: Solution, note: str
 ) -> tuple[Result, Pair | None]:
@@ -208,25 +230,24 @@ def _compared(
     result, pair = _result(hand_in)._replace(found=found), None
     if picture.codes.shape != right.shape:
         return result, None
-    light = linear(picture.codes), linear(right)
-    distance = figures(*light)
+    ssim, rmse, largest = _figures(picture.codes, right)
     agrees = found.kind in AGREEING
     if options.ssim is not None or options.max is not None:
-        agrees = (options.max is None or distance.max <= options.max) and (
-            options.ssim is None or distance.ssim >= options.ssim
+        agrees = (options.max is None or largest <= options.max) and (
+            options.ssim is None or ssim >= options.ssim
         )
     result = result._replace(
-        agrees=agrees, ssim=distance.ssim, rmse=distance.rmse, max=distance.max,
+        agrees=agrees, ssim=ssim, rmse=rmse, max=largest,
         differing=int((picture.codes != right).any(axis=2).sum()),
         worst=worst_pixel(picture.codes, right),
     )  # fmt: skip
     if options.html:
-        pair = pair_of(result, (picture.codes, right), light)
+        pair = pair_of(result, picture.codes, right)
     output = hand_in.output
     if output is not None and not (options.many and agrees):
         labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
         with errors_as_failure(output, "written", status=_FAILED, errors=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, *light, (labels[0], labels[1]))
+            write_comparison(output, linear(picture.codes), linear(right), (labels[0], labels[1]))
         result = result._replace(comparison=str(output))
     return result, pair

@@ -22,7 +22,7 @@ GAMMA = 2.2
 
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
-_SSIM_WINDOW = 7
+SSIM_WINDOW = 7
 # Pixels that differ by more than this, in linear light, are counted.
 _COUNTED_DIFFERENCE = 1e-3
 # Percentile of the pixels' differences that is reported, and that the amplified difference shows.
@@ -95,9 +95,9 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     kept = np.ones(a.shape[:2], dtype=np.bool_) if mask is None else ~mask
     if not kept.any():
         raise ValueError("every pixel is masked")
-    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
+    padding = [(0, max(SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
     shown = [np.pad(np.float32(x.clip(0, 1)) ** (1 / GAMMA), padding, mode="edge") for x in (a, b)]
-    ssim = structural_similarity(*shown, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
+    ssim = structural_similarity(*shown, win_size=SSIM_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
     pixels = difference.max(axis=1)
     return Figures(

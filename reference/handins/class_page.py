@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from reference import page as pages
-from reference.figures import Floats, amplified
+from reference.figures import amplified, linear
 from reference.handins.results import Result, count_of, mistake_counts
 from reference.page import Cell, Pair, pair, png
 from reference.pictures import Codes
@@ -18,21 +18,19 @@ _LEGEND = (
 )
 
 
-def pair_of(result: Result, codes: tuple[Codes, Codes], light: tuple[Floats, Floats]) -> Pair:
-    """Return the pair of a hand-in and the right picture, which have the same size.
-
-    `codes` and `light` are the codes and the linear radiance of both.
-    """
+def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
+    """Return the pair of a hand-in and the right picture, which have the same size."""
     found = result.found
     return pair(
-        *codes,
-        *amplified(*light),
+        handin,
+        right,
+        *amplified(linear(handin), linear(right)),
         name=str(result.picture),
         good=result.agrees,
         word=result.word,
         left="hand-in",
         right="right",
-        thumbnail=png(codes[0], thumbnail=True),
+        thumbnail=png(handin, thumbnail=True),
         notes=[str(found)],
         worst=result.worst if result.differing else None,
         figures=[

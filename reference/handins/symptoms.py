@@ -89,13 +89,16 @@ def is_speckled(found: Lights | None, known: KnownPictures) -> bool:
     lit = known.in_batches("lit", np.arange(known.count))
     lost = np.zeros_like(lit)
     lost[:, found.pixels] = found.lost
-    lit &= np.isin(known.surface, known.surface[found.pixels[is_lost]])
-    lit, lost = (lights.reshape(len(lit), -1, known.columns) for lights in (lit, lost))
-    share = lost.sum() / lit.sum()
+    # The probability that light is lost, which differs from surface to surface.
+    surface = known.surface + 1
+    lost_count, lit_count = (np.array([np.bincount(surface, row) for row in mask])
+                             for mask in (lost, lit))  # fmt: skip
+    chance = (lost_count / np.maximum(lit_count, 1))[:, surface]
+    lit, lost, chance = (a.reshape(len(lit), -1, known.columns) for a in (lit, lost, chance))
     for axis in (1, 2):
         both = lit & np.roll(lit, 1, axis)
         different = (both & (lost != np.roll(lost, 1, axis))).sum()
-        if different <= _MIN_RANDOMNESS * 2 * share * (1 - share) * both.sum():
+        if different <= _MIN_RANDOMNESS * (2 * chance * (1 - chance))[both].sum():
             return False
     return True
 
