@@ -1,14 +1,13 @@
-"""Many samples a pixel: no worse than a uniform grid, on the project's scenes and on hard ones.
+"""Antialiasing: is the picture at least as accurate as that of a uniform grid of samples?
 
-Each hard picture is so for a reason of its own.  What lies between the centres of pixels is found,
-and edges, silhouettes and shadows whose place is known in closed form have their share of a pixel.
+The test scenes are the project's own, small, and the hard scenes in `tests/scenes`.  Where the
+means of pixels are known in closed form, the picture must agree with them.
 """
 
 import math
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,254 +30,249 @@ from tracer import (
     load_scene,
     render,
 )
-from tracer.antialias import refine as antialias
+from tracer.antialias import refine
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.arrays import Floats
 from tracer.trace import visibility
 from tracer.trace.radiance import radiance_and_ids
 from tracer.world.prepared_scene import PreparedScene
 
-TRUE = 1 / 1024
-"""The certified error of pictures that others are held against."""
+# Maximum error of a reference picture, as certified.
+CERTIFIED_ERROR = 1 / 1024
+
+# Number of samples along each side of a pixel for reference pictures that cannot be certified.
+REFERENCE_SIDE = 41
+
+RED = Lambertian(diffuse=(1, 0, 0))
+BALL = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
+WALL = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
 
 
 @cache
 def uniform(scene: Scene, per_side: int) -> Floats:
-    """The mean of a grid of samples in every pixel; nothing that antialiasing does changes it."""
+    """Average a grid of per_side x per_side samples in each pixel, without antialiasing."""
     return supersampled(scene, per_side)
 
 
-def true_means(scene: Scene) -> Floats:
-    """The means of pixels as certified; where that cannot be, of a fine grid."""
+def reference_picture(scene: Scene) -> Floats:
+    """Return the mean radiance of pixels (height, width, 3): certified, or that of a fine grid."""
     try:
-        known = true_picture(scene, TRUE)
-    except ValueError:  # as with the eye on a surface
-        return uniform(scene, 41)
-    # Through a lens too long for certificates all stays unknown.
-    return known.image if known.error.max() < 0.05 else uniform(scene, 41)
+        certified = true_picture(scene, CERTIFIED_ERROR)
+    except ValueError:  # for example if the eye is on a surface
+        return uniform(scene, REFERENCE_SIDE)
+    # If the window is extremely far from the eye, the certificate's bounds stay wide.
+    return certified.image if certified.error.max() < 0.05 else uniform(scene, REFERENCE_SIDE)
 
 
-def no_worse_than_the_uniform_grid(
-    scene: Scene, times: float = 1, numbers: Iterable[int] = (4, 16, 64, 256)
+def assert_no_worse_than_grid(
+    scene: Scene, error_factor: float = 1, sample_counts: Iterable[int] = (4, 16, 64, 256)
 ) -> None:
-    """RMSE no larger, and the largest error no more than so many times as large."""
-    truth = true_means(scene)
-    for samples in numbers:
+    """Assert that pictures of a scene are at least as accurate as those of a uniform grid.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    error_factor : float
+        The largest error may be this many times that of the grid.  The RMSE must not be larger.
+    sample_counts : iterable of int
+        Numbers of samples per pixel, for both pictures.
+    """
+    truth = reference_picture(scene)
+    for samples in sample_counts:
         image, grid = render(scene, samples), uniform(scene, math.isqrt(samples))
+        largest, grid_largest = np.abs(image - truth).max(), np.abs(grid - truth).max()
         assert rmse(image, truth) <= rmse(grid, truth) + 1e-12, samples
-        assert np.abs(image - truth).max() <= times * np.abs(grid - truth).max() + 1e-12, samples
+        assert largest <= error_factor * grid_largest + 1e-12, samples
 
 
-RED = Lambertian(diffuse=(1, 0, 0))
-ROOM = Box(min_pt=(-30, -30, -30), max_pt=(30, 30, 30))
+def view(*surfaces: Surface, pixels: int = 16, light=(0, 0, 10), **camera: object) -> Scene:
+    """Return a scene seen from far away, along the z-axis.
 
-
-def seen(light, *surfaces, eye=(0, 0, 0), ahead=(0, 0, -1), size=(36, 24), wide=1, high=0, **lens):
-    """Surfaces in a window so wide; unless told how high that is, in square pixels."""
-    high = high or wide * size[1] / size[0]
-    view = Camera(view_point=eye, view_dir=ahead, view_width=wide, view_height=high, **lens)
-    return scene_of(*surfaces, camera=view, size=size, lights=light)
-
-
-def floor(half, **shader) -> Box:
-    """So large, and one unit thick, under the origin."""
-    return Box(min_pt=(-half, -1, -half), max_pt=(half, 0, half), **shader)
-
-
-def wall(half, z, **shader) -> Box:
-    """So large, and one unit thick, behind that z."""
-    return Box(min_pt=(-half, -half, z - 1), max_pt=(half, half, z), **shader)
-
-
-def ball(center, radius, **shader) -> Sphere:
-    return Sphere(center=center, radius=radius, **shader)
-
-
-def box(low, high, **shader) -> Box:
-    return Box(min_pt=low, max_pt=high, **shader)
-
-
-def red(shape: Surface) -> Surface:
-    return replace(shape, shader=RED)
-
-
-def gloss(diffuse: float, exponent: float) -> Phong:
-    """White highlights on gray."""
-    return Phong(diffuse=(diffuse,) * 3, specular=(1, 1, 1), exponent=exponent)
-
-
-BALL = Sphere(radius=1, shader=Phong(diffuse=(0.5, 0.5, 0.5)))
-
-
-def from_afar(*surfaces: Surface, light=(0, 0, 10), pixels: int = 16, **lens: Any) -> Scene:
-    """So many pixels a side, all together of size 4 on the plane z = 0, seen from far away."""
-    lens |= {"eye": (0, 0, 100), "proj_distance": 100, "wide": 4}
-    return seen(light, *surfaces, size=(pixels, pixels), **lens)
+    The picture has pixels x pixels pixels, and shows a square of width 4 of the plane z = 0.
+    """
+    window = {"proj_distance": 100, "view_width": 4, "view_height": 4}
+    camera = Camera(view_point=(0, 0, 100), **window, **camera)
+    return scene_of(*surfaces, camera=camera, size=(pixels, pixels), lights=light)
 
 
 def small(name: str) -> Scene:
-    """A scene of the project, 64 pixels wide."""
+    """Return a scene of the project with a width of 64 pixels."""
     scene = load_scene(SCENES / f"{name}.xml")
     return replace(scene, width=64, height=round(64 * scene.height / scene.width))
 
 
 @pytest.mark.parametrize("name", names("room", "highlights", "four-spheres", "one-box", "touching"))
 def test_no_worse_than_the_uniform_grid(name):
-    no_worse_than_the_uniform_grid(small(name))
+    assert_no_worse_than_grid(small(name))
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("name", NAMES)
 def test_split_pixels_are_no_worse_than_the_uniform_grid(name):
-    # So small, some of them are so full of outlines that they would be made of lattices; and other
-    # squares than powers of four.
-    no_worse_than_the_uniform_grid(small(name))
+    # Without the fixture, lattices of samples would replace classification in some scenes, which
+    # are full of silhouettes at this size.
+    assert_no_worse_than_grid(small(name))
     if name in ("many-objects", "room", "two-boxes"):
-        no_worse_than_the_uniform_grid(small(name), numbers=(9, 25, 36, 49, 100))
+        assert_no_worse_than_grid(small(name), sample_counts=(9, 25, 36, 49, 100))
 
 
-def test_pictures_full_of_outlines_are_lattices():
+def test_pictures_full_of_silhouettes_are_lattices():
     scene = crowd(3000, width=96, height=54)
     points = Lattice.at_least(4).points()
     image = render(scene, samples=16)
     # Every other row of pixels has the mirror image.
-    for first, sign in ((0, 1), (1, -1)):
+    for first_row, sign in ((0, 1), (1, -1)):
         offsets = zip(sign * points.real, points.imag, strict=True)
         mean = np.mean([render(scene, offset=offset) for offset in offsets], axis=0)
-        assert np.abs(image - mean)[first::2].max() <= 1e-12
+        assert np.abs(image - mean)[first_row::2].max() <= 1e-12
 
 
-@pytest.mark.parametrize("supersample", [-1.0, math.inf])
-def test_an_offset_of_whole_pixels_moves_the_picture(supersample, monkeypatch):
-    monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", supersample)
+@pytest.mark.parametrize("max_silhouette_pairs", [-1.0, math.inf])
+def test_an_offset_of_whole_pixels_moves_the_picture(max_silhouette_pairs, monkeypatch):
+    monkeypatch.setattr(refine, "_MAX_SILHOUETTE_PAIRS", max_silhouette_pairs)
     scene = crowd(30, width=48, height=27)
-    image, moved = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
+    image, shifted = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
     assert image.std() > 0.05
-    # The rays are the same but for rounding, which decides next to nothing.
-    assert np.mean(np.abs(moved[:-2, :-3] - image[2:, 3:]) > 1e-9) < 0.01
+    # The rays differ by rounding errors, which decide few hits.
+    assert np.mean(np.abs(shifted[:-2, :-3] - image[2:, 3:]) > 1e-9) < 0.01
 
 
 @pytest.mark.parametrize("slope", [0, 1 / 2, 2 / 3, 3 / 4, 1 / 3, 3 / 2])
-def test_lattices_of_edges_in_their_own_directions(slope, monkeypatch):
-    monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", -1.0)
+def test_edges_in_the_directions_of_lattices(slope, monkeypatch):
+    monkeypatch.setattr(refine, "_MAX_SILHOUETTE_PAIRS", -1.0)
     rng = np.random.default_rng(0)
-    middles, halves = rng.uniform((-1.2, -1, -4.5), (1.2, 1, -3.5), (60, 3)), (0.02, 0.15)
+    centers = rng.uniform((-1.2, -1, -4.5), (1.2, 1, -3.5), (60, 3))
     boxes = [
-        box(at - half, at + half, shader=Lambertian(diffuse=rng.uniform(0.2, 1, 3)))
-        for at, half in zip(middles, rng.uniform(*halves, (60, 3)), strict=True)
+        Box(min_pt=center - half, max_pt=center + half, shader=Lambertian(diffuse=color))
+        for center, half in zip(centers, rng.uniform(0.02, 0.15, (60, 3)), strict=True)
+        for color in [rng.uniform(0.2, 1, 3)]
     ]
-    scene = seen((0, 3, 2), *boxes, view_up=(slope, 1, 0), size=(24, 16), wide=0.6)
-    # With 49 samples or more, and a slope of 1 / 2, the grid may be closer by some 2 %.
-    no_worse_than_the_uniform_grid(scene, times=1.5, numbers=(4, 9, 16, 25, 36))
+    camera = Camera(view_up=(slope, 1, 0), view_width=0.6, view_height=0.4)
+    scene = scene_of(*boxes, camera=camera, size=(24, 16), lights=(0, 3, 2))
+    # For 49 samples or more, and the slope 1 / 2, the RMSE of the grid may be 2 % less.
+    assert_no_worse_than_grid(scene, error_factor=1.5, sample_counts=(4, 9, 16, 25, 36))
 
 
 def test_numbers_of_samples():
-    # One is the centre: of three by three pixels in the place of each, the middle one has the same.
-    fine = render(from_afar(BALL, pixels=48), samples=1)[1::3, 1::3]
-    np.testing.assert_allclose(render(from_afar(BALL), samples=1), fine, atol=1e-12)
-    # Others are rounded up to squares.
-    assert np.array_equal(render(from_afar(BALL), samples=5), render(from_afar(BALL), samples=9))
+    # One sample is at the centre of the pixel.  If each pixel is divided into nine pixels, the
+    # middle one has the same centre.
+    fine = render(view(BALL, pixels=48), samples=1)[1::3, 1::3]
+    np.testing.assert_allclose(render(view(BALL), samples=1), fine, atol=1e-12)
+    # Other numbers are rounded up to squares.
+    assert np.array_equal(render(view(BALL), samples=5), render(view(BALL), samples=9))
 
 
 @pytest.mark.usefixtures("pixels_are_split")
-@pytest.mark.parametrize("closed", [box((-0.5, 0, -0.5), (0.5, 1, 0.5)), ball((0, 0.4, 0), 0.5)])
-def test_a_light_that_is_shut_in_lights_nothing_outside(closed):
-    # Points on the floor as near to it as a pixel is wide are inside what is that much larger.
-    lens = {"eye": (3, 2.5, 4), "ahead": (-3, -2.2, -4), "proj_distance": 1.2, "size": (120, 90)}
-    scene = seen((0, 0.5, 0), floor(9), closed, **lens)
+@pytest.mark.parametrize(
+    "closed",
+    [Box(min_pt=(-0.5, 0, -0.5), max_pt=(0.5, 1, 0.5)), Sphere(center=(0, 0.4, 0), radius=0.5)],
+)
+def test_a_light_in_a_closed_surface_lights_nothing_outside(closed):
+    # Hits on the floor near the surface are inside of the surface grown by the footprint.
+    camera = Camera(view_point=(3, 2.5, 4), view_dir=(-3, -2.2, -4), proj_distance=1.2,
+                    view_width=1, view_height=0.75)  # fmt: skip
+    floor = Box(min_pt=(-9, -1, -9), max_pt=(9, 0, 9))
+    scene = scene_of(floor, closed, camera=camera, size=(120, 90), lights=(0, 0.5, 0))
     assert not render(scene, 16).any()
 
 
-@pytest.mark.parametrize(("name", "better"), [("one-sphere", 9), ("four-spheres", 14)])
-def test_silhouettes_and_terminators_are_nearly_exact(name, better):
-    # Both are known in closed form, with how light falls off towards them.
+@pytest.mark.parametrize(("name", "improvement"), [("one-sphere", 9), ("four-spheres", 14)])
+def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
+    # Both are computed in closed form, and so is the decrease of light towards them.
     scene = small(name)
-    truth = true_picture(scene, TRUE).image
-    ours, grid = (rmse(image, truth) for image in (render(scene, 16), uniform(scene, 4)))
-    assert ours <= grid / better
+    truth = true_picture(scene, CERTIFIED_ERROR).image
+    assert rmse(render(scene, 16), truth) <= rmse(uniform(scene, 4), truth) / improvement
 
 
 def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
-    # The edges of forty lights everywhere: to split pixels would take many times the samples.
-    at = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
-    lights = [PointLight(position=position, intensity=(0.03,) * 3) for position in at]
-    scene = from_afar(wall(9, -1), BALL, light=lights, pixels=24)
+    # Shadow edges of forty lights cross every pixel.  To divide pixels would take many times as
+    # many samples.
+    position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
+    lights = [PointLight(position=p, intensity=(0.03,) * 3) for p in position]
+    scene = view(WALL, BALL, light=lights, pixels=24)
     counts = record_calls(
         monkeypatch, visibility, "_intersections", lambda _, samples: samples.size
     )
     render(scene, 16)
     assert sum(counts) < 4 * 16 * 24 * 24
-    no_worse_than_the_uniform_grid(scene, times=1.5, numbers=(4, 16))
+    assert_no_worse_than_grid(scene, error_factor=1.5, sample_counts=(4, 16))
 
 
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("seed", [18, 48, 52])
 def test_no_radiance_is_negative(seed):
-    # What stands for a sliver of a pixel may weigh less than nothing.
+    # A point that represents a narrow region may have a negative weight.
     assert render(random_scene("crowd", seed, 24, 16), 4).min() >= 0
 
 
-def test_crowded_pixels_are_divided_as_well(monkeypatch):
-    real = antialias.classify
+def test_lines_divide_crowded_pixels(monkeypatch):
+    real_classify = refine.classify
 
-    def crowded(*cells):
-        found = real(*cells)
-        return found._replace(is_crowded=np.ones_like(found.is_crowded))
+    def classify_as_crowded(*arguments):
+        classified = real_classify(*arguments)
+        return classified._replace(is_crowded=np.ones_like(classified.is_crowded))
 
-    monkeypatch.setattr(antialias, "classify", crowded)
-    # Of the tenth column the wall covers 0.33.
-    image = render(from_afar(box((-9, -9, -9), (0.25 + 0.33 * 0.25, 9, 0))), 16)[..., 0]
+    monkeypatch.setattr(refine, "classify", classify_as_crowded)
+    # The box covers 0.33 of the tenth column of pixels.
+    half = Box(min_pt=(-9, -9, -9), max_pt=(0.25 + 0.33 * 0.25, 9, 0))
+    image = render(view(half), 16)[..., 0]
     np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)
 
 
-def test_unresolved_pixels_that_look_alike_are_sampled(monkeypatch):
-    real, back, bead = antialias.classify, wall(9, -1), red(ball((0.125, 0.06, -1), 0.03))
+def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
+    real_classify = refine.classify
 
-    def unresolved(*cells):
-        found = real(*cells)
-        lines, everywhere = found.lines.take(slice(0)), np.ones_like(found.is_unresolved)
-        return found._replace(lines=lines, is_unresolved=everywhere)
+    def classify_as_unresolved(*arguments):
+        classified = real_classify(*arguments)
+        is_unresolved = np.ones_like(classified.is_unresolved)
+        return classified._replace(
+            lines=classified.lines.take(slice(0)), is_unresolved=is_unresolved
+        )
 
-    # The second holds a bead that five samples in its pixel miss: it is split after all.
-    scenes = from_afar(back), from_afar(back, bead)
-    means = [true_means(scene) for scene in scenes]
-    monkeypatch.setattr(antialias, "classify", unresolved)
+    # No sample at the centre of a pixel or of a quarter sees the bead, but samples on the lattice
+    # do: its pixel is divided.
+    bead = Sphere(center=(0.125, 0.06, -1), radius=0.03, shader=RED)
+    scenes = view(WALL), view(WALL, bead)
+    truths = [reference_picture(scene) for scene in scenes]
+    monkeypatch.setattr(refine, "classify", classify_as_unresolved)
     counts = record_calls(
         monkeypatch, visibility, "_intersections", lambda _, samples: samples.size
     )
-    for scene, mean in zip(scenes, means, strict=True):
+    for scene, truth in zip(scenes, truths, strict=True):
         counts.clear()
-        np.testing.assert_allclose(render(scene, 64), mean, atol=2e-3)
-        # To split all of them would take three times the samples.
+        np.testing.assert_allclose(render(scene, 64), truth, atol=2e-3)
+        # To divide all pixels would take three times as many samples.
         assert sum(counts) < 1.2 * 16 * 16 * 65
-    assert np.ptp(means[1]) > 0.02
+    assert np.ptp(truths[1]) > 0.02
 
 
 def test_ids_are_equal_where_object_face_and_lights_are():
-    """What antialiasing takes for one smooth surface."""
-    boxes = box((-3, -2, -3), (3, -1, 3)), box((-1, -1, -1), (1, 1, 1))
+    slab = Box(min_pt=(-3, -2, -3), max_pt=(3, -1, 3))
+    cube = Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1))
     lights = [PointLight(position=p) for p in ((2, 9, 1), (9, 5, 2), (3, 4, 9))]
-    lens = {"eye": (5, 4, 3), "ahead": (-5, -4, -3), "size": (16, 12)}
-    scene = seen(lights, ball((1, 0, 2), 0.7), *boxes, **lens)
+    camera = Camera(view_point=(5, 4, 3), view_dir=(-5, -4, -3), view_width=1, view_height=0.75)
+    ball = Sphere(center=(1, 0, 2), radius=0.7)
+    scene = scene_of(ball, slab, cube, camera=camera, size=(16, 12), lights=lights)
     samples = CENTERS.samples(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
-        _, ids = radiance_and_ids(PreparedScene(scene), samples)
-    keys = {}
-    for (y, x), found in np.ndenumerate(ids.reshape(scene.height, scene.width)):
+        _, sample_id = radiance_and_ids(PreparedScene(scene), samples)
+    id_of = {}
+    for (y, x), pixel_id in np.ndenumerate(sample_id.reshape(scene.height, scene.width)):
         pixel = explain(scene, x, y)
-        flat = pixel.surface is not None and pixel.surface.kind == "Box"
-        lit = tuple(not light.occluders for light in pixel.lights)
-        key = pixel.surface and (pixel.surface, flat and pixel.normal, lit)
-        assert keys.setdefault(key, found) == found
-    assert len(set(keys.values())) == len(keys) > 9
-    assert keys[None] == -1
+        is_box = pixel.surface is not None and pixel.surface.kind == "Box"
+        lights_visible = tuple(not light.occluders for light in pixel.lights)
+        content = pixel.surface and (pixel.surface, is_box and pixel.normal, lights_visible)
+        assert id_of.setdefault(content, pixel_id) == pixel_id
+    assert len(set(id_of.values())) == len(id_of) > 9
+    assert id_of[None] == -1
 
 
 @pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize("hard", hard_scenes("error factor"))
 def test_hard_scenes_are_no_worse_than_the_uniform_grid(hard):
-    no_worse_than_the_uniform_grid(hard.scene, float(hard.fields["error factor"]), hard.samples)
+    assert_no_worse_than_grid(hard.scene, float(hard.fields["error factor"]), hard.samples)
 
 
 @pytest.mark.usefixtures("pixels_are_split")
@@ -292,12 +286,15 @@ def test_nearly_exact(hard):
         assert np.abs(render(scene, samples) - truth.image).max() <= largest_error
 
 
-def test_more_lights_than_bits(monkeypatch):
-    # A key says what a pixel sees, and which lights reach it: the first of them counts, too.
-    keys = record_calls(monkeypatch, antialias, "means_of_pixels", lambda center, width: center.id)
+def test_more_lights_than_bits_in_an_id(monkeypatch):
+    # An id depends on the lights that reach the surface, also on the first of 66 lights.
+    ids = record_calls(monkeypatch, refine, "means_of_pixels", lambda center, width: center.id)
     first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)] * 66
-    lights = [first, *(replace(each, position=(0, 0, 0)) for each in others)]
-    scene = seen(lights, wall(60, -5), red(ball((0, 0, -4), 1.2)), size=(9, 9))
-    no_worse_than_the_uniform_grid(scene, 2, numbers=(16, 64))
-    # The wall and the ball, each in its light and out of it.
-    assert np.unique(np.concatenate(keys)).size == 4
+    lights = [first, *(replace(light, position=(0, 0, 0)) for light in others)]
+    wall = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
+    ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)
+    camera = Camera(view_width=1, view_height=1)
+    scene = scene_of(wall, ball, camera=camera, size=(9, 9), lights=lights)
+    assert_no_worse_than_grid(scene, error_factor=2, sample_counts=(16, 64))
+    # The wall and the ball, each reached by the first light, and shaded from it.
+    assert np.unique(np.concatenate(ids)).size == 4
