@@ -144,6 +144,19 @@ def test_signals_that_the_caller_ignores(folder, ignored):
     assert all((folder / f"{name}.png").exists() for name in ("ball.xml", *MANY))
 
 
+def test_watching_many_scenes_ends_with_its_workers(folder):
+    with start(f"tracer {' '.join(MANY)} --watch --processes 2", folder) as process:
+        for _ in range(2):
+            names = [process.stdout.readline().partition(".png: ")[0] for _ in MANY]
+            assert names == MANY
+            for name in MANY:
+                (folder / name).write_text(SCENE.format(300, 400))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 130
+    wait_until(lambda: not running_processes())
+    assert not [*folder.glob(".*")]
+
+
 def test_watching_ends_when_nobody_reads(folder):
     with start("tracer ball.xml --watch", folder) as process:
         assert "ball.xml.png" in process.stdout.readline()

@@ -49,6 +49,10 @@ the function that writes a file from encoded tiles."""
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SMALLER = "make the image smaller or take fewer samples"
 
+# Seconds that a process needs for a small scene in addition to rendering: to read the scene, and to
+# write the picture.
+_SECONDS_PER_SCENE = 0.003
+
 # Estimated seconds of rendering up to which one process renders a picture alone, while the other
 # processes render other scenes.
 _MAX_WHOLE_SECONDS = 1.0
@@ -228,7 +232,8 @@ class Batch:
             is_large = picture.seconds >= job.max_seconds
             if self._work is None and is_large:
                 return None
-            if self._work and picture.seconds * self._remaining >= MIN_POOL_SECONDS:
+            remaining_seconds = (picture.seconds + _SECONDS_PER_SCENE) * self._remaining
+            if self._work and remaining_seconds >= MIN_POOL_SECONDS:
                 self._work.executor = self._pool
                 self._work.submit()
             with (
