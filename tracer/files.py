@@ -82,7 +82,10 @@ def _open_nameless(folder: str, part_path: str) -> IO[bytes]:
 
 
 def remove_part_files() -> None:
-    """Remove the part files of this process, which is about to end early."""
+    """Remove the part files of this process, which is about to end early.
+
+    A part file is a new file that has a name of its own because it is not complete yet.
+    """
     for path in [*_part_files]:  # another thread may change the set
         with suppress(OSError):
             os.unlink(path)

@@ -275,14 +275,14 @@ class Batch:
                 raise _Obsolete
 
     def _show_progress(self, fraction: float, pixels: int) -> None:
-        """Show the progress of the batch.
+        """Show the progress of the batch: the finished pictures, and a part of an unfinished one.
 
         Parameters
         ----------
         fraction : float
-            Fraction of the picture in work that has been rendered.
+            Fraction of the unfinished picture that has been rendered.
         pixels : int
-            Number of pixels of the picture in work that have been rendered.
+            Number of pixels of the unfinished picture that have been rendered.
         """
         note = f"{(self._pixels + pixels) / 1e6:.3g} million pixels"
         self._progress.update(self._done + fraction, note)

@@ -217,7 +217,17 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
 
 
 def _validated_radiance(image: ArrayLike) -> Floats:
-    """Validate an image, and return it as a contiguous float64 array (height, width, 3).
+    """Validate an image, and convert it to a contiguous float64 array.
+
+    Parameters
+    ----------
+    image : (height, width, 3) array_like
+        Linear RGB radiance.
+
+    Returns
+    -------
+    radiance : (height, width, 3) float64 array
+        The same values, in C order.
 
     Raises
     ------
