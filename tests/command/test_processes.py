@@ -142,6 +142,19 @@ def test_a_small_picture_starts_no_process(size, starts, monkeypatch, tmp_path):
     assert start.call_count == starts
 
 
+@pytest.mark.parametrize("y", [-1.5, 1.5])
+def test_a_picture_of_which_some_tiles_are_black_is_not_black(y, small_tiles, tmp_path, capsys):
+    """Neither the first tile nor the last one stands for the picture."""
+    camera = Camera(view_point=(0, 0, 10), view_width=0.6, view_height=0.6)
+    scene = scene_of(Sphere(center=(0, y, 0)), camera=camera, size=(90, 90), lights=(3, 4, 9))
+    black = [tile.exposure.is_black for tile in render_tiles(RenderJob(scene))]
+    assert black[0] != black[-1]
+    save_scene(scene, tmp_path / "scene.xml")
+    assert cli.main([str(tmp_path / "scene.xml")]) == 0
+    assert capsys.readouterr().err == ""
+    render(scene)
+
+
 def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
     with closing(WorkerPool(1)) as pool:
         next(render_tiles(RenderJob(picture()), pool))
