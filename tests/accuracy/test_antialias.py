@@ -287,14 +287,19 @@ def test_nearly_exact(hard):
 
 
 def test_more_lights_than_bits_in_an_id(monkeypatch):
-    # An id depends on the lights that reach the surface, also on the first of 66 lights.
+    # An id depends on the lights that reach the surface, also on the first of 66 lights.  The other
+    # 65 are at one place, so that two lights give the same picture.
     ids = record_calls(monkeypatch, refine, "means_of_pixels", lambda center, width: center.id)
-    first, *others = [PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)] * 66
-    lights = [first, *(replace(light, position=(0, 0, 0)) for light in others)]
+    first = PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)
+    other = replace(first, position=(0, 0, 0))
     wall = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)
     camera = Camera(view_width=1, view_height=1)
-    scene = scene_of(wall, ball, camera=camera, size=(9, 9), lights=lights)
-    assert_no_worse_than_grid(scene, error_factor=2, sample_counts=(16, 64))
+    many = scene_of(wall, ball, camera=camera, size=(9, 9), lights=[first, *[other] * 65])
+    two = replace(many, lights=[first, replace(other, intensity=(65 / 66,) * 3)])
+    image = render(many, 64)
     # The wall and the ball, each reached by the first light, and shaded from it.
     assert np.unique(np.concatenate(ids)).size == 4
+    np.testing.assert_allclose(image, render(two, 64), atol=1e-12)
+    np.testing.assert_allclose(render(many, 16), render(two, 16), atol=1e-12)
+    assert_no_worse_than_grid(two, error_factor=2, sample_counts=(16, 64))
