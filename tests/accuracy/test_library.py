@@ -116,7 +116,8 @@ def view_of(*surfaces: Surface) -> Scene:
 
 def test_first_hits_in_closed_form():
     # Rays through the centre of the picture, in the direction (.5, -.5, -1), which misses the
-    # sphere, and through two positions outside the picture.  Of equal surfaces, the first is hit.
+    # sphere, and through two positions outside the picture.  Of two equal surfaces, the first in
+    # the file is hit.
     hits = first_hits(view_of(WALL, SPHERE, WALL, SPHERE), [2, 3, 2, -2], [2, 3, -2, 2])
     assert hits.surface.tolist() == [1, 0, 0, 0]
     wall_distances = 10 * np.sqrt([1.5, 5, 5])
@@ -163,11 +164,10 @@ def test_positions_that_are_refused(x, y):
 def test_first_hits_do_not_depend_on_the_size_of_batches(monkeypatch):
     x, y = np.random.default_rng(2).uniform(0, 60, (2, 500))
     scene = random_scene("crowd", 3, 60, 60)
-    few = first_hits(scene, x, y)
+    hits = first_hits(scene, x, y)
     monkeypatch.setattr(first_hits_module, "_RAYS_PER_BATCH", 70)
-    many = first_hits(scene, x, y)
-    assert np.unique(few.surface).size > 5
-    assert_same_hits(many, few)
+    assert_same_hits(first_hits(scene, x, y), hits)
+    assert np.unique(hits.surface).size > 5
 
 
 def assert_same_hits(first: FirstHits, second: FirstHits) -> None:

@@ -152,9 +152,9 @@ class Distribution(Generic[_Item, _Result]):
 
     @property
     def is_obsolete(self) -> bool:
-        """Whether a worker has finished the item that this process is repeating.
+        """True if a worker has finished the item that this process is repeating.
 
-        If so, `function` may return at once: the worker's result is taken instead of its own.
+        If so, `function` may return immediately: the worker's result is taken instead of its own.
         """
         return self._repeated is not None and self._is_accepted(*self._repeated)
 
