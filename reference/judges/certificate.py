@@ -592,6 +592,7 @@ def certify(
         if pending.x.size:
             stack.append(pending)
     size = slice(scene.height), slice(scene.width)
-    image = picture.image[(slice(None), *size)].transpose(1, 2, 0).copy()
+    # Radiance is never negative, but a sum of enclosures may be, by a rounding error.
+    image = picture.image[(slice(None), *size)].transpose(1, 2, 0).copy().clip(0)
     bound = picture.bound[size][:, :, None] + _ROUNDING * image.max(initial=0)
     return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cells)

@@ -148,8 +148,8 @@ def test_points_lit_by_distant_lights(light_scale: float, monkeypatch: Patch) ->
 
 
 def test_points_of_crowds(monkeypatch: Patch) -> None:
-    pictures = resized(crowd(200), 32, 18), small("sunflower", 16, 16), small("many-objects")
-    assert check_points(monkeypatch, iter(pictures)) > 50_000
+    pictures = resized(crowd(80), 16, 9), small("sunflower", 6, 6), small("many-objects", 16, 9)
+    assert check_points(monkeypatch, iter(pictures)) > 100_000
 
 
 @pytest.mark.slow
@@ -269,12 +269,13 @@ def test_means_of_cells_with_loose_edges(monkeypatch: Patch) -> None:
 
 @pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
 def test_means(name: str) -> None:
-    certified, sampled = certify(small(name), 1 / 256), render(small(name), 256)
+    scene = small(name, 24, 14)
+    certified, sampled = certify(scene, 1 / 256), render(scene, 256)
     assert certified.error.max() <= 1 / 256
     assert (certified.low <= certified.image).all()
     assert (certified.image <= certified.high).all()
     assert np.abs(certified.image - sampled).max() < 0.01
-    assert truth.rmse(certified.image, sampled) < 6e-4
+    assert truth.rmse(certified.image, sampled) < 1e-3
 
 
 FLOOR = Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9))
@@ -305,7 +306,7 @@ def test_means_with_lights_on_sides_and_in_planes_of_boxes(box: Box, light: Vect
 @pytest.mark.parametrize("name", ["four-spheres", "room", "highlights", "sticks-perspective"])
 def test_means_where_thousands_of_samples_err(name: str) -> None:
     """Where 65 x 65 samples have the largest errors, four million samples confirm the bounds."""
-    scene = small(name, 32, 18)
+    scene = small(name, 24, 14)
     certified, prepared = certify(scene, 1 / 32768), Faces(scene).prepared
     sampled = supersampled(scene, 65)
     difference = np.abs(sampled - certified.image).max(axis=2)
