@@ -17,6 +17,15 @@ from tracer import write_png
 
 # Runs the tracer as on systems whose new files have a name from the beginning.
 NAMED_FILES = "import os; del os.O_TMPFILE; from tracer.__main__ import main; main()"
+# Runs the tracer as on systems whose workers are spawned.
+SPAWNED = """
+import sys, types
+from tracer.picture import parallel
+parallel.sys = types.SimpleNamespace(platform="darwin", warnoptions=sys.warnoptions)
+if __name__ == "__main__":
+    from tracer.__main__ import main
+    main()
+"""
 
 MANY = [f"{k}.xml" for k in range(20)]
 
@@ -38,6 +47,7 @@ COMMANDS = {
 def folder(tmp_path: Path) -> Path:
     """Create a folder with all files that the commands above read."""
     (tmp_path / "named_files.py").write_text(NAMED_FILES)
+    (tmp_path / "spawned.py").write_text(SPAWNED)
     for name in MANY:
         (tmp_path / name).write_text(SCENE.format(400, 400))
     (tmp_path / "ball.xml").write_text(SCENE.format(60, 40))
@@ -142,6 +152,15 @@ def test_signals_that_the_caller_ignores(folder, ignored):
         time.sleep(0.01)
     assert (*process.communicate(), process.returncode) == ("", "", 0)
     assert all((folder / f"{name}.png").exists() for name in ("ball.xml", *MANY))
+
+
+def test_spawned_workers_end_without_a_warning(folder):
+    """Python's resource tracker removes their semaphores, and must not warn of them."""
+    with start(f"spawned large.xml {' '.join(MANY)} --processes 2", folder) as process:
+        assert process.stdout.readline().startswith("large.xml.png: ")
+        process.send_signal(signal.SIGTERM)
+        assert (process.wait(20), process.stderr.read()) == (130, "")
+    wait_until(lambda: not running_processes())
 
 
 def test_watching_many_scenes_ends_with_its_workers(folder):

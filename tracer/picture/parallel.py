@@ -254,6 +254,9 @@ class WorkerPool:
         # It is not safe to fork while other threads run: they may hold locks.
         method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
         context = multiprocessing.get_context(method)
+        # A command that a signal ends leaves semaphores of spawned workers to Python's resource
+        # tracker, which removes them; it must not warn of them.
+        sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
         # If the system has no thread left, a thread of the pool fails.  This process then does all
         # the work, so nobody needs to know.
         threading.excepthook = lambda _: None
