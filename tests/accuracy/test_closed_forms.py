@@ -1,8 +1,9 @@
-"""Closed forms: where things appear, Lambert, Blinn-Phong, and the cases where ray tracers fail.
+"""Compare the tracer and the oracle with closed forms: cameras, shading, shadows, and hard cases.
 
-Every case goes through a whole render, of the tracer and of the oracle.  A picture of one pixel has
-one ray, along `view_dir`; lights of pure red, green and blue show their n.l apart.  Tolerances are
-roundings: EPS times the lengths that are rounded, over the length that they are measured against.
+Every case renders a whole picture, with the tracer and with the oracle.  A picture of one pixel has
+one ray, along `view_dir`.  A red, a green and a blue light show three cosines n.l separately.
+Tolerances are rounding errors: EPS times the magnitude of the lengths that are rounded, divided by
+the length relative to which they matter.
 """
 
 import math
@@ -29,9 +30,22 @@ AXES = np.eye(3)
 
 
 class Ray(NamedTuple):
-    """An eye and a direction, lights and surfaces, and the radiance that is seen.
+    """A scene that is seen by one ray, and the expected radiance.
 
-    Where that is 0 it is so exactly.
+    Attributes
+    ----------
+    name : str
+        Name of the test.
+    eye, direction : tuple of three floats
+        The ray.
+    lights : tuple or list of PointLight
+        The lights; a tuple is the position of one white light.
+    surfaces : list of Sphere and Box
+        The surfaces.
+    radiance : float or list of three floats
+        Expected radiance; a float counts for all channels.
+    tolerance : float
+        Maximum error of the radiance.  Radiance that should be 0 must be 0 exactly.
     """
 
     name: str
@@ -43,69 +57,80 @@ class Ray(NamedTuple):
     tolerance: float = 4 * EPS
 
 
-def shiny(specular: float, exponent: float, diffuse: float = 0) -> Phong:
+def gray_phong(specular: float, exponent: float, diffuse: float = 0) -> Phong:
+    """Return a shader whose colours are the same in all channels."""
     return Phong(diffuse=(diffuse,) * 3, specular=(specular,) * 3, exponent=exponent)
 
 
-def floor_under(light: tuple | list, radiance: float | list, shader: Phong, errs: float) -> Ray:
-    """A floor of some shader from straight above: n = v = (0, 1, 0)."""
+def floor_from_above(
+    light: tuple | list, radiance: float | list, shader: Phong, tolerance: float
+) -> Ray:
+    """Return a floor with a shader, seen from straight above: n = v = (0, 1, 0)."""
     name = f"floor, exponent {shader.exponent:g}, {radiance}"
-    return Ray(name, EYE, DOWN, light, [replace(FLOOR, shader=shader)], radiance, errs)
+    return Ray(name, EYE, DOWN, light, [replace(FLOOR, shader=shader)], radiance, tolerance)
 
 
 def shading() -> Iterator[Ray]:
-    """Lambert and Blinn-Phong."""
-    # 3-4-5 and its kin: directions with rational cosines, far and near (there is no fall-off).
+    """Yield cases of Lambertian and Blinn-Phong shading."""
+    # Pythagorean triples give directions with rational cosines.  Distance does not matter.
     matte = replace(FLOOR, shader=Lambertian(diffuse=(1, 0.5, 0.25)))
-    for at, cosine in (((3, 4, 0), 0.8), ((4, 3, 0), 0.6), ((0, 28, 96), 0.28), ((0, 1e4, 0), 1.0)):
-        # I kd n.l, a channel at a time.
-        lights = [PointLight(position=at, intensity=(0.5, 2, 4))]
-        seen = [0.5 * cosine, cosine, cosine]
-        yield Ray(f"Lambert, light at {at}", EYE, DOWN, lights, [matte], seen)
+    for position, cosine in (
+        ((3, 4, 0), 0.8),
+        ((4, 3, 0), 0.6),
+        ((0, 28, 96), 0.28),
+        ((0, 1e4, 0), 1.0),
+    ):
+        # The radiance is I kd n.l in each channel.
+        lights = [PointLight(position=position, intensity=(0.5, 2, 4))]
+        radiance = [0.5 * cosine, cosine, cosine]
+        yield Ray(f"Lambert, light at {position}", EYE, DOWN, lights, [matte], radiance)
         # h is halfway between n and l: n.h = cos(a / 2) = sqrt((1 + n.l) / 2).
         for exponent in (0.5, 1, 2, 10, 1000):
             power = math.sqrt((1 + cosine) / 2) ** exponent
             shader = Phong(diffuse=(1, 0, 0.5), specular=(0, 1, 0.25), exponent=exponent)
-            seen = [0.5 * cosine, 2 * power, 2 * cosine + power]
-            # Python's own power errs by EPS times the exponent.
-            yield floor_under(lights, seen, shader, (8 + exponent) * EPS)
-    # n.l = 0.28 takes nothing off ks; a light below the plane adds neither term, although n.h > 0,
-    # nor does one in the plane.
-    yield floor_under((0, 28, 96), 0.5, shiny(0.5, 0), 0)
-    yield floor_under((60, -0.5, 0), 0, shiny(1, 1, 1), 0)
-    yield floor_under((20, 0, 0), 0, shiny(1, 0, 1), 0)
-    # Light and eye at +-60 degrees: h = n, so the highlight is whole; the eye at the light instead
-    # has h = l, 60 degrees off: (1/2)^e.  (A reflected ray would see -1/2 there.)
-    s, cubed = math.sqrt(3), [replace(FLOOR, shader=shiny(1, 3))]
+            radiance = [0.5 * cosine, 2 * power, 2 * cosine + power]
+            # The error of Python's power is EPS times the exponent.
+            yield floor_from_above(lights, radiance, shader, (8 + exponent) * EPS)
+    # n.l does not multiply ks.  A light below the plane adds neither term, although n.h > 0; nor
+    # does a light in the plane.
+    yield floor_from_above((0, 28, 96), 0.5, gray_phong(0.5, 0), 0)
+    yield floor_from_above((60, -0.5, 0), 0, gray_phong(1, 1, 1), 0)
+    yield floor_from_above((20, 0, 0), 0, gray_phong(1, 0, 1), 0)
+    # If the light and the eye are at +-60 degrees, then h = n, and (n.h)^e = 1.  If the eye is at
+    # the light, then h = l is 60 degrees from n, and (n.h)^e = (1/2)^e.
+    s, cubed = math.sqrt(3), [replace(FLOOR, shader=gray_phong(1, 3))]
     yield Ray("h = n", (-s, 1, 0), (s, -1, 0), (2 * s, 2, 0), cubed, 1, 8 * EPS)
     yield Ray("h = l", (2 * s, 2, 0), (-2 * s, -2, 0), (2 * s, 2, 0), cubed, 0.125)
-    # With x = tan(d) = 2^-10 the light at (2 x, 1 - x^2, 0), exactly, is 2 d off the vertical on
-    # which the eye is, so n.h = cos d = (1 + x^2)^(-1/2).
+    # Let x = tan(d) = 2^-10.  The angle between the vertical and the direction to the light at
+    # (2 x, 1 - x^2, 0) is exactly 2 d.  The eye is on the vertical, so n.h = cos d, which is
+    # (1 + x^2)^(-1/2).
     x = 2.0**-10
     for exponent in (1.0, 1e2, 1e4, 1e6):
         power = math.exp(-exponent / 2 * math.log1p(x * x))
-        yield floor_under((2 * x, 1 - x * x, 0), power, shiny(1, exponent), 1e-12 * power)
-    # Light and eye are on either side of the normal, both about so far from it; h is `off` from it,
-    # and its cosine is 1 - sin^2 under a root.
+        yield floor_from_above((2 * x, 1 - x * x, 0), power, gray_phong(1, exponent), 1e-12 * power)
+    # The light and the eye are on opposite sides of the normal, both at about the angle `tilt`.
+    # The angle between h and the normal is `angle`, and its cosine is the root of 1 - sin^2.
     tilts = 0.5, 1.2, 1.5, math.pi / 2 - 0.03, math.pi / 2 - 1e-3
     for tilt, exponent in (*product(tilts, (10, 250, 1e3, 6e4, 1e6)), (0.5, 1e8), (0.5, 1e9)):
         for share in np.linspace(-1, 1, 12):
-            off = share * min(3 / math.sqrt(exponent), (math.pi / 2 - tilt) / 2)
-            light, eye = ((math.sin(a), math.cos(a), 0) for a in (tilt + off, off - tilt))
-            name = f"highlight, {tilt:.4g}, {exponent:g}, {off:.3g}"
-            power = math.exp(exponent / 2 * math.log1p(-(math.sin(off) ** 2)))
-            floor = replace(FLOOR, shader=shiny(1, exponent))
+            angle = share * min(3 / math.sqrt(exponent), (math.pi / 2 - tilt) / 2)
+            light, eye = ((math.sin(a), math.cos(a), 0) for a in (tilt + angle, angle - tilt))
+            name = f"highlight, {tilt:.4g}, {exponent:g}, {angle:.3g}"
+            power = math.exp(exponent / 2 * math.log1p(-(math.sin(angle) ** 2)))
+            floor = replace(FLOOR, shader=gray_phong(1, exponent))
             yield Ray(name, eye, (-eye[0], -eye[1], 0), light, [floor], power, 1e-10)
-    # The ray touches the ball at (0, 1, 0), where l = -v: no half vector, and n.l is 0 or rounded.
+    # The ray touches the ball at (0, 1, 0).  There l = -v, so there is no half vector, and n.l is 0
+    # or a rounding error.
     for exponent in (0, 1, 10):
-        name, ball = f"behind the silhouette, {exponent}", Sphere(shader=shiny(1, exponent, 1))
+        name, ball = f"behind the silhouette, {exponent}", Sphere(shader=gray_phong(1, exponent, 1))
         yield Ray(name, (-2, 1, 0), RIGHT, (2, 1, 0), [ball], 2 * EPS, 2 * EPS)
-    # (n.h)^0 = 1 where n.l > 0, and nothing elsewhere or where the light is at the point.
-    ball = Sphere(shader=shiny(0.5, 0))
-    for light, seen in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
-        yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], seen)
-    yield floor_under((0, 0, 0), 0, shiny(1, 10, 1), 0)
-    # Three lights, each in its own channel, twice; radiance is not clipped; no light is no light.
+    # (n.h)^0 is 1 if n.l > 0.  Otherwise, or if the light is at the hit, there is no highlight.
+    ball = Sphere(shader=gray_phong(0.5, 0))
+    for light, radiance in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
+        yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], radiance)
+    yield floor_from_above((0, 0, 0), 0, gray_phong(1, 10, 1), 0)
+    # Lights add up: three lights, each in its own channel, twice.  Radiance is not clipped.
+    # Without lights, everything is black.
     lights = rgb_lights((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
     yield Ray("lights add up", EYE, DOWN, lights, [FLOOR], [1.6, 1.2, 0.56])
     bright = [PointLight(position=(0, 5, 0), intensity=(1000, 1, 0))]
@@ -113,59 +138,64 @@ def shading() -> Iterator[Ray]:
     yield Ray("no light and no ambient", EYE, DOWN, [], [FLOOR], 0)
     for distance in (0.125, 1, 100, 1e6):
         yield Ray(f"no fall-off, {distance}", EYE, DOWN, (0, distance, 0), [FLOOR], 1, 0)
-    # The eye is straight above the point, the lights a unit along each axis from it: their n.l are
-    # the normal's components.  Lengths up to 7 are rounded, against the unit.
+    # The eye is straight above the hit, and the lights are at a distance of 1 from the hit along
+    # each axis, so their n.l are the components of the normal.  Lengths up to 7 are rounded.
     ball = Sphere(center=(2, 2, 2), radius=3)
     for n in np.array([(0.6, 0.0, 0.8), (0.48, 0.6, 0.64), (0, 0.28, 0.96)]):
         lights = rgb_lights(*(2 + 3 * n + AXES))
         yield Ray(f"sphere, normal {n}", 2 + 5 * n, -n, lights, [ball], n.tolist(), 16 * EPS)
-    # Each face from outside and, where the opposite face looks at the eye, from inside.
+    # Each face of a box, from outside and from inside.
     for axis, sign in product(range(3), (-1, 1)):
         n, up = sign * AXES[axis], AXES[axis - 2]
         eye, light = 5 * n, 5 * n + 3 * up
         yield Ray(f"box from {eye}", eye, -n, light, [CUBE], 0.8)
         light = 0.2 * n + 0.6 * up
         yield Ray(f"box along {eye}", (0, 0, 0), n, light, [CUBE], 0.8)
-        # From on it, inwards a wall that the light in the middle reaches, and outwards none.
-        for ahead, seen in ((-n, 1), (up - n / 2, math.sqrt(0.8)), (up + n / 2, 0), (n, 0)):
-            yield Ray(f"box on {n}, {ahead}", n, ahead, (0, 0, 0), [CUBE], seen)
+        # With the eye on a face, an inward ray sees a face that the light in the box reaches, and
+        # an outward ray sees nothing.
+        for ahead, radiance in ((-n, 1), (up - n / 2, math.sqrt(0.8)), (up + n / 2, 0), (n, 0)):
+            yield Ray(f"box on {n}, {ahead}", n, ahead, (0, 0, 0), [CUBE], radiance)
 
 
 def shadows() -> Iterator[Ray]:
-    """What blocks light, to the last bit."""
-    # A ball of radius 1 at height 3 under a light at height 9: rays from there touch it at
-    # sin a = 1 / 6, so the shadow's radius is 9 tan a = 9 / sqrt(35).  And a plate of half width
-    # 1/2 at height 1 under a light at height 4: the shadow ends at 1/2 * 4 / 3 = 2/3.
+    """Yield cases of shadows, next to their exact edges."""
+    # A ball with the radius 1 at height 3 under a light at height 9: rays from the light touch the
+    # ball at the angle a with sin a = 1 / 6, so the radius of the shadow is 9 tan a = 9 / sqrt(35).
+    # And a plate with the half width 1/2 at height 1 under a light at height 4: the shadow ends at
+    # 1/2 * 4 / 3 = 2/3.
     plate = Box(min_pt=(-0.5, 1, -0.5), max_pt=(0.5, 1, 0.5))
-    for other, at, edge, off in ((Sphere(center=(0, 3, 0)), 9, 9 / math.sqrt(35), 1e-9),
-                                 (plate, 4, 2 / 3, 1e-12)):  # fmt: skip
-        for x, lit in ((-edge - off, 1), (off - edge, 0), (0, 0), (edge - off, 0), (edge + off, 1)):
-            seen = lit * at / math.hypot(at, x)
-            yield Ray(f"edge, {x}", (x, 0.5, 0), DOWN, (0, at, 0), [FLOOR, other], seen, 1e-12)
-    # A slab from 0.01 to 0.02 over the floor, |x| <= 1, light along (0.6, 0.8, 0) from 1e8: rays
-    # from (x, 0) rise through it where x + 0.0075 <= 1 and x + 0.015 >= -1.
+    for occluder, height, edge, d in ((Sphere(center=(0, 3, 0)), 9, 9 / math.sqrt(35), 1e-9),
+                                      (plate, 4, 2 / 3, 1e-12)):  # fmt: skip
+        for x, lit in ((-edge - d, 1), (d - edge, 0), (0, 0), (edge - d, 0), (edge + d, 1)):
+            eye, light, cosine = (x, 0.5, 0), (0, height, 0), height / math.hypot(height, x)
+            yield Ray(f"edge, {x}", eye, DOWN, light, [FLOOR, occluder], lit * cosine, 1e-12)
+    # A slab from 0.01 to 0.02 above the floor, |x| <= 1, and a light at the distance 1e8 in the
+    # direction (0.6, 0.8, 0): rays from (x, 0) to the light pass through the slab if
+    # x + 0.0075 <= 1 and x + 0.015 >= -1.
     slab = [FLOOR, Box(min_pt=(-1, 0.01, -1), max_pt=(1, 0.02, 1))]
     for x, lit in ((-1.0151, 1), (-1.0149, 0), (0, 0), (0.9924, 0), (0.9926, 1)):
         sun = (6e7, 8e7, 0)
         yield Ray(f"light at 1e8, {x}", (x, 0.005, 0), DOWN, sun, slab, 0.8 * lit, 2e-8)
-    # What is behind the light casts no shadow; from within the ball nothing comes out.
-    for at, lit in ((9, 1), (15, 0), (11.5, 0)):
+    # A ball behind the light casts no shadow.  A ball around the light blocks it.
+    for height, lit in ((9, 1), (15, 0), (11.5, 0)):
         behind = [FLOOR, Sphere(center=(0, 12, 0))]
-        yield Ray(f"before and behind, {at}", (0, 5, 0), DOWN, (0, at, 0), behind, lit, 0)
-    # From a wall, straight along a face of the cube: only what is within the cube blocks.
+        light = (0, height, 0)
+        yield Ray(f"before and behind, {height}", (0, 5, 0), DOWN, light, behind, lit, 0)
+    # A shadow segment along a face of the cube is not blocked; one inside of the cube is.
     for y, lit in ((1.0, 1), (-1.0, 1), (1 - 2.0**-30, 0)):
         yield Ray(f"in a face, {y}", (2, y, 0), RIGHT, (-5, y, 0), [CUBE, WALL], lit, 0)
-    # A camera's ray in a face does meet the cube, through z = 1.
+    # A ray from the eye that lies in the plane of a face does meet the cube, in the face z = 1.
     for y, dy in product((-1, 1), (-0.0, 0.0)):
         yield Ray(f"ray in a face, {y}, {dy}", (0, y, 5), (0, dy, -1), (0, y, 5), [CUBE], 1, 0)
-    # The box's upper right edge touches the ball's lowest point, the origin: segments from the ball
-    # to the right or along the face x = 0 pass the box, and only those that rise enter the ball.
+    # The upper right edge of the box touches the lowest point of the ball, in the origin.  Segments
+    # from the ball to the right, or along the face x = 0, pass the box.  Only segments that rise
+    # enter the ball.
     lying, box = Sphere(center=(0, 0.5, 0), radius=0.5), Box(min_pt=(-1, -1, -1), max_pt=(0, 0, 1))
     for c in (-1, 0, 1):
         from_below, touching = ((1, -1, 0), (-1, 1, 0)), 5 / math.hypot(5, c)
         yield Ray(f"box on ball, {c}", *from_below, (c, -5, 0), [lying, box], touching * (c >= 0))
         yield Ray(f"ball on box, {c}", *from_below, (5, c, 0), [box, lying], touching * (c <= 0))
-    # The light at (0, 5, 0) is seen from n iff n.(L - n) > 0, that is n_y > 1 / 5.
+    # The light L = (0, 5, 0) reaches the point n of the ball if n.(L - n) > 0, or n_y > 1 / 5.
     for off, angle, side in product((1e-3, 1e-6, 1e-9, 1e-12), (0.0, 0.3, 1.0, 1.4), (-1, 1)):
         y = 0.2 + side * off
         across, x, z = math.sqrt(1 - y * y), math.cos(angle), math.sin(angle)
@@ -175,18 +205,18 @@ def shadows() -> Iterator[Ray]:
 
 
 def odd_lights_and_eyes() -> Iterator[Ray]:
-    """On surfaces, and inside."""
-    # From above n = (0, 1, 0), from below (0, -1, 0); the light along (3, +-4, 0) / 5.
+    """Yield cases of lights and eyes on surfaces, and inside of surfaces."""
+    # A box without height has two sides: n = (0, 1, 0) from above, and (0, -1, 0) from below.
     for side in (-1, 1):
         light = (3, 4 * side, 0)
         yield Ray(f"sheet, {side}", (0, 2 * side, 0), (0, -side, 0), light, [SHEET], 0.8, EPS)
-    # The light is in the ceiling's lower face; the floor y = 0 gets n.l = height / |L - p|.
+    # The light L is in the lower face of the ceiling: n.l = height / |L - p| at p on the floor.
     for height, x in product((3.0, 0.1, 1e5 / 3), (-5, -1, 0, 2, 5)):
         both = [Box(min_pt=(-9, height, -9), max_pt=(9, 1.1 * height, 9)), FLOOR]
         seen, light = height / math.hypot(x - 0.3, height, 0.2), (0.3, height, 0.2)
         yield Ray(f"ceiling, {height}, {x}", (x, height / 2, 0), DOWN, light, both, seen, 8 * EPS)
-    # The light is on top of the ball; a wall 3 away is lit above that level only, and the ball
-    # itself nowhere, being convex.
+    # The light is on top of the ball.  It reaches a wall only above this height, and no point of
+    # the ball, because the ball is convex.
     for ball in (BALL, Sphere(center=(0.25, 0.75, 0.5), radius=0.125)):
         x, y, z = ball.center
         top, both = (x, y + ball.radius, z), [ball, WALL]
@@ -196,47 +226,49 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
         for up in (-0.99, -0.3, 0.2, 0.99):
             eye = (x + 2, y + up * ball.radius, z)
             yield Ray(f"light on {x}, ball at {up}", eye, (-1, 0, 0), top, [ball], 0)
-    # The light is on a ball of radius 5, and the segments to a wall touch the ball only there.
+    # The light is on a ball of radius 5.  Segments to the wall touch the ball only at the light.
     for z in range(8):
         both, seen = (
             [Sphere(radius=5), Box(min_pt=(7, -9, -9), max_pt=(8, 9, 9))],
             4 / math.hypot(5, z),
         )
         yield Ray(f"light where a ball is touched, {z}", (6.5, 1, z), RIGHT, (3, 4, 0), both, seen)
-    # In a box, deeper than its rounding, and less deep than that of points which are seen.
+    # The light is inside a box, deeper than the rounding errors of the box, but less deep than
+    # those of hits.
     far = Box(min_pt=(1e6 - 1, -1, -1), max_pt=(1e6, 1, 1))
     wall = Box(min_pt=(1e6 + 3, -9, -9), max_pt=(1e6 + 4, 9, 9))
     for deep, lit in ((1.5e-8, 0), (0, 1), (-1.5e-8, 1)):
         eye, light, seen = (1e6 + 2, 0.5, 0), (1e6 - deep, 0, 0), lit * 6 / math.sqrt(37)
         yield Ray(f"{deep} deep in a box", eye, RIGHT, light, [far, wall], seen, 1e-8)
-    # A lamp at the top of a round room, 4 over a table in the middle.
+    # The light is at the top of a round room, at height 4 above a table.
     for x in (-2, 0, 1):
         room = [Sphere(radius=4), Box(min_pt=(-2, -1, -1), max_pt=(2, 0, 1))]
         seen = 4 / math.hypot(x, 4)
         yield Ray(f"round room, {x}", (x, 1, 0), DOWN, (0, 4, 0), room, seen, 8 * EPS)
-    # Eye and light at the centre: l = -d = n.  From on the ball its other side is seen.
+    # The eye and the light are in the centre of the ball: l = -d = n.  An eye on the ball sees the
+    # other side of the ball from inside.
     for d in ((0, 0, -1), (3, 1, -2), (-1, 7, 0.3)):
         yield Ray(f"centre, {d}", (0, 0, 0), d, (0, 0, 0), [BALL], 1)
     yield Ray("eye on a ball", (0, 0, 1), BACK, (0, 0, 0), [BALL], 1, 0)
     yield Ray("aside in a ball", (0, 0, 0), BACK, (0.75, 0, 0), [BALL, BALL], 0.8)
-    # A box or a ball keeps out all light that is not strictly inside; from within it comes through.
+    # If the eye is inside of a box or a ball, only a light that is strictly inside reaches it.
     for light, d in product(((0, 0, 5), (0, 0, -1), (0, 0, 1.0000001), (3, 2, -9)),
                             (BACK, RIGHT, (1, 2, 3))):  # fmt: skip
         yield Ray(f"in a box, {light}, {d}", (0, 0, 0), d, light, [CUBE], 0)
     yield Ray("light in a box", (0, 0, 0), BACK, (0, 0, 0.5), [CUBE, CUBE], 1, 0)
     for z in (5, 1):
         yield Ray(f"in a ball, light at {z}", (0, 0, 0), BACK, (0, 0, z), [BALL], 0)
-    # Seen from outside such a ball is black, and so is all that it keeps from the light.
+    # A ball around the light is black from outside, and shades everything outside.
     under = Box(min_pt=(-9, -3, -9), max_pt=(9, -2, 9))
     for x in (-4, -1, 0, 2.5):
         yield Ray(f"lamp, {x}", (x, 3, 5), (-x / 9, -3, -5), (0.5, 0.25, 0), [BALL], 0)
         yield Ray(f"under a lamp, {x}", (x, -1.5, 0), DOWN, (0.5, 0.25, 0), [BALL, under], 0)
-    # A ball before a wall, and nothing.
+    # The nearest surface is visible.
     wall = Box(min_pt=(-9, -9, -3), max_pt=(9, 9, -2))
     red, green = Lambertian(diffuse=(1, 0, 0)), Lambertian(diffuse=(0, 1, 0))
     before = [replace(wall, shader=red), BALL]
     yield Ray("nearest first", (0, 0, 7), BACK, (3, 0, 5), before, 0.8)
-    # Of equals the first in the file.
+    # If two surfaces are equal, the first one is visible.
     for shape, light in product((BALL, CUBE), ((0, 0, 7), (0, 0, 0))):
         twins = [replace(shape, shader=shader) for shader in (red, green)]
         name = f"twins, {type(shape).__name__}, {light}"
@@ -249,7 +281,7 @@ RAYS = [*shading(), *shadows(), *odd_lights_and_eyes()]
 
 
 def one_ray(eye: tuple, direction: tuple, lights: tuple | list, *surfaces: Sphere | Box) -> Scene:
-    """A picture of one pixel."""
+    """Return a scene with one pixel, whose ray is given."""
     up = (0, 1, 0) if direction[0] or direction[2] else (0, 0, 1)
     camera = Camera(view_point=eye, view_dir=direction, view_up=up)
     return scene_of(*surfaces, camera=camera, size=(1, 1), lights=lights)
@@ -257,46 +289,46 @@ def one_ray(eye: tuple, direction: tuple, lights: tuple | list, *surfaces: Spher
 
 @pytest.mark.parametrize("ray", [pytest.param(ray, id=ray.name) for ray in RAYS])
 def test_one_ray(ray):
-    errs = ray.tolerance if np.any(ray.radiance) else 0
+    tolerance = ray.tolerance if np.any(ray.radiance) else 0
     scene = one_ray(ray.eye, ray.direction, ray.lights, *ray.surfaces)
     for image in render(scene), plain.render(scene, arithmetic="decimal"):
-        np.testing.assert_allclose(image[0, 0], np.broadcast_to(ray.radiance, 3), 0, errs)
+        np.testing.assert_allclose(image[0, 0], np.broadcast_to(ray.radiance, 3), 0, tolerance)
 
 
-def test_a_light_on_a_surface_but_for_rounding():
-    # On top, as 0.3 on a table is although it is less than 0.1 + 0.2.
+def test_a_light_within_rounding_of_a_surface_is_on_it():
+    # The light at 0.3 is on top of the surface at 0.1 + 0.2, although this is more than 0.3.
     for surface, light in (
         (Sphere(center=(0.3, 0.7, 0.2), radius=0.1), (0.3, 0.7 + 0.1, 0.2)),
         (Box(min_pt=(-1, 0, -1), max_pt=(1, 0.1 + 0.2, 1)), (0, 0.3, 0)),
-        # Only the radius, and only the upper corner, show how large coordinates are.
+        # Only the radius, or the upper corner, shows the magnitude of the coordinates.
         (Sphere(radius=0.1 + 0.2), (0, 0.3, 0)),
         (Box(min_pt=(0, 0, 0), max_pt=(1, 0.1 + 0.2, 1)), (0.5, 0.3, 0.5)),
     ):
-        for off, lit in product((1e-3, 1e-9), (-1, 1)):
-            eye = (2, light[1] + lit * off, light[2])
+        for distance, lit in product((1e-3, 1e-9), (-1, 1)):
+            eye = (2, light[1] + lit * distance, light[2])
             image = render(one_ray(eye, RIGHT, light, surface, WALL))
             assert (image > 0).all() == image.any() == (lit > 0)
 
 
 @pytest.mark.parametrize("distance", [30, 1e5])
-def test_what_counts_as_on_a_surface_is_more_than_rounding(distance):
-    # A ball in another, smaller by two roundings: points on the outer one err as much, and by more
-    # the farther away the eye is.
+def test_the_tolerance_of_surfaces_exceeds_rounding_errors(distance):
+    # The inner ball is smaller by two rounding errors.  Hits on the outer ball have rounding errors
+    # of this size, and larger ones if the eye is far away.
     up, lens = np.array([1, 2, 2]) / 3, {"view_width": 1, "view_height": 1}
     eye, ahead = distance * up, -up
     camera = Camera(view_point=eye, view_dir=ahead, proj_distance=distance, **lens)
     outer, inner = Sphere(), Sphere(radius=1 - 2 * EPS)
     alone, both = (
-        render(scene_of(*some, camera=camera, size=(24, 24), lights=tuple(eye)))
-        for some in ([outer], [outer, inner])
+        render(scene_of(*balls, camera=camera, size=(24, 24), lights=tuple(eye)))
+        for balls in ([outer], [outer, inner])
     )
     assert alone.min() > 0.5
     np.testing.assert_allclose(both, alone, rtol=1e-9)
 
 
 @pytest.mark.parametrize("depth", [1e-12, -1e-12])
-def test_what_counts_as_on_a_surface_is_little_more_than_rounding(depth):
-    # A lamp so far below the top of a ball lights nothing outside of it; so far above, it does.
+def test_the_tolerance_of_surfaces_is_little_more_than_rounding_errors(depth):
+    # A light at this depth below the top of a ball is inside the ball, and reaches nothing outside.
     ball, floor = Sphere(), Box(min_pt=(-9, -3, -9), max_pt=(9, 1 - 1e-6, -4))
     camera = Camera(view_point=(0, 3, 0), view_dir=(0, -0.4, -1))
     scene = scene_of(ball, floor, camera=camera, size=(8, 8), lights=(0, 1 - depth, 0))
@@ -306,14 +338,15 @@ def test_what_counts_as_on_a_surface_is_little_more_than_rounding(depth):
 
 
 def test_a_window_of_nearly_180_degrees():
-    # The tangent of half of it is more than that of pi / 2 as rounded.
+    # The tangent of half the angle is larger than that of pi / 2 rounded to float64.
     camera = Camera(view_point=(0, 0, 0), view_width=1e17, view_height=1e17)
     scene = scene_of(Sphere(radius=5), camera=camera, size=(8, 8), lights=(0, 0, 0))
     np.testing.assert_allclose(render(scene), 1, rtol=1e-15)
 
 
-# A wall at z = -8 where radiance tells where a point is: the light at (0, 0, -7) shines with n.l =
-# 1 / sqrt(1 + x^2 + y^2) on (x, y); the others tell left from right and top from bottom.
+# A wall at z = -8 on which the radiance of a point (x, y) shows its position.  The light at
+# (0, 0, -7) has n.l = 1 / sqrt(1 + x^2 + y^2); the other lights distinguish left from right, and
+# top from bottom.
 BACKDROP = Box(min_pt=(-100, -100, -9), max_pt=(100, 100, -8))
 LIGHTS = (0, 0), (1, 0), (0, 1)
 FOUR = (-3, -1, 1, 3)
@@ -324,7 +357,8 @@ SLANTED_POINTS = [
 ]
 
 CAMERAS = {
-    # Window 1 x 1 at distance 1, wall 8 away: columns at 8 ((j + 1/2) / 4 - 1/2), rows down.
+    # The window is 1 x 1 at distance 1, and the wall is at distance 8, so column j of the picture
+    # is at x = 8 ((j + 1/2) / 4 - 1/2).  Rows go down.
     "pixel centres": ({}, [[(x, -y) for x in FOUR] for y in FOUR]),
     "view direction": ({"view_dir": (3, 2, -4), "view_width": 7, "view_height": 0.1}, [[(6, 4)]]),
     # Eye (1, 2, 8), 16 from the wall; window 3 x 1 at distance 2: columns 8 apart, rows 4.
@@ -337,7 +371,7 @@ CAMERAS = {
         {"view_width": 0.75, "view_height": 0.5},
         [[(x, y) for x in (-1.5, 1.5)] for y in (1.5, 0.5, -0.5, -1.5)],
     ),
-    # Only its part in the window's plane counts.
+    # Only the component of viewUp in the plane of the window matters.
     **{
         f"up {up}": ({"view_up": up}, [[(x, -y) for x in FOUR] for y in FOUR])
         for up in ((0.0, 5.0, 3.0), (0.0, 1e-8, -7.0))
@@ -379,19 +413,20 @@ def test_points_of_a_wall(camera, points):
     size = len(points[0]), len(points)
     lights = rgb_lights(*((x, y, -7) for x, y in LIGHTS))
     scene = scene_of(BACKDROP, camera=Camera(**camera), size=size, lights=lights)
-    at = np.array(points)[:, :, None] - LIGHTS
-    expected = 1 / np.sqrt(1 + (at**2).sum(axis=3))
-    # Points up to 20 away are rounded, against the light's distance of 1.
+    from_light = np.array(points)[:, :, None] - LIGHTS
+    expected = 1 / np.sqrt(1 + (from_light**2).sum(axis=3))
+    # Coordinates up to 20 are rounded; the distance from the wall to the light is 1.
     np.testing.assert_allclose(render(scene), expected, rtol=0, atol=64 * EPS)
     np.testing.assert_allclose(plain.render(scene), expected, rtol=0, atol=64 * EPS)
-    # An offset, right and down, moves the samples of both alike.
-    aside, off = plain.render(scene, (0.25, -0.5)), render(scene, offset=(0.25, -0.5))
-    assert np.abs(aside - expected).max() > 0.01
-    np.testing.assert_allclose(off, aside, rtol=0, atol=64 * EPS)
+    # An offset, to the right and down, moves the samples of the tracer and of `plain` alike.
+    offset = (0.25, -0.5)
+    image, exact = render(scene, offset=offset), plain.render(scene, offset)
+    assert np.abs(exact - expected).max() > 0.01
+    np.testing.assert_allclose(image, exact, rtol=0, atol=64 * EPS)
 
 
 def test_window_is_not_a_near_plane():
-    # What is nearer than the window is seen; what is behind the eye is not.
+    # A ball between the eye and the window is visible; a ball behind the eye is not.
     for z, radiance in ((-0.5, 1), (0.5, 0)):
         ball = Sphere(center=(0, 0, z), radius=0.125)
         scene = scene_of(ball, camera=Camera(proj_distance=8), size=(1, 1), lights=(0, 0, 0))

@@ -1,4 +1,4 @@
-"""The stability chart: usual methods err as theory says, and the tracer does not."""
+"""The stability chart: usual methods have the errors that theory predicts; the tracer does not."""
 
 import sys
 from dataclasses import replace
@@ -27,9 +27,9 @@ def test_error_grows_with_distance_as_eps_times_its_power(spheres, arithmetic, d
         image = plain.render(scene, arithmetic=arithmetic, spheres=spheres)
         errors.append(stability.largest_error(image, plain.render(scene, arithmetic="decimal")))
     slope = np.polyfit(np.log(distances), np.log(errors), 1)[0]
-    # Rounding errors are as good as random: a fit over a few decades comes within a third.
+    # Rounding errors are almost random, so a fit over a few decades is accurate to one third.
     assert abs(slope - power) < 1 / 3
-    # The constant in front is a small number.
+    # The constant factor is a small number.
     eps = np.finfo(arithmetic).eps
     assert 0.1 < np.median(errors / (eps * distances**power)) < 30
 
@@ -38,34 +38,34 @@ def test_error_grows_with_distance_as_eps_times_its_power(spheres, arithmetic, d
     ("scene", "method"),
     [
         *(picture[1:] for picture in stability.EXAMPLES),
-        (stability.ball_on_ground(scale=2.0**30), "t > 1e-6"),  # rounding is larger
+        (stability.ball_on_ground(scale=2.0**30), "t > 1e-6"),  # rounding errors are larger
         (stability.ball_on_ground(scale=2.0**-30), "normal offset 1e-4"),
-        # Close to a plane of coordinates an ulp is nothing.
+        # Near a coordinate plane, 256 ulp are less than the rounding errors of hits.
         (stability.ball_on_ground(scale=2.0**20), "offset of 256 ulp"),
     ],
 )
-def test_usual_methods_fail_where_the_chart_says(scene, method):
+def test_usual_methods_fail_where_the_chart_shows_it(scene, method):
     exact = plain.render(scene, arithmetic="decimal")
     assert stability.wrong_share(stability.METHODS[method](scene), exact) > 1
     assert stability.wrong_share(render(scene), exact) == 0
 
 
 @pytest.mark.parametrize("panel", stability.PANELS, ids=lambda panel: panel.title)
-def test_the_tracer_holds_at_the_hard_end_of_every_axis(panel):
-    found = stability.measure(panel, "this tracer", panel.positions[-1:])
-    # Shares are exact decisions; radiance keeps seven digits at 1e8, and six at 1e9.
-    assert found <= (2e-7 if panel.error is stability.largest_error else 0.0)
+def test_the_tracer_is_accurate_at_the_end_of_every_axis(panel):
+    error = stability.measure(panel, "this tracer", panel.positions[-1:])
+    # No decision is wrong.  Radiance has seven correct digits at 1e8, and six at 1e9.
+    assert error <= (2e-7 if panel.error is stability.largest_error else 0.0)
 
 
-def test_what_the_chart_shows_by_hand(monkeypatch):
+def test_errors_of_small_pictures(monkeypatch):
     exact = np.array([[[0.5] * 3, [0.0] * 3], [[0.25] * 3, [1.0] * 3]])
-    off = exact + np.array([[[0.0], [0.125]], [[-0.25], [0.0]]])
-    lost = exact.copy()
-    lost[0, 0, 1] = np.nan
-    for image, most, share in ((off, 0.25, 50), (lost, 1, 25)):
-        assert stability.largest_error(image, exact) == most
-        assert stability.wrong_share(image, exact) == share
-    # Of the scenes near a point the worst counts.
+    changed = exact + np.array([[[0.0], [0.125]], [[-0.25], [0.0]]])
+    unknown = exact.copy()
+    unknown[0, 0, 1] = np.nan
+    for image, largest, percentage in ((changed, 0.25, 50), (unknown, 1, 25)):
+        assert stability.largest_error(image, exact) == largest
+        assert stability.wrong_share(image, exact) == percentage
+    # A point of the chart shows the largest error of several scenes at nearby positions.
     panel = replace(stability.PANELS[0], nearby=(1.0, 3.0, 2.0))
     monkeypatch.setitem(
         stability.METHODS, "dark", lambda s: render(s) * (s.camera.proj_distance < 25)
@@ -77,8 +77,9 @@ def test_what_the_chart_shows_by_hand(monkeypatch):
 def test_chart_of_a_few_points(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(sys, "argv", ["stability", "--quick"])
-    few = [0, 1, 2, -1]
-    panels = [replace(panel, positions=panel.positions[few]) for panel in stability.PANELS]
+    panels = [
+        replace(panel, positions=panel.positions[[0, 1, 2, -1]]) for panel in stability.PANELS
+    ]
     monkeypatch.setattr(stability, "PANELS", panels)
     stability.main()
     assert {path.suffix for path in tmp_path.iterdir()} == {".svg", ".csv"}
@@ -87,9 +88,9 @@ def test_chart_of_a_few_points(monkeypatch, tmp_path):
     chart = tmp_path / "stability.svg"
     drawn = chart.read_text()
     assert table.partition(",")[2].partition(",")[0] in drawn  # the commit
-    # Names are texts: written as outlines, they would be most of a file of a megabyte.
+    # Names are stored as text; as outlines they would make the file ten times as large.
     assert drawn.count(">this tracer</text>") == 2  # once in each legend
-    # Drawn again from the table it is the same, and nothing is measured.
+    # With --redraw, the chart is drawn from the table without measuring anything.
     monkeypatch.setattr(sys, "argv", ["stability", "--quick", "--redraw"])
     monkeypatch.delattr(stability, "measure")
     chart.unlink()
