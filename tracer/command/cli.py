@@ -196,11 +196,8 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
 
     The parser ends the process with exit status 2 if the arguments contradict each other.
     """
-    if arguments.output is not None or arguments.format or arguments.watch:
-        parser.error("--pixel cannot be combined with -o, --format or --watch")
-    if arguments.samples > 1:
-        parser.error("--pixel explains a picture of 1 sample per pixel; leave out --samples")
-
+    if arguments.output or arguments.format or arguments.watch or arguments.samples > 1:
+        parser.error("--pixel cannot be combined with -o, --format, --samples or --watch")
     from tracer.picture.explanation import explain  # small pictures need not wait for the import
 
     def explain_one(path: str) -> None:
