@@ -67,14 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     start = perf_counter()
     with (
         failing(path, "certified", errors=(ValueError, RuntimeError)),
-        Progress(100, "%") as bar,
+        Progress(1, "pictures") as bar,
     ):
-        certificate = certify(
-            scene,
-            float(error),
-            codes=arguments.codes,
-            progress=lambda fraction: bar.update(100 * fraction),
-        )
+        certificate = certify(scene, float(error), codes=arguments.codes, progress=bar.update)
     lines, wrong_count = _summary(certificate, error, arguments.codes), 0
     seconds = perf_counter() - start
     if judged is not None:

@@ -210,7 +210,8 @@ def enclose(
     value = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
     max_difference = np.maximum(value, max_radiance[:, regions.cell] - value)
     region_error = np.minimum(radiance.radius + doubt, max_difference)
-    mean = np.array([sums_by_index(regions.cell, regions.area * m, count) for m in value])
+    means = [sums_by_index(regions.cell, regions.area * channel, count) for channel in value]
+    mean = np.array(means)
     mean[:, is_unknown] = max_radiance[:, is_unknown] / 2
     bound = sums_by_index(regions.cell, regions.area * region_error.max(axis=0), count)
     bound += sums_by_index(lines.cell, lines.area * lines.jump, count) + loose_error
@@ -447,7 +448,7 @@ class _Picture:
             Flat indices into `bound`.  For a cell that covers several pixels, the upper left one.
         """
         half = cells.width / 2 if cells.width > 1 else 0
-        row, column = (np.floor(m - half).astype(np.intp) for m in (cells.y, cells.x))
+        row, column = (np.floor(center - half).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
     def add(self, cells: Cells, index: Ints, radiance: Form) -> None:
@@ -468,7 +469,7 @@ class _Picture:
         down, across = np.indices((pixels_across, pixels_across))
         pixel = row + down, column + across
         # Means of the powers of X and Y over each pixel of a cell: X^2 varies about its centre.
-        x, y = ((2 * m + 1) / pixels_across - 1 for m in (across, down))
+        x, y = ((2 * number + 1) / pixels_across - 1 for number in (across, down))
         variance = 1 / (3 * pixels_across * pixels_across)
         mean = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
