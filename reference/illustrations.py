@@ -145,7 +145,7 @@ def _cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
 def draw_light_grid() -> None:
     """Draw the grid of directions around a light, and how many objects each cell lists."""
     scene, prepared, _ = _load("many-objects", 320)
-    grid = prepared.lights(slice(1, 2)).grid
+    grid = prepared.prepare_lights(slice(1, 2)).grid
     assert grid is not None
     polygons, lengths = _cell_polygons(grid)
     _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 2.6), width_ratios=(1, 1.1))

@@ -107,7 +107,7 @@ class Faces:
         """
         self.prepared = prepared = PreparedScene(scene)
         self.frame = frame = prepared.frame
-        self.prepared_lights = lights = prepared.lights()
+        self.prepared_lights = lights = prepared.prepare_lights()
         balls, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
         self.spheres, self.count = balls.objects.size, eye_inside.size
         self.light_position = lights.local

@@ -220,7 +220,7 @@ def test_lights_are_prepared_in_batches(monkeypatch):
     prepared = PreparedScene(scene)
     sizes = [
         {len(array) for array in (lights.grid.light[0], lights.side)}
-        for lights in chain([prepared.lights()], prepared.light_batches)
+        for lights in chain([prepared.prepare_lights()], prepared.light_batches)
     ]
     assert sizes == [{9}, {4}, {4}, {1}]
 
@@ -247,7 +247,7 @@ def test_shading_can_be_read_between_lights():
 def test_threads_share_prepared_lights(monkeypatch):
     # Preparing lights takes so long that meanwhile all threads request the same batch.
     scene = with_nine_lights(crowd(40, width=48, height=27))
-    expected, prepared, prepare = render(scene), PreparedScene(scene), PreparedScene.lights
+    expected, prepared, prepare = render(scene), PreparedScene(scene), PreparedScene.prepare_lights
     starts = []
 
     def prepare_slowly(prepared: PreparedScene, index: slice) -> Lights:
@@ -255,7 +255,7 @@ def test_threads_share_prepared_lights(monkeypatch):
         sleep(0.05)
         return prepare(prepared, index)
 
-    monkeypatch.setattr(PreparedScene, "lights", prepare_slowly)
+    monkeypatch.setattr(PreparedScene, "prepare_lights", prepare_slowly)
     with ThreadPoolExecutor(4) as pool:
         batches_of_threads = [*pool.map(lambda _: [*prepared.light_batches], range(4))]
         assert starts == [0, 4, 8]
@@ -365,7 +365,7 @@ def test_the_light_grid_is_read_in_batches(monkeypatch):
 def test_packets_are_finite(eye_height, view_height, monkeypatch):
     # At the limits of the format, a pixel sees a floor over 1e150 times its own width.  If the
     # bounding sphere of such a packet were infinite, its cells in the light grid would be NaN.
-    radii = record_calls(monkeypatch, LightGrid, "query", lambda _, center, radius, *rest: radius)
+    radii = record_calls(monkeypatch, LightGrid, "query", lambda _, center, radius, *others: radius)
     floor = Box(min_pt=(-1e75, -1, -1e75), max_pt=(1e75, 0, 1e75))
     ball = Sphere(center=(0, 0.5, -3), radius=0.5)
     camera = Camera(view_point=(0, eye_height, 0), view_width=1, view_height=view_height)
@@ -385,6 +385,6 @@ def test_a_horizon_causes_no_more_shadow_tests(monkeypatch):
     balls = [Sphere(center=(x, 0.1, z), radius=0.1) for x, z in positions]
     camera = Camera(view_point=(0, 1, 5), view_dir=(0, -0.1, -1))
     scene = scene_of(floor, *balls, camera=camera, size=(64, 64), lights=(30, 40, 20))
-    sizes = record_calls(monkeypatch, Spheres, "occludes", lambda _, index, *rest: index.size)
+    sizes = record_calls(monkeypatch, Spheres, "occludes", lambda _, index, *others: index.size)
     render(scene, samples=4)
     assert 0 < sum(sizes) < 64 * 64

@@ -110,7 +110,7 @@ class Boxes:
         return frame.column(low), frame.column(high)
 
     def hit(
-        self, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
         """Compute the distances at which rays meet boxes, and the faces that they meet.
 
@@ -125,17 +125,17 @@ class Boxes:
         frame, box = self.frame, self.objects.positions(object_index)
         eye, (u, v, w), near, far, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
         for k in range(3):
-            d = s * u[k] + repeat_runs(g * v[k] + frame.depth * w[k], counts)
+            d = s * u[k] + repeat_runs(g * v[k] + frame.depth * w[k], ray_count)
             low, high = self.min_pt[k, box] - eye[k], self.max_pt[k, box] - eye[k]
             is_above = high < 0
             if np.all(is_above | (low > 0)):
                 # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
                 # from the slab gets an exit before its entry, and so misses the box.
                 planes = np.where(is_above, high, low), np.where(is_above, low, high)
-                enter, leave = (repeat_runs(plane, counts) / d for plane in planes)
+                enter, leave = (repeat_runs(plane, ray_count) / d for plane in planes)
             else:
                 enter, leave = _slab(
-                    repeat_runs(low, counts), repeat_runs(high, counts), d, closed=True
+                    repeat_runs(low, ray_count), repeat_runs(high, ray_count), d, closed=True
                 )
             near.append(enter)
             far.append(leave)
@@ -146,7 +146,7 @@ class Boxes:
         t, plane_t, meets = enter, near, enter <= leave
         inside = self.eye_inside[box]
         if inside.any():
-            inside = repeat_runs(inside, counts)
+            inside = repeat_runs(inside, ray_count)
             t, meets = np.where(inside, leave, t), meets | inside
             plane_t = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
         # A ray through an edge or a corner meets the face of the first axis.
@@ -155,7 +155,7 @@ class Boxes:
         return np.where(meets & (t > 0), t, np.inf), face
 
     def surface(
-        self, object_index: Ints, counts: Ints, local: Floats, t: Floats, detail: Sides
+        self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the face, the normal and the tangent plane at hits.
 
@@ -163,7 +163,7 @@ class Boxes:
         """
         box, run_detail = (
             self.objects.positions(object_index),
-            detail.take(counts.cumsum() - counts),
+            detail.take(run_length.cumsum() - run_length),
         )
         face, sign = run_detail.astype(np.intp) >> 1, np.where(run_detail & 1, 1.0, -1.0)
         low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)

@@ -178,7 +178,7 @@ class Spheres:
         return hypot2, u, ahead, (radius - offset) * (radius + offset)
 
     def hit(
-        self, object_index: Ints, g: Floats, s: Floats, counts: Ints | None
+        self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Floats]:
         """Compute the distances at which rays meet objects.
 
@@ -196,7 +196,7 @@ class Spheres:
             Second component of the rays in each span.
         s : (n,) float array
             First component of each ray.
-        counts : (spans,) int array or None
+        ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
 
         Returns
@@ -213,13 +213,13 @@ class Spheres:
         hypot2, u, ahead, chord2 = self._discs(sphere, self.radius[sphere], g)
         hypot = np.sqrt(hypot2)
         power = self.power[sphere]
-        length2 = s * s + repeat_runs(hypot2, counts)
+        length2 = s * s + repeat_runs(hypot2, ray_count)
         # Cross product and dot product of the centre (u, ahead) and the ray (s, hypot).
-        cross = repeat_runs(u * hypot, counts) - repeat_runs(ahead, counts) * s
-        root = np.sqrt(length2 * repeat_runs(chord2, counts) - cross * cross)
-        dot_product = repeat_runs(u, counts) * s + repeat_runs(ahead * hypot, counts)
+        cross = repeat_runs(u * hypot, ray_count) - repeat_runs(ahead, ray_count) * s
+        root = np.sqrt(length2 * repeat_runs(chord2, ray_count) - cross * cross)
+        dot_product = repeat_runs(u, ray_count) * s + repeat_runs(ahead * hypot, ray_count)
         divisor = dot_product + root
-        all_outside, power = np.all(power > 0), repeat_runs(power, counts)
+        all_outside, power = np.all(power > 0), repeat_runs(power, ray_count)
         t = power / divisor
         if not all_outside:  # use the far root, in the form with less cancellation
             far = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
@@ -228,7 +228,7 @@ class Spheres:
         return np.where(t > 0, t, np.inf), root
 
     def surface(
-        self, object_index: Ints, counts: Ints, local: Floats, t: Floats, detail: Floats
+        self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the face, the normal and the tangent plane at hits.
 
@@ -238,7 +238,7 @@ class Spheres:
         ----------
         object_index : (runs,) int array
             The object of each run.
-        counts : (runs,) int array
+        run_length : (runs,) int array
             Number of hits in each run.
         local : (3, n) float array
             Vectors from the eye to the hits, in the axes of the camera.
@@ -262,12 +262,12 @@ class Spheres:
             Distance of the eye from the tangent plane: (n,) for spheres, and (runs,) for boxes.
         """
         sphere = self.objects.positions(object_index)
-        inverse = repeat_runs(1 / self.radius[sphere], counts)
-        center = (repeat_runs(m[sphere], counts) for m in self.local)
+        inverse = repeat_runs(1 / self.radius[sphere], run_length)
+        center = (repeat_runs(m[sphere], run_length) for m in self.local)
         x, y, z = ((p - c) * inverse for p, c in zip(local, center, strict=True))
         inside = self.eye_inside[sphere]
         if inside.any():
-            flip = repeat_runs(np.where(inside, -1.0, 1.0), counts)
+            flip = repeat_runs(np.where(inside, -1.0, 1.0), run_length)
             x, y, z = flip * x, flip * y, flip * z
         face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
         return face, sign, level, (x, y, z), detail * inverse * t

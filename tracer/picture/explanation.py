@@ -227,7 +227,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         ks=_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
-            _light_part(scene, hits, first_hit, light, prepared.lights(slice(i, i + 1)))
+            _light_part(scene, hits, first_hit, light, prepared.prepare_lights(slice(i, i + 1)))
             for i, light in enumerate(scene.lights if index >= 0 else ())
         ),
         radiance=_vector(radiance),

@@ -236,7 +236,7 @@ class Scattered(NamedTuple):
         """Find the samples at which objects of one shape may be visible.
 
         Arguments and results are those of `Rows.covered`, with two differences: each span is one
-        sample, so there is no array of counts; and `row` contains the index of the sample.
+        sample, so `count` is None; and `row` contains the index of the sample.
         """
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)

@@ -60,7 +60,7 @@ class _Intersections(NamedTuple):
     ----------
     shape : Spheres or Boxes
         The objects.
-    counts : (spans,) int array or None
+    sample_count : (spans,) int array or None
         Number of samples in each span; None if each span has one sample.
     object_index : (spans,) int array
         The object of each span.
@@ -78,7 +78,7 @@ class _Intersections(NamedTuple):
     """
 
     shape: Shape
-    counts: Ints | None
+    sample_count: Ints | None
     object_index: Ints
     g: Floats
     sample: Ints
@@ -91,13 +91,13 @@ class _Intersections(NamedTuple):
         index = indices(mask)
         if index.size == mask.size:
             return self
-        shape, counts, object_index, g, *pairs = self
-        if counts is None:
+        shape, sample_count, object_index, g, *pairs = self
+        if sample_count is None:
             object_index, g = object_index.take(index), g.take(index)
         else:
-            counts = np.diff(index.searchsorted(counts.cumsum()), prepend=0)
+            sample_count = np.diff(index.searchsorted(sample_count.cumsum()), prepend=0)
         pairs = [values.take(index) for values in pairs]
-        return _Intersections(shape, counts, object_index, g, *pairs)
+        return _Intersections(shape, sample_count, object_index, g, *pairs)
 
     def runs(self, samples: Samples, frame: CameraFrame, ahead: Floats) -> Ints:
         """Divide the intersections into runs, and return the index of the first in each run.
@@ -117,12 +117,12 @@ class _Intersections(NamedTuple):
         """
         planar = self.shape.is_planar
         is_start = run_starts(self.detail) if planar else np.zeros(ahead.size, dtype=np.bool_)
-        if self.counts is None:
+        if self.sample_count is None:
             x, y = samples.positions(self.sample)
             layer = frame.layer(ahead, _RUN_WIDTH)
             is_start |= run_starts(self.object_index, np.floor(y), np.floor(x / _RUN_WIDTH), layer)
         else:
-            is_start[(self.counts.cumsum() - self.counts)[self.counts > 0]] = True
+            is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
             is_start[1:] |= np.diff(self.sample) > 1  # a nearer object hides the samples between
         return indices(is_start)
 
@@ -138,11 +138,11 @@ def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersect
     frame, groups = prepared.frame, []
     all_s, all_g = samples.across(frame), frame.down(samples.y)
     for shape in prepared.shapes:
-        object_index, row, first_sample, counts = samples.covered(shape, prepared)
-        sample = first_sample if counts is None else ranges(first_sample, counts)
+        object_index, row, first_sample, sample_count = samples.covered(shape, prepared)
+        sample = first_sample if sample_count is None else ranges(first_sample, sample_count)
         g, s = all_g.take(row), all_s.take(sample)
-        t, detail = shape.hit(object_index, g, s, counts)
-        groups.append(_Intersections(shape, counts, object_index, g, sample, s, t, detail))
+        t, detail = shape.hit(object_index, g, s, sample_count)
+        groups.append(_Intersections(shape, sample_count, object_index, g, sample, s, t, detail))
     return groups
 
 
@@ -182,7 +182,7 @@ def _visible(
     if sum(g.t.size for g in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
         return visible  # no sample has two
     file_index = prepared.surfaces.file_index
-    ranks = [repeat_runs(file_index.take(g.object_index), g.counts) for g in visible]
+    ranks = [repeat_runs(file_index.take(g.object_index), g.sample_count) for g in visible]
     first = np.full(nearest.size, file_index.size)
     for group, rank in zip(visible, ranks, strict=True):
         np.minimum.at(first, group.sample, rank)
@@ -210,11 +210,11 @@ def _hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections
     for group, start, end in zip(groups, ends, ends[1:], strict=False):
         group_local = local[:, start:end]
         np.multiply(group.t, group.s, out=group_local[0])
-        np.multiply(group.t, repeat_runs(group.g, group.counts), out=group_local[1])
+        np.multiply(group.t, repeat_runs(group.g, group.sample_count), out=group_local[1])
         np.multiply(group.t, frame.depth, out=group_local[2])
         run_start = group.runs(samples, frame, group_local[2])
         length = np.diff(run_start, append=end - start)
-        run_object = repeat_runs(group.object_index, group.counts)[run_start]
+        run_object = repeat_runs(group.object_index, group.sample_count)[run_start]
         surface = group.shape.surface(run_object, length, group_local, group.t, group.detail)
         interval = slice(start, end)
         shape_hits.append(

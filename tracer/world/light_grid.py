@@ -236,7 +236,7 @@ class LightGrid(NamedTuple):
             yield rectangle_index.take(nonempty), start, stop - start
 
 
-def light_grid(
+def build_light_grid(
     lights: Floats, low: Floats, high: Floats, position_error: Floats, lit: Bools, shades: Bools
 ) -> LightGrid | None:
     """Build the grid that finds the objects that may lie between a point and each light.

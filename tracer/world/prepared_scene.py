@@ -19,7 +19,7 @@ from tracer.geometry.camera import ScreenBounds, camera_frame
 from tracer.geometry.rounding import POSITION_ROUNDING
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
-from tracer.world.light_grid import LightGrid, light_grid
+from tracer.world.light_grid import LightGrid, build_light_grid
 
 Shape: TypeAlias = Spheres | Boxes
 """All objects of one kind; `Spheres` documents the methods."""
@@ -167,10 +167,10 @@ class PreparedScene:
             if index.start in self._cache:
                 return self._cache[index.start]
             if sum(lights.nbytes for lights in self._cache.values()) < _MAX_CACHED_BYTES:
-                return self._cache.setdefault(index.start, self.lights(index))
-        return self.lights(index)
+                return self._cache.setdefault(index.start, self.prepare_lights(index))
+        return self.prepare_lights(index)
 
-    def lights(self, index: slice = slice(None)) -> Lights:
+    def prepare_lights(self, index: slice = slice(None)) -> Lights:
         """Prepare lights of the scene, by default all of them, without use of the cache."""
         lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
@@ -184,7 +184,9 @@ class PreparedScene:
             local=np.column_stack(self.frame.to_camera(position)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
-            grid=light_grid(position, low, high, self.position_error, lit, ~self.is_duplicate),
+            grid=build_light_grid(
+                position, low, high, self.position_error, lit, ~self.is_duplicate
+            ),
         )
 
 
