@@ -161,10 +161,8 @@ class Boxes:
 
         Arguments and results are those of `Spheres.surface`.
         """
-        box, run_detail = (
-            self.objects.positions(object_index),
-            detail.take(run_length.cumsum() - run_length),
-        )
+        box = self.objects.positions(object_index)
+        run_detail = detail.take(run_length.cumsum() - run_length)
         face, sign = run_detail.astype(np.intp) >> 1, np.where(run_detail & 1, 1.0, -1.0)
         low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
         level = np.where(self.eye_inside[box] == (sign > 0), low, high)
