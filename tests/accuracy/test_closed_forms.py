@@ -196,12 +196,12 @@ def shadows() -> Iterator[Ray]:
         yield Ray(f"box on ball, {c}", *from_below, (c, -5, 0), [lying, box], touching * (c >= 0))
         yield Ray(f"ball on box, {c}", *from_below, (5, c, 0), [box, lying], touching * (c <= 0))
     # The light L = (0, 5, 0) reaches the point n of the ball if n.(L - n) > 0, or n_y > 1 / 5.
-    for off, angle, side in product((1e-3, 1e-6, 1e-9, 1e-12), (0.0, 0.3, 1.0, 1.4), (-1, 1)):
-        y = 0.2 + side * off
+    for distance, angle, side in product((1e-3, 1e-6, 1e-9, 1e-12), (0.0, 0.3, 1.0, 1.4), (-1, 1)):
+        y = 0.2 + side * distance
         across, x, z = math.sqrt(1 - y * y), math.cos(angle), math.sin(angle)
-        seen = max(0, 5 * y - 1) / math.sqrt(26 - 10 * y)
+        radiance = max(0, 5 * y - 1) / math.sqrt(26 - 10 * y)
         eye, toward = (across * x * 7, y, across * z * 7), (-x, 0, -z)
-        yield Ray(f"terminator, {y}, {angle}", eye, toward, (0, 5, 0), [BALL], seen, 1e-14)
+        yield Ray(f"terminator, {y}, {angle}", eye, toward, (0, 5, 0), [BALL], radiance, 1e-14)
 
 
 def odd_lights_and_eyes() -> Iterator[Ray]:
@@ -212,39 +212,42 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
         yield Ray(f"sheet, {side}", (0, 2 * side, 0), (0, -side, 0), light, [SHEET], 0.8, EPS)
     # The light L is in the lower face of the ceiling: n.l = height / |L - p| at p on the floor.
     for height, x in product((3.0, 0.1, 1e5 / 3), (-5, -1, 0, 2, 5)):
-        both = [Box(min_pt=(-9, height, -9), max_pt=(9, 1.1 * height, 9)), FLOOR]
-        seen, light = height / math.hypot(x - 0.3, height, 0.2), (0.3, height, 0.2)
-        yield Ray(f"ceiling, {height}, {x}", (x, height / 2, 0), DOWN, light, both, seen, 8 * EPS)
+        surfaces = [Box(min_pt=(-9, height, -9), max_pt=(9, 1.1 * height, 9)), FLOOR]
+        radiance, light = height / math.hypot(x - 0.3, height, 0.2), (0.3, height, 0.2)
+        yield Ray(
+            f"ceiling, {height}, {x}", (x, height / 2, 0), DOWN, light, surfaces, radiance, 8 * EPS
+        )
     # The light is on top of the ball.  It reaches a wall only above this height, and no point of
     # the ball, because the ball is convex.
     for ball in (BALL, Sphere(center=(0.25, 0.75, 0.5), radius=0.125)):
         x, y, z = ball.center
-        top, both = (x, y + ball.radius, z), [ball, WALL]
-        for off, side in product((1, 1e-3, 1e-9), (-1, 1)):
-            eye, seen = (2, top[1] + side * off, z), (side > 0) * (3 - x) / math.hypot(3 - x, off)
-            yield Ray(f"light on {x}, {side * off}", eye, RIGHT, top, both, seen)
+        top, surfaces = (x, y + ball.radius, z), [ball, WALL]
+        for distance, side in product((1, 1e-3, 1e-9), (-1, 1)):
+            eye = (2, top[1] + side * distance, z)
+            radiance = (3 - x) / math.hypot(3 - x, distance) if side > 0 else 0
+            yield Ray(f"light on {x}, {side * distance}", eye, RIGHT, top, surfaces, radiance)
         for up in (-0.99, -0.3, 0.2, 0.99):
             eye = (x + 2, y + up * ball.radius, z)
             yield Ray(f"light on {x}, ball at {up}", eye, (-1, 0, 0), top, [ball], 0)
     # The light is on a ball of radius 5.  Segments to the wall touch the ball only at the light.
     for z in range(8):
-        both, seen = (
-            [Sphere(radius=5), Box(min_pt=(7, -9, -9), max_pt=(8, 9, 9))],
-            4 / math.hypot(5, z),
+        surfaces = [Sphere(radius=5), Box(min_pt=(7, -9, -9), max_pt=(8, 9, 9))]
+        radiance = 4 / math.hypot(5, z)
+        yield Ray(
+            f"light where a ball is touched, {z}", (6.5, 1, z), RIGHT, (3, 4, 0), surfaces, radiance
         )
-        yield Ray(f"light where a ball is touched, {z}", (6.5, 1, z), RIGHT, (3, 4, 0), both, seen)
     # The light is inside a box, deeper than the rounding errors of the box, but less deep than
     # those of hits.
     far = Box(min_pt=(1e6 - 1, -1, -1), max_pt=(1e6, 1, 1))
     wall = Box(min_pt=(1e6 + 3, -9, -9), max_pt=(1e6 + 4, 9, 9))
     for deep, lit in ((1.5e-8, 0), (0, 1), (-1.5e-8, 1)):
-        eye, light, seen = (1e6 + 2, 0.5, 0), (1e6 - deep, 0, 0), lit * 6 / math.sqrt(37)
-        yield Ray(f"{deep} deep in a box", eye, RIGHT, light, [far, wall], seen, 1e-8)
+        eye, light, radiance = (1e6 + 2, 0.5, 0), (1e6 - deep, 0, 0), lit * 6 / math.sqrt(37)
+        yield Ray(f"{deep} deep in a box", eye, RIGHT, light, [far, wall], radiance, 1e-8)
     # The light is at the top of a round room, at height 4 above a table.
     for x in (-2, 0, 1):
         room = [Sphere(radius=4), Box(min_pt=(-2, -1, -1), max_pt=(2, 0, 1))]
-        seen = 4 / math.hypot(x, 4)
-        yield Ray(f"round room, {x}", (x, 1, 0), DOWN, (0, 4, 0), room, seen, 8 * EPS)
+        radiance = 4 / math.hypot(x, 4)
+        yield Ray(f"round room, {x}", (x, 1, 0), DOWN, (0, 4, 0), room, radiance, 8 * EPS)
     # The eye and the light are in the centre of the ball: l = -d = n.  An eye on the ball sees the
     # other side of the ball from inside.
     for d in ((0, 0, -1), (3, 1, -2), (-1, 7, 0.3)):

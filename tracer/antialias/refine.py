@@ -114,6 +114,11 @@ class _Plan(NamedTuple):
         n <= 3, pixels  5 samples in cells with straight lines   lattice for a grid of n x n
         n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
         ==============  =======================================  ===========================
+
+        Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1 times
+        as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with n <= 3
+        take 1.6 to 2.2 times as long.  Without the second step, these parts have up to 1.5 times
+        the error.
         """
         if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
             return cls(None, False, None)

@@ -21,6 +21,8 @@ from tracer.world.prepared_scene import Lights
 
 # A highlight is the bell exp(-x^2).  Maximum change of x over the part of the surface for which one
 # sample can stand; the x from which on the bell is negligible; and the x where it underflows.
+# Tuned on the project's scenes: with half or twice the first, and with 2 for the second, errors of
+# single pictures are up to 1.1 times as large.
 _MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
 
 

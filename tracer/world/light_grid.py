@@ -64,9 +64,9 @@ from tracer.geometry.rounding import DIRECTION_ROUNDING, MIN_DIVISOR, POSITION_R
 
 # With n objects, a patch has sqrt(n) cells along each side, but at most `_MAX_SIDE`.  Smaller cells
 # have shorter lists, but filling them takes longer.  Cells are larger where objects would be listed
-# more than `_MAX_LISTED` times for each light, or all patches together would have more than
+# more than `_MAX_ENTRIES` times for each light, or all patches together would have more than
 # `_MAX_CELLS` cells.
-_MAX_SIDE, _MAX_LISTED, _MAX_CELLS = 320, 32 * BATCH_SIZE, 256 * BATCH_SIZE
+_MAX_SIDE, _MAX_ENTRIES, _MAX_CELLS = 320, 32 * BATCH_SIZE, 256 * BATCH_SIZE
 
 # Maximum number of pairs of a ball and an entry, and of a rectangle and a cell, in one batch: their
 # arrays stay in the CPU cache.
@@ -510,7 +510,7 @@ def _cells_per_side(
     """
     u0, u1, v0, v1 = rectangle.clip(0, 1)
     area = float(((u1 - u0) * (v1 - v0)).sum()) / light_count  # in patches, for each light
-    cells = min(object_count, _MAX_SIDE**2, _MAX_LISTED / area, _MAX_CELLS / patch_count)
+    cells = min(object_count, _MAX_SIDE**2, _MAX_ENTRIES / area, _MAX_CELLS / patch_count)
     return max(1, int(sqrt(cells)))
 
 
