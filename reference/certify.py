@@ -43,7 +43,7 @@ from tracer.messages import printable
 _DEFAULT_ERROR, _DEFAULT_ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
 
 # Exit status if a file cannot be read, certified or written.
-_FAILED = 3
+_FAILED_STATUS = 3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     inputs = [Path(file) for file in (path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output)], inputs)
     error = arguments.error or (_DEFAULT_ERROR_OF_CODES if arguments.codes else _DEFAULT_ERROR)
-    failing = partial(errors_as_failure, status=_FAILED)
+    failing = partial(errors_as_failure, status=_FAILED_STATUS)
     with failing(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     judged = _read_codes(arguments.judge, scene) if arguments.judge else None
@@ -116,12 +116,14 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     Failure
         If the picture cannot be read, or its size differs from that of the scene's picture.
     """
-    with errors_as_failure(path, "read", status=_FAILED, errors=UNREADABLE):
+    with errors_as_failure(path, "read", status=_FAILED_STATUS, errors=UNREADABLE):
         codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
     if (width, height) != (scene.width, scene.height):
         sizes = f"its size is {width} x {height}, the scene's {scene.width} x {scene.height}"
-        raise Failure(path, f"cannot be judged: {sizes}", "choose a picture of that size", _FAILED)
+        raise Failure(
+            path, f"cannot be judged: {sizes}", "choose a picture of that size", _FAILED_STATUS
+        )
     return codes
 
 

@@ -38,8 +38,8 @@ WIDTH = 160
 _SAMPLES, _LARGE_HEIGHT = 16, 540
 
 # Lengths in pixels: the width of the sheet, the height of its pictures, the gaps between them, the
-# height of their labels, and the size of the labels' font.
-_SHEET_WIDTH, _PICTURE_HEIGHT, _GAP, _LABEL_HEIGHT, _FONT_SIZE = 960, 175, 12, 22, 13
+# height of the names below them, and the size of the names' font.
+_SHEET_WIDTH, _PICTURE_HEIGHT, _GAP, _NAME_HEIGHT, _NAME_SIZE = 960, 175, 12, 22, 13
 
 # Stored radiance is rounded to multiples of this number.  That is far below every tolerance, and
 # makes the files smaller.
@@ -66,9 +66,9 @@ def stored(name: str) -> Floats:
 def sheet(paths: Iterable[Path]) -> Image.Image:
     """Render all scenes on one sheet, in rows, each above its name; the narrowest come first."""
     pictures = [(_rendered(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
-    row_height = _PICTURE_HEIGHT + _LABEL_HEIGHT + _GAP
+    row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
     image = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=_FONT_SIZE)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=_NAME_SIZE)
     x = y = 0
     for picture, name in sorted(pictures, key=lambda pair: pair[0].width):
         if x + picture.width > _SHEET_WIDTH:

@@ -49,7 +49,7 @@ CHARTS = {
 # Grey level, from 0 to 1, of excluded pixels in the picture of the difference.
 _EXCLUDED_GREY = 0.3
 _HEAD = ("scene", "verdict", "SSIM", "largest difference", "excluded", "tracer's time", "Mitsuba's")
-_LEGEND = (
+_DIFFERENCE_LEGEND = (
     "The difference is shown amplified: orange where the tracer is brighter, blue where it is"
     " darker, grey where a pixel is excluded, because an edge is so close to its centre that"
     " float32 cannot decide, or because surfaces coincide."
@@ -86,7 +86,7 @@ def page(
         head=_HEAD,
         rows=[_row(index, result) for index, (result, _) in enumerate(results)],
         pairs=[_pair(result, comment) for result, comment in results],
-        legend=_LEGEND,
+        legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {measured_on()}",
         faults=[f"Not compared: {failure}" for failure in failures],
         charts=charts,

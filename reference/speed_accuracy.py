@@ -32,7 +32,7 @@ from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
 from reference.judges.true_picture import rmse, supersampled, true_picture
-from reference.measured.charts import WIDTH, make_chart, plt
+from reference.measured.charts import CHART_WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized
 from tracer import Scene, load_scene, render
@@ -52,8 +52,8 @@ _REFERENCE_ERROR = 1 / 16384
 # the samples, would take too long.
 _MAX_SECONDS = 0.7
 
-# Number of rounds in which each picture is timed, and seconds that short ones take together.
-_ROUNDS, _MIN_TOTAL_SECONDS = 3, 0.3
+# Minimum number of rounds in which each picture is timed.
+_ROUNDS = 3
 
 # Approximate error of rounding to 8 bits.
 _EIGHT_BIT_ERROR = 1e-3
@@ -147,8 +147,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
         # The time that POV-Ray reports, without its start, as that of the others.
         tasks[_POVRAY, 1] = partial(povray.trace, povray.linear(scene, target, *options))
         tasks = {key: task for key, task in tasks.items() if key not in stopped}
-        timings = interleaved(tasks, _ROUNDS, min_seconds=_MIN_TOTAL_SECONDS)
-        for key, timing in timings.items():
+        for key, timing in interleaved(tasks, _ROUNDS).items():
             (method, factor), image = key, tasks[key]()
             image = povray.picture(target) if method == _POVRAY else image
             method_error = rmse(image, reference_image)
@@ -161,7 +160,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
 
 def _draw(rows: Sequence[Sequence[str]]) -> Any:
     """Draw the chart: a panel for each scene, in two columns, with the legend after the last."""
-    figure, grid = plt.subplots(3, 2, figsize=(WIDTH, 8.2), sharex=True, sharey=True)
+    figure, grid = plt.subplots(3, 2, figsize=(CHART_WIDTH, 8.2), sharex=True, sharey=True)
     panels = grid.ravel()
     for axes, scene in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
         for method in _METHODS:

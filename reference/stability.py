@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from reference.figures import Floats
 from reference.judges import plain
-from reference.measured.charts import WIDTH, make_chart, plt
+from reference.measured.charts import CHART_WIDTH, make_chart, plt
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 from tracer.command.progress import track
 
@@ -279,7 +279,7 @@ def _draw(rows: Sequence[Sequence[str]]) -> Any:
     """
     columns = [[panel for panel in PANELS if (panel.methods == _SHADOWS) == c] for c in (0, 1)]
     heights = 3.8, 1.9 * len(columns[0])
-    figure = plt.figure(figsize=(WIDTH, sum(heights)))
+    figure = plt.figure(figsize=(CHART_WIDTH, sum(heights)))
     parts: Any = figure.subfigures(2, 1, height_ratios=heights)
     top, bottom = parts
     pictures = top.subplots(2, len(EXAMPLES))

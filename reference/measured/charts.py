@@ -15,9 +15,9 @@ from cycler import cycler
 from reference.command import HERE, built, parser
 from reference.measured.measurements import measured_on, read_csv, write_csv
 
-__all__ = ["WIDTH", "make_chart", "plt"]
+__all__ = ["CHART_WIDTH", "make_chart", "plt"]
 
-WIDTH = 9.0
+CHART_WIDTH = 9.0
 """Width of a chart in inches: two panels side by side."""
 
 # Positions of texts in inches from the left edge, and from the nearer of the upper and lower edges.
