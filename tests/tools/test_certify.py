@@ -49,10 +49,10 @@ def test_a_picture_is_written_and_described(capsys):
 
 @pytest.mark.usefixtures("room")
 def test_codes_that_are_certainly_wrong_are_counted(capsys):
-    arguments = "room.xml", "-o", "out.png", "--codes", "--judge", "room.png"
+    arguments = "room.xml", "-o", "out.png", "--error", "1/512", "--judge", "room.png"
     with pytest.raises(Failure, match=r"room\.png: cannot be read: No such file or directory"):
         main(arguments)
-    run(capsys, "room.xml", "-o", "room.png", "--codes")
+    run(capsys, "room.xml", "-o", "room.png", "--error", "1/512")
     assert run(capsys, *arguments)[1][2] == "room.png: no code is certainly wrong"
     codes = np.array(Image.open("room.png"))
     right = int(codes[7, 5, 1])
