@@ -1,7 +1,7 @@
 """The certificate's bounds are sound: no sample, and no mean of many samples, exceeds them.
 
-What a cell states of its points is tested by single samples at random points.  What it states of
-its mean is compared with millions of samples.
+Single samples at random points test the bounds on all points of a cell.  Millions of samples test
+the bounds on means.
 """
 
 import re
@@ -305,7 +305,7 @@ def test_means_with_lights_on_sides_and_in_planes_of_boxes(box: Box, light: Vect
 @np.errstate(all="ignore")
 @pytest.mark.parametrize("name", ["four-spheres", "room", "highlights", "sticks-perspective"])
 def test_means_where_thousands_of_samples_err(name: str) -> None:
-    """Where 65 x 65 samples have the largest errors, four million samples confirm the bounds."""
+    """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
     scene = small(name, 24, 14)
     certified, prepared = certify(scene, 1 / 32768), Faces(scene).prepared
     sampled = supersampled(scene, 65)
