@@ -1,7 +1,7 @@
 """Antialiasing: is the picture at least as accurate as that of a uniform grid of samples?
 
-The test scenes are the project's own, small, and the hard scenes in `tests/scenes`.  Where the
-means of pixels are known in closed form, the picture must agree with them.
+The test scenes are the project's own, at a small size, and the hard scenes in `tests/scenes`.  Some
+scenes have means that are known in closed form; the picture must agree with them.
 """
 
 import math
@@ -157,7 +157,7 @@ def test_edges_in_the_directions_of_lattices(slope, monkeypatch):
 
 def test_numbers_of_samples():
     # One sample is at the centre of the pixel.  If each pixel is divided into nine pixels, the
-    # middle one has the same centre.
+    # central one has the same centre.
     fine = render(view(BALL, pixels=48), samples=1)[1::3, 1::3]
     np.testing.assert_allclose(render(view(BALL), samples=1), fine, atol=1e-12)
     # Other numbers are rounded up to squares.
@@ -187,8 +187,7 @@ def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
 
 
 def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
-    # Shadow edges of forty lights cross every pixel.  To divide pixels would take many times as
-    # many samples.
+    # Shadow edges of forty lights cross every pixel.  To divide pixels would take far more samples.
     position = np.random.default_rng(0).uniform((-9, -9, 9), (9, 9, 12), (40, 3))
     lights = [PointLight(position=p, intensity=(0.03,) * 3) for p in position]
     scene = view(WALL, BALL, light=lights, pixels=24)
@@ -243,7 +242,7 @@ def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
     for scene, truth in zip(scenes, truths, strict=True):
         counts.clear()
         np.testing.assert_allclose(render(scene, 64), truth, atol=2e-3)
-        # To divide all pixels would take three times as many samples.
+        # To divide all pixels would take 3 times this number of samples.
         assert sum(counts) < 1.2 * 16 * 16 * 65
     assert np.ptp(truths[1]) > 0.02
 

@@ -130,8 +130,8 @@ def test_the_oracle_sees_scenes_of_any_size(scale):
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_ties_of_two_faces_are_decided_alike_along_their_edge(inside):
-    # The middle column of pixels sees the edge between two faces.  No light reaches the face on the
-    # first axis.
+    # The central column of pixels sees the edge between two faces.  No light reaches the face on
+    # the first axis.
     box = Box(min_pt=(-1, -2, -1), max_pt=(0.5, 2, 1))
     eye, ahead, light = ((4, 6, 8), (-4, -6, -8), (0.4, 9, 9))
     if inside:

@@ -51,7 +51,7 @@ EdgeValues: TypeAlias = tuple[Ints, Floats]
 """Cells (n,) of n edges, and the values (6, n) of their edge functions at the six points of the
 cell; NaN where unknown."""
 
-# The six points of a cell, in widths of the cell from its centre: the centre; the middles of the
+# The six points of a cell, in widths of the cell from its centre: the centre; the centres of the
 # right, left, lower and upper side; and the lower right corner.
 _X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
@@ -127,7 +127,7 @@ def rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
 
 
 def value_range(values: Floats) -> Floats:
-    """Bound by how much edge functions differ in their cells from their values at the centres.
+    """Bound the difference between an edge function in a cell and its value at the centre.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
 """Lattices of samples: the points of a pixel through which rays are traced.
 
-The edges of boxes often follow the rows or columns of an upright grid.  Then an edge passes a whole
-row of samples at once, and the error is large.  Few points of a rotated lattice share a row or a
-column.  Yet the lattice can be the same in all pixels, so the samples of a picture lie in rows.
+The edges of boxes often follow the rows or columns of an upright grid.  Then a small shift of an
+edge moves a whole row of samples to its other side, so the error is large.  In a rotated lattice,
+few points share a row or a column.  Yet the lattice can be the same in all pixels, so the samples
+of a picture lie in rows.
 
 The lattices are rank-1 lattices: the point of each row lies a fixed number of columns to the right
 of the point in the row above it, modulo the number of rows.  They are chosen so that a quarter turn
@@ -45,9 +46,9 @@ class Lattice(NamedTuple):
     columns : int
         Number of points in each row.
     rows : int
-        Number of rows.  An upright grid has as many rows as columns.  A rank-1 lattice of m points
-        (5, 13, 25 or 65) has one column and m rows; repeated k times in both directions, it has k
-        columns and k m rows.
+        Number of rows.  An upright grid has equal numbers of rows and columns.  A rank-1 lattice of
+        m points (5, 13, 25 or 65) has one column and m rows; repeated k times in both directions,
+        it has k columns and k m rows.
     """
 
     columns: int
@@ -55,7 +56,7 @@ class Lattice(NamedTuple):
 
     @classmethod
     def at_least(cls, per_side: int, factor: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Return the smallest lattice with at least `factor` times as many points as a grid.
+        """Return the smallest lattice that has at least `factor` points for each point of a grid.
 
         Parameters
         ----------
@@ -132,13 +133,13 @@ class Lattice(NamedTuple):
         Returns
         -------
         shift : (n,) float array
-            Shift in widths of a column, between -1/2 and 1/2.  The middle row of a pixel is not
+            Shift in widths of a column, between -1/2 and 1/2.  The central row of a pixel is not
             shifted.  Shifts in every other row of pixels have the opposite sign.
         """
         points = self.rows // self.columns
-        middle = points // 2
-        column = (_GENERATORS.get(points, 0) * (row - middle) + middle) % points
-        shift: Floats = (column - middle) / points
+        center = points // 2
+        column = (_GENERATORS.get(points, 0) * (row - center) + center) % points
+        shift: Floats = (column - center) / points
         return np.where(row // self.rows % 2, -shift, shift)
 
 

@@ -80,7 +80,7 @@ def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
 
 
 class _Plan(NamedTuple):
-    """How to compute the mean radiance of cells that are not smooth, in at most two steps.
+    """Two steps that compute the mean radiance of cells that are not smooth.
 
     Attributes
     ----------

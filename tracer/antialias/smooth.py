@@ -71,7 +71,7 @@ def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
     means : SmoothMeans
         Mean radiance of each pixel, meaningless for the pixels at the border of the rectangle.  The
         error is the larger of the absolute second differences in the row and in the column, divided
-        by 24.  Where only one of the two neighbours has the pixel's id, the difference to it
+        by 24.  If only one of the two neighbours has the pixel's id, the difference to it
         replaces the second difference.  If neither has it, in the row or in the column, the error
         is NaN.
     """
