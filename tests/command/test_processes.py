@@ -113,7 +113,7 @@ def test_a_program_with_threads_is_not_forked():
     thread = threading.Thread(target=wait.wait)
     thread.start()
     try:
-        executor: Any = WorkerPool(1)._started()
+        executor: Any = WorkerPool(1)._new_executor()
         assert executor._mp_context.get_start_method() == "spawn"
     finally:
         wait.set()
@@ -139,7 +139,7 @@ def test_the_pool_of_the_command_renders_the_same_picture(samples, small_tiles):
 def test_a_small_picture_starts_no_process(size, starts, monkeypatch, tmp_path):
     monkeypatch.setattr(cli, "processors", lambda: 2)
     start = Mock(side_effect=OSError)
-    monkeypatch.setattr(WorkerPool, "_started", start)
+    monkeypatch.setattr(WorkerPool, "_new_executor", start)
     save_scene(picture(*size), tmp_path / "scene.xml")
     assert cli.main([str(tmp_path / "scene.xml"), "--quiet"]) == 0
     assert start.call_count == starts
@@ -207,9 +207,14 @@ def workers_of(process: subprocess.Popen[str]) -> list[int]:
 
 @needs_two
 @pytest.mark.parametrize(
-    "count", [5, pytest.param(200, marks=pytest.mark.slow)], ids=["some", "many"]
+    "seeds",
+    [
+        range(5),
+        *(pytest.param(range(k, k + 25), marks=pytest.mark.slow) for k in range(5, 205, 25)),
+    ],
+    ids=lambda seeds: f"from-{seeds[0]}",
 )
-def test_a_lost_worker_costs_time_not_the_picture(count, tmp_path):
+def test_a_lost_worker_costs_time_not_the_picture(seeds, tmp_path):
     """Kill or stop all workers at random moments."""
     path, other = tmp_path / "ball.xml", tmp_path / "other.png"
     path.write_text(SCENE.format(2800, 2400))
@@ -218,7 +223,7 @@ def test_a_lost_worker_costs_time_not_the_picture(count, tmp_path):
     seconds, lost = time.monotonic() - start, 0
     with Image.open(other) as picture:
         codes = picture.tobytes()
-    for seed in range(count):
+    for seed in seeds:
         rng = random.Random(seed)
         with start_process(path, "--quiet", "--processes", 2) as process:
             time.sleep(rng.random() * seconds)
@@ -232,7 +237,7 @@ def test_a_lost_worker_costs_time_not_the_picture(count, tmp_path):
             assert picture.tobytes() == codes
         wait_until(lambda ids=workers: not any(map(is_running, ids)))
         lost += len(workers)
-    assert lost > count / 5
+    assert lost > len(seeds) / 5
 
 
 def is_running(process_id: int) -> bool:

@@ -109,6 +109,7 @@ class Distribution(Generic[_Item, _Result]):
         self._longest_seconds = 0.0
 
     def __iter__(self) -> Iterator[tuple[int, _Result]]:
+        """Process all items; yield the index of each and its result."""
         try:
             while self._next_index < len(self._items) or self._futures:
                 self.submit()
@@ -239,14 +240,14 @@ class WorkerPool:
             if self._starts == _MAX_STARTS:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._starts += 1
-            self._executor = self._started()
+            self._executor = self._new_executor()
         try:
             return self._executor.submit(fn, *args)
         except Exception:  # a worker has died, or none can be started
             self.close()
             return self.submit(fn, *args)
 
-    def _started(self) -> ProcessPoolExecutor:
+    def _new_executor(self) -> ProcessPoolExecutor:
         """Return a new pool, which starts its processes when work is submitted."""
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
