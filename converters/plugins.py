@@ -24,10 +24,6 @@ from converters.variant import ensure
 
 ensure()
 
-# Maximum distance in pixels of a film coordinate from the pixel's centre at which the centre is
-# meant.  Film coordinates are float32: across 1000 pixels, their error is up to 1e-4 pixels.
-_MAX_CENTER_ERROR = 1e-3
-
 
 def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
     """Convert a vector of Python numbers to one of the current variant."""
@@ -52,8 +48,7 @@ class Window(mi.Sensor):
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
         """Return a ray through the point `sample2` of the film, computed in float64."""
-        size = self.film().crop_size()
-        x, y = self._centered(sample2.x, size[0]), self._centered(sample2.y, size[1])
+        x, y = mi.Float64(sample2.x), mi.Float64(sample2.y)
         d = dr.normalize(self.corner + x * self.right + y * self.down)
         # The slab method.  A component of 0 gets a huge inverse, because infinity times 0 is NaN.
         inverse = dr.rcp(dr.select(d == 0, 1e-300, d))
@@ -66,13 +61,6 @@ class Window(mi.Sensor):
         """Return the same ray; no plugin here needs differentials."""
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
-
-    @staticmethod
-    def _centered(x: mi.Float, size: int) -> mi.Float64:
-        """Return a film coordinate in float64, moved to the pixel's centre if that is meant."""
-        pixel = mi.Float64(x) * size
-        center = dr.floor(pixel) + 0.5
-        return dr.select(dr.abs(pixel - center) < _MAX_CENTER_ERROR, center, pixel) / size
 
 
 class UnattenuatedPoint(mi.Emitter):

@@ -171,18 +171,31 @@ def test_tolerance_of_a_pixel(error, verdict):
     assert compared(scene, image).verdict == verdict
 
 
+def plate(distance: float, height: float) -> Scene:
+    """Return a scene of a plate with an edge at this distance from the centres of column 17.
+
+    The distance is in pixels, to the right.
+    """
+    pixel = 0.3 / 24 * 5  # width of a pixel in the plane of the plate
+    edge = (5.5 + distance) * pixel
+    return close_up(Box(min_pt=(-0.3, -height / 2, 0), max_pt=(edge, height / 2, 0)))
+
+
 @pytest.mark.parametrize(("distance", "verdict"), [(0.0027, "agrees"), (0.0033, "undecided")])
 def test_tolerance_of_the_distance_to_an_edge(distance, verdict):
-    """An edge is this many pixels to the right of the centres of a few pixels in column 17."""
-    pixel = 0.3 / 24 * 5  # width of a pixel in the plane of the plate
-    edge = 5.5 * pixel
-
-    def scene_with(edge: float) -> Scene:
-        return close_up(Box(min_pt=(-0.3, -0.19, 0), max_pt=(edge, 0.19, 0)))
-
-    result = compared(scene_with(edge + distance * pixel), render(scene_with(edge - 0.01 * pixel)))
+    """The edge crosses few pixels, which may be excluded."""
+    result = compared(plate(distance, 0.38), render(plate(-0.01, 0.38)))
     assert result.verdict == verdict
     assert (result.edges if verdict == "agrees" else result.differing)[:, 17].sum() == 6
+
+
+@pytest.mark.parametrize(("distance", "verdict"), [(1e-8, "agrees"), (1e-4, "DIFFERS")])
+def test_the_tracer_may_err_if_an_edge_is_at_a_centre(monkeypatch, distance, verdict):
+    """The edge crosses 4 % of the pixels: too many to be excluded without exact arithmetic."""
+    scene = plate(distance, 2)
+    image = render(scene)
+    replace_tracer(monkeypatch, render(plate(-0.01, 2)))
+    assert compared(scene, image).verdict == verdict
 
 
 def test_a_bright_pixel_does_not_increase_the_tolerance(monkeypatch):

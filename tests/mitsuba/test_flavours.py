@@ -160,6 +160,7 @@ def test_reflectances_are_halved_if_there_are_highlights(specular):
     reflectances = [color["value"] for color in colors if color["name"] != "intensity"]
     halved = ["0.45 0.25 0.0", "1.0 1.0 1.0", "0.4 0.4 0.4"]
     assert reflectances == (halved if specular else ["0.9 0.5 0.0", "1.0 1.0 1.0"])
+    assert ("divided by" in document.comment) == bool(specular)
     assert ("all are\ndivided by 2" in document.comment) == bool(specular)
 
 
@@ -207,6 +208,17 @@ def test_a_stock_scene_beside_an_enormous_ball_stays_large_enough_for_shadow_ray
     assert number(stock(close_up(Sphere(radius=0.5), ground)), ".//shape/float") > 1e-5
 
 
+def test_shapes_are_in_the_order_of_the_file():
+    surfaces = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 1)), Sphere(), Sphere(radius=2)
+    types = [shape.get("type") for shape in exact(close_up(*surfaces)).root.iter("shape")]
+    assert types == ["cube", "sphere", "sphere"]
+
+
+def test_several_exact_samples_are_jittered():
+    for samples, jitter in ((1, "false"), (4, "true")):
+        assert exact(TINY, samples).root.find(".//*[@name='jitter']").get("value") == jitter
+
+
 def test_the_near_plane_is_nearer_than_a_distant_window():
     camera = Camera(view_point=(0, 0, 4), proj_distance=4000, view_width=3000, view_height=3000)
     document = stock(replace(close_up(Sphere()), camera=camera))
@@ -235,6 +247,8 @@ def test_a_picture_of_square_pixels_has_a_row_and_shows_the_window():
     square = squared(Scene(camera=Camera(view_width=3, view_height=4), width=10, height=2))
     assert (square.height, square.camera.view_height) == (13, pytest.approx(3.9))
     assert squared(square) == square
+    # The number of rows is right, but not the window's height.
+    assert squared(Scene(camera=Camera(view_height=1.03), width=9, height=9)).camera == Camera()
 
 
 def test_the_window_of_an_oblique_camera():

@@ -136,8 +136,10 @@ def test_rendering_ends_on_one_processor(small):
         signal.alarm(60)
 
     for python in ([*COMMAND, *RENDER, str(small)], ["-c", read]):
-        status, _, err = run(python=python, preexec_fn=begin)
+        status, out, err = run(python=python, preexec_fn=begin)
         assert (status, drop_jit(err)) == (0, "")
+        # Mitsuba does not warn of Python plugins in a scalar variant.
+        assert "WARN" not in out
 
 
 NUMBERS = "and Mitsuba's numbers end at 3.4e+38; keep the numbers of the scene closer to 1"
@@ -165,6 +167,16 @@ def test_a_scene_beyond_mitsubas_range_is_not_converted(small, capsys, flavour, 
         assert command(["--flavour", flavour, str(small), "-o", f"{small.parent}/made/"]) == 1
         assert capsys.readouterr().err == f"{small}: cannot be converted: {message}\n"
     assert file_names(small.parent) == ["small.xml"]
+
+
+def test_an_exr_does_not_replace_a_file_of_another_kind(small, capsys):
+    exr = small.with_name("small.mitsuba.exr")
+    exr.write_text("notes")
+    assert main([*RENDER, str(small)]) == 1
+    message = f"{exr}: cannot be written: a file of another kind is there"
+    assert capsys.readouterr().err == f"{message}; choose another with -o\n"
+    assert exr.read_text() == "notes"
+    use()
 
 
 # The choice of a variant
