@@ -19,7 +19,6 @@ Mitsuba cannot run, 3 if one is undecided and none is worse.
 from __future__ import annotations
 
 from tracer.command.process import run
-from tracer.command.progress import track
 
 if __name__ == "__main__":
     run(__spec__.name)
@@ -56,6 +55,7 @@ from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces
 from tracer.command.arguments import make_output_folder, output_paths
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
+from tracer.command.progress import track
 from tracer.messages import printable
 
 Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
