@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pairs = {str(result.picture): pair for result, pair in found if pair}
         text = class_page(results, pairs, options.folder)
         page = Path(options.html)
-        with errors_as_failure(page, "written", status=_FAILED):
+        with errors_as_failure(page, "written", "choose another with --html", status=_FAILED):
             page.parent.mkdir(parents=True, exist_ok=True)
             with atomic_file(page, b"<!doctype html>") as file:
                 file.write(text.encode(errors="backslashreplace"))
@@ -246,7 +246,9 @@ def _compared(
     output = hand_in.output
     if output is not None and not (options.many and agrees):
         labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
-        with errors_as_failure(output, "written", status=_FAILED, errors=(ValueError,)):
+        with errors_as_failure(
+            output, "written", "choose another with -o", status=_FAILED, errors=(ValueError,)
+        ):
             output.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(output, linear(picture.codes), linear(right), (labels[0], labels[1]))
         result = result._replace(comparison=str(output))

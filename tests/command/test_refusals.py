@@ -128,7 +128,6 @@ def test_wrong_usage(folder, capsys, monkeypatch, command, message):
 
 
 LONG = "x" * 300
-OTHER = "choose another with -o"
 MISSING, NO_FOLDER = "No such file or directory", "Not a directory"
 EXISTING = "a file of another kind is there"
 
@@ -162,6 +161,7 @@ def test_results_that_cannot_be_written(folder, capsys, command, status, name, r
         result = MAIN[main](arguments), capsys.readouterr().err
     except Failure as failure:
         result = failure.status, f"{failure}\n"
-    remedy = f"; {OTHER}" * (main != "compare")
-    assert result == (status, f"{name}: cannot be written: {reason}{remedy}\n")
+    option = "--html" if "--html" in command else "-o"
+    message = f"{name}: cannot be written: {reason}; choose another with {option}\n"
+    assert result == (status, message)
     assert contents(folder) == before
