@@ -139,6 +139,7 @@ def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) 
     ----------
     scene : Scene
     normalised : Normalisation
+        Applied to all points and lengths.
     bsdf_names : sequence of str
         For each shader of the scene, the name of its BSDF.
 
@@ -201,7 +202,23 @@ variant that ends in _rgb, and "import converters.plugins".
 
 @_IGNORE_OVERFLOW
 def exact(scene: Scene, samples: int = 1) -> Document:
-    """Convert a scene to the exact flavour; with one sample per pixel, at the pixel's centre."""
+    """Convert a scene to the exact flavour, in which Mitsuba computes the tracer's picture.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        Number of samples per pixel.  A single sample is at the pixel's centre.
+
+    Returns
+    -------
+    document : Document
+
+    Raises
+    ------
+    ConversionError
+        If the scene has numbers that Mitsuba cannot represent.
+    """
     normalised = normalisation(scene)
     names, shaders = _bsdf_names(scene.surfaces)
     largest = max(_SCENE_SIZE, float(scene.surfaces.radius.max(initial=0)) * normalised.scale)
@@ -222,7 +239,20 @@ def exact(scene: Scene, samples: int = 1) -> Document:
 
 
 def _exact_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
-    """Convert the camera to the plugin "window": its rays start on a box around the scene."""
+    """Convert the camera to the plugin "window", whose rays start on a box around the scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    normalised : Normalisation
+        Applied to all points and lengths.
+    samples : int
+        Number of samples per pixel.
+
+    Returns
+    -------
+    sensor : Element
+    """
     window = window_of(scene.camera)
     right, down, _ = window.axes
     # The box is slightly larger than the scene, so that no ray starts on a surface.
@@ -287,7 +317,25 @@ divided by {gain:g}, lights multiplied.
 
 @_IGNORE_OVERFLOW
 def stock(scene: Scene, samples: int = 64) -> Document:
-    """Convert a scene to the stock flavour: square pixels, and lights that fall off."""
+    """Convert a scene to the stock flavour, in which Mitsuba computes a similar picture.
+
+    Pixels are square, and lights fall off with distance.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        Number of samples per pixel; it may be rounded up.
+
+    Returns
+    -------
+    document : Document
+
+    Raises
+    ------
+    ConversionError
+        If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
+    """
     normalised, square, factor = _stock_normalisation(scene), squared(scene), gain(scene.surfaces)
     names, shaders = _bsdf_names(scene.surfaces)
     points = visible_points(scene)
@@ -313,7 +361,11 @@ def stock(scene: Scene, samples: int = 64) -> Document:
 
 
 def _samples_for_lights(samples: int, light_count: int) -> int:
-    """Round a number of samples up until Mitsuba's `multijitter` gives each light equally many."""
+    """Round a number of samples per pixel up so that each light gets the same number of them.
+
+    Mitsuba's `multijitter` picks lights evenly if the number of samples is a multiple of the number
+    of lights, and fills whole rows of a grid.  Fewer samples than lights are not rounded.
+    """
     count = samples
     while light_count and samples >= light_count and (count % light_count or count % isqrt(count)):
         count += 1
@@ -328,7 +380,26 @@ def _to_world(window: Window, normalised: Normalisation) -> Element:
 
 
 def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
-    """Convert the camera to Mitsuba's "perspective": a field of view and a principal point."""
+    """Convert the camera to Mitsuba's "perspective": a field of view and a principal point.
+
+    Parameters
+    ----------
+    scene : Scene
+        A scene whose pixels are square.
+    normalised : Normalisation
+        Applied to all points and lengths.
+    samples : int
+        Number of samples per pixel.
+
+    Returns
+    -------
+    sensor : Element
+
+    Raises
+    ------
+    ConversionError
+        If Mitsuba would refuse the field of view, or float32 has too few digits of it.
+    """
     window = window_of(scene.camera)
     across, below, depth = window.center
     fov = degrees(2 * atan(window.width / 2 / depth))
@@ -365,6 +436,7 @@ def _stock_light(
     ----------
     light : PointLight
     normalised : Normalisation
+        Applied to the light's position.
     factor : float
         Factor that reflectances are divided by.
     points : (n, 3) float array

@@ -80,7 +80,25 @@ def render_mitsuba(
 
 
 def load(text: str, variant: str | None = None) -> Callable[[], Rendering]:
-    """Load a converted scene in a variant of Mitsuba; return a function that renders it."""
+    """Load a converted scene, which can then be rendered several times.
+
+    Parameters
+    ----------
+    text : str
+        Content of the converted file.
+    variant : str, optional
+        Mitsuba's variant; the default is the fastest that works on this machine.
+
+    Returns
+    -------
+    render_loaded : callable
+        Takes no arguments; renders the scene and returns a `Rendering`.
+
+    Raises
+    ------
+    ImportError
+        If the variant does not work here.
+    """
     chosen = use(variant).variant
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 

@@ -194,7 +194,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _convert(path: Path, target: Path, options: argparse.Namespace) -> None:
-    """Convert the scene file `path` to the file `target`, and print a line."""
+    """Convert the scene file `path` to the file `target`, and print a line.
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read or converted, or the file not be written.
+    """
     from converters.flavours import convert
     from tracer import load_scene
 
@@ -211,7 +217,15 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> None:
 
 
 def _render(path: Path, target: Path, options: argparse.Namespace) -> None:
-    """Render the scene file `path` with Mitsuba to a PNG and an EXR file, and print a line."""
+    """Render the scene file `path` with Mitsuba, and print a line.
+
+    Two files are written, a PNG and an EXR; `target` is the path of either.
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read, converted or rendered, or a file not be written.
+    """
     from converters.rendering import render_mitsuba, write_exr
     from tracer import load_scene, write_png
 

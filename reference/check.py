@@ -262,7 +262,27 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare all light of a scene, rendered by this project's plugins."""
+    """Compare the tracer's picture of a scene with one rendered by this project's plugins.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        Name of the scene in the result.
+    variant : str, optional
+        Mitsuba's variant; the default is the fastest that works here.
+
+    Returns
+    -------
+    result : CheckResult
+
+    Raises
+    ------
+    ConversionError
+        If Mitsuba cannot represent the scene.
+    ValueError
+        If a radiance is not finite.
+    """
     render_loaded = load(str(exact(scene)), variant)
     if use(variant).variant == LLVM:
         render_loaded()  # compiles the kernel
@@ -270,7 +290,29 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare diffuse light of a scene, rendered by stock plugins alone, in square pixels."""
+    """Compare the diffuse light of a scene with that rendered by stock plugins alone.
+
+    Both pictures have square pixels.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        Name of the scene in the result.
+    variant : str, optional
+        Mitsuba's variant; the default is the fastest that works here.
+
+    Returns
+    -------
+    result : CheckResult
+
+    Raises
+    ------
+    ConversionError
+        If Mitsuba cannot represent the scene.
+    ValueError
+        If a radiance is not finite.
+    """
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
     matte = replace(squared(scene), surfaces=Surfaces.of(surfaces))
     image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
@@ -513,7 +555,26 @@ def worst_status(results: Iterable[CheckResult | Failure]) -> int:
 
 
 def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
-    """Check the scene file `path`, write the comparison to the file `target`, print the result."""
+    """Check one scene for the command, write the comparison, and print the result.
+
+    Parameters
+    ----------
+    path : Path
+        The scene file.
+    target : Path
+        The picture to write, which shows both pictures and their difference.
+    options : Namespace
+        The command's options.
+
+    Returns
+    -------
+    result : CheckResult
+
+    Raises
+    ------
+    Failure
+        If the scene cannot be read, converted or compared, or the picture not be written.
+    """
     result = check(path, options.variant, options.flavour)
     labels = ("tracer", f"Mitsuba {result.variant}")
     with errors_as_failure(target, "written", "choose another with -o"):
