@@ -123,15 +123,8 @@ class Cells(NamedTuple):
         pair_position = position[self.pair_cell]
         kept = indices(pair_position >= 0)
         pair_quarter = (4 * pair_position[kept, None] + np.arange(4)).ravel()
-        return Cells(
-            width=self.width / 2,
-            samples_per_side=(self.samples_per_side + 1) // 2,
-            tolerance=self.tolerance,
-            center_x=x,
-            center_y=y,
-            pair_cell=pair_quarter,
-            pair_object=self.pair_object[kept].repeat(4),
-        )
+        pairs = pair_quarter, self.pair_object[kept].repeat(4)
+        return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 
 
 class Classification(NamedTuple):
@@ -185,7 +178,7 @@ def classify(
         True for cells with too many edges.  A cell is smooth if it has no lines and is not
         unresolved.
     """
-    count = sample_cell.size
+    count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
     is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
     hits, hidden_hits = nearest_and_hidden(prepared, samples)
@@ -193,13 +186,11 @@ def classify(
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     outlines = _visible_silhouettes(prepared, cells)
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
-    lines, curved_cell = fit_lines(edges, cells.tolerance)
+    lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
     shading, all_lines = Shading(hits, with_ids=True), [lines]
     for lights in prepared.light_batches:
-        lines, unresolved_cell, crowded_cell = _add_lights(
-            shading, surfaces, lights, cells.tolerance
-        )
+        lines, unresolved_cell, crowded_cell = _add_lights(shading, surfaces, lights, tolerance)
         all_lines.append(lines)
         is_unresolved[unresolved_cell] = True
         is_crowded[crowded_cell] = True

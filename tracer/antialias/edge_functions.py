@@ -143,8 +143,7 @@ def value_range(values: Floats) -> Floats:
     linear = np.abs(right - left) + np.abs(below - above)
     quadratic = np.abs(right + left - 2 * center) + np.abs(below + above - 2 * center)
     mixed = np.abs(corner - right - below + center)
-    maximum: Floats = 0.5 * linear + 0.5 * quadratic + mixed
-    return maximum
+    return np.asarray(0.5 * linear + 0.5 * quadratic + mixed)
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
@@ -260,14 +259,12 @@ class InverseDepth(NamedTuple):
         for group in hits.groups:
             interval = group.interval
             # If the eye is on a sphere (P = 0), the tangent plane at the hit replaces the sphere.
-            for k_component, normal in zip(k, group.normal, strict=True):
-                k_component[interval] = group.expand(normal / -group.eye_height)
+            k[:, interval] = [group.expand(normal / -group.eye_height) for normal in group.normal]
             if not group.shape.is_planar:
                 power = group.per_sample(spheres.power)
+                center = np.array([*map(group.per_sample, spheres.local)])
                 w[interval] = np.where(power != 0, 1 / power, 0)
-                for k_component, center in zip(k, spheres.local, strict=True):
-                    quotient = group.per_sample(center) / power
-                    k_component[interval] = np.where(power != 0, quotient, k_component[interval])
+                k[:, interval] = np.where(power != 0, center / power, k[:, interval])
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> InverseDepth:

@@ -202,8 +202,8 @@ def silhouettes(
     index = indices(spheres.objects.contains(owner))
     if index.size:
         sphere, sphere_ray = owner[index], map3(lambda x: x[:, index], ray)
-        apex_position = take3(apexes.local.T, apex[index])
-        center = map3(np.subtract, take3(spheres.local, sphere), apex_position)
+        sphere_apex = take3(apexes.local.T, apex[index])
+        center = map3(np.subtract, take3(spheres.local, sphere), sphere_apex)
         yield cell[index], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
     index = indices(boxes.objects.contains(owner))
     if index.size:
@@ -329,8 +329,8 @@ class CellSurfaces(NamedTuple):
         for axis in range(3):
             height = frame.scene_component(hit, axis)
             low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
-            face = np.where(prepared.eye_inside[owner] == (height > 0), high, low)
-            level = face - frame.eye[axis]
+            is_high = prepared.eye_inside[owner] == (height > 0)
+            level = np.where(is_high, high, low) - frame.eye[axis]
             # The ray meets the plane of the other face at this factor times the hidden hit.
             factor = level / height
             n_dot_v = np.abs(height) / distance

@@ -97,8 +97,7 @@ class Lattice(NamedTuple):
         row, column = np.arange(self.rows), np.arange(self.columns)
         x = np.add.outer(self._shift(row), column + 0.5) / self.columns - 0.5
         y = (row + 0.5) / self.rows - 0.5
-        points: Points2D = (x + 1j * y[:, None]).ravel()
-        return points
+        return np.ravel(x + 1j * y[:, None])
 
     def mean(self, radiance: Floats, width: int) -> Floats:
         """Average the radiance of the samples in each pixel of a rectangle.
@@ -139,8 +138,7 @@ class Lattice(NamedTuple):
         points = self.rows // self.columns
         center = points // 2
         column = (_GENERATORS.get(points, 0) * (row - center) + center) % points
-        shift: Floats = (column - center) / points
-        return np.where(row // self.rows % 2, -shift, shift)
+        return np.where(row // self.rows % 2, center - column, column - center) / points
 
 
 CENTERS = Lattice(1, 1)

@@ -163,9 +163,8 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     crowded = indices(is_inner & classified.is_crowded)
     refinable = _treat_as_smooth(classified, smooth, ~is_inner | classified.is_crowded)
     mean = _mean_of_cells(prepared, *refinable)
-    mean[:, crowded], _ = _mean_of_samples(
-        prepared, classified, crowded, Lattice.at_least(per_side, factor=1)
-    )
+    lattice = Lattice.at_least(per_side, factor=1)
+    mean[:, crowded], _ = _mean_of_samples(prepared, classified, crowded, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
@@ -336,9 +335,8 @@ def _mean_of_quarters(
     quarters, tolerance = classified.cells.quarters(index), classified.cells.tolerance
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
-    smooth = means_of_quarters(
-        classified.center.take(index), error[index], classified_quarters.center, tolerance
-    )
+    center, quarter_center = classified.center.take(index), classified_quarters.center
+    smooth = means_of_quarters(center, error[index], quarter_center, tolerance)
     all_unresolved = classified_quarters.is_unresolved.reshape(-1, 4).all(axis=1)
     lines_per_cell = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
     tested = indices(all_unresolved & (lines_per_cell == 0))
