@@ -185,6 +185,14 @@ gamma-srgb: np.clip(image, 0, 1) ** (1 / 2.2) => srgb(np.clip(image, 0, 1))
 levels-truncated: 255 * shown + 0.5 => 255 * shown
 channels-BGR: return codes => return codes[..., ::-1]
 background: image = np.zeros((H, W, 3)) => image = np.zeros((H, W, 3)) + (0.1, 0.2, 0.5)
+exponent-whole: EXPONENT => int(sh.exponent)
+light-assigned: color += see * part => color = color * ~see + see * part
+light-running-sum: color += see => color = color * (1 + (number > 0)) + see
+shadow-resets: color += see * part => color = see * color + see * part
+levels-before-gamma: np.clip(image, 0, 1) ** => (np.floor(255 * np.clip(image, 0, 1)) / 255) **
+window-of-2: * VW => * 2 ; * VH => * 2 * H / W
+row-last-missing: return codes => codes[-1] = 0; return codes
+rows-even-only: return codes => codes[1::2] = 0; return codes
 shift-left-up: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j + 1.5)
 shift-left-down: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j - 0.5)
 shift-right-up: (i + 0.5) => (i - 0.5) ; (j + 0.5) => (j + 1.5)

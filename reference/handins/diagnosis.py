@@ -7,13 +7,13 @@ rendered; of a right picture alone, some of the camera and of the encoding.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from reference.handins import symptoms
-from reference.handins.formulas import Array, Formulas
+from reference.handins.formulas import Array
 from reference.handins.mistakes import OF_PICTURE
 from reference.handins.search import MAX_PIXELS, Cause, Finding, KnownPictures, Search, difference
 from reference.pictures import Codes, Picture
@@ -28,8 +28,12 @@ _MAX_NAMED = 3
 _MIN_LIGHT_SHARE = 0.1
 # Light read from a picture is off by at most this many levels, as its codes were rounded.
 _PICTURE_LEVELS = 3
-# A picture of another size is compared with the scene rendered at that size.
-_TURNS = ("transposed", "turned-90", "turned-270")
+# How pictures that are turned are turned back, by the keywords of the mistakes.
+_TURNS: dict[str, Callable[[Codes], Codes]] = {
+    "transposed": lambda codes: codes.swapaxes(0, 1),
+    "turned-90": lambda codes: np.rot90(codes, -1),
+    "turned-270": np.rot90,
+}
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,12 @@ class Diagnosis:
         """Return the same with another sentence at the beginning."""
         return replace(self, before=" ".join(filter(None, (text, self.before))))
 
+    def with_cause(self, kind: str, text: str, before: str = "") -> Diagnosis:
+        """Return the same with one more mistake, which is the only one if the rest agrees."""
+        own = () if self.kind in AGREEING else self.causes
+        causes = tuple({kind: text} | cause for cause in own) or ({kind: text},)
+        return replace(self, causes=causes).preceded_by(before)
+
     def preferring(self, kinds: Iterable[str]) -> Diagnosis:
         """Return the same with the causes of these keywords first, in this order."""
         place = {kind: k for k, kind in enumerate(kinds)}
@@ -100,83 +110,58 @@ class Solution:
     """
 
     def __init__(self, scene: Scene | Picture, name: str = "") -> None:
-        self.name, self._known = name, dict[tuple[int, int, str], KnownPictures]()
+        self.name, self._known = name, dict[tuple[int, int], KnownPictures]()
         self.scene = scene if isinstance(scene, Scene) else None
         self.picture = Picture(_rendered(scene)) if isinstance(scene, Scene) else scene
         self.codes: Codes = self.picture.codes
         """The right picture (h, w, 3)."""
         self.height, self.width = self.codes.shape[:2]
 
-    @np.errstate(all="ignore")
-    def _known_pictures(self, height: int, width: int, turn: str = "") -> KnownPictures:
-        """Return what is known at one size, of the scene or of the scene turned.
+    def _known_pictures(self, height: int, width: int) -> KnownPictures:
+        """Return what is known at one size.
 
-        At most that of the right size and of one more are kept, because they are large.
+        At most the right size and one more are kept, because they are large.
         """
-        key, own = (height, width, turn), (self.height, self.width, "")
-        if key in self._known:
-            return self._known[key]
-        for other in [other for other in self._known if other != own]:
-            del self._known[other]
-        base: Formulas = {} if self.scene else OF_PICTURE
-        codes, columns, order = self.codes, width, None
-        scene: Scene | Codes = codes
-        if self.scene:
-            scene = replace(self.scene, width=width, height=height)
-            codes = codes if key == own else _rendered(scene)
-        right = _flat(codes)
-        surface = _surfaces(scene) if isinstance(scene, Scene) else right.any(axis=0) - 1
-        if turn:
-            upright = self._known_pictures(height, width)
-            base, columns = upright.table[turn] | base, height
-            turned = KnownPictures(scene, right, surface, (width, height), columns, base)
-            column, row = (turned.in_batches(name, np.arange(len(surface)))
-                           for name in ("column", "row"))  # fmt: skip
-            order = row * width + column
-            right, surface = np.ascontiguousarray(right[:, order]), surface[order]
-        known = KnownPictures(scene, right, surface, (width, height), columns, base)
-        self._known[key] = known
-        return known
+        key = height, width
+        if key not in self._known:
+            own = {(self.height, self.width)}
+            self._known = {k: known for k, known in self._known.items() if k in own}
+            scene = self.scene and replace(self.scene, width=width, height=height)
+            codes = self.codes if key in own or not scene else _rendered(scene)
+            surface = _surfaces(scene) if scene else codes.any(axis=2).ravel() - 1
+            base = {} if scene else OF_PICTURE
+            self._known[key] = KnownPictures(scene or codes, _flat(codes), surface, width, base)
+        return self._known[key]
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
         """Find the mistakes with which the scene renders as a hand-in, or say where it differs."""
-        height, width = picture.codes.shape[:2]
+        codes = picture.codes
+        height, width = codes.shape[:2]
         if (height, width) == (self.height, self.width):
-            plain = agreement(picture.codes, self.codes) or featureless(picture.codes)
-            return plain or self._compare(picture, self._known_pictures(height, width))
+            return self._compare(picture)
         size = f"The picture has {width}x{height} pixels in place of {self.width}x{self.height}."
-        if flat := featureless(picture.codes):
+        if flat := featureless(codes):
             return flat
-        if found := symptoms.disguise(picture.codes, self.codes):
-            return _verdict(*found, before=size)
-        codes, turns = _flat(picture.codes), [""]
+        if disguise := symptoms.disguise(codes, self.codes):
+            return _verdict(*disguise, before=size)
         if (height, width) == (self.width, self.height):
-            turns = ["", *_TURNS]
-        off = {turn: int(difference(self._of_turn(height, width, turn).right, codes).sum())
-               for turn in turns}  # fmt: skip
-        turn = min(turns, key=lambda turn: off[turn])
-        known = self._of_turn(height, width, turn)
-        right = _picture(known.right, width)
-        kind = {turn: known.text[turn]} if turn else {"size": size}
-        before = {"before": size} if turn else {}
-        if agreement(picture.codes, right):
-            return Diagnosis((kind,), **before)
-        found_here = self._compare(picture, known)
-        if found_here.kind in AGREEING:
-            return Diagnosis((kind,), **before)
-        return replace(
-            found_here, causes=tuple(kind | cause for cause in found_here.causes), **before
-        )
+            upright = {turn: np.ascontiguousarray(turned(codes)) for turn, turned in _TURNS.items()}
+            turn = min(upright, key=lambda turn: int(_distance(upright[turn], self.codes).sum()))
+            text = self._known_pictures(self.height, self.width).text[turn]
+            found = self._compare(picture._replace(codes=upright[turn]))
+            if found.kind != UNKNOWN:
+                return found.with_cause(turn, text, size)
+        return self._compare(picture).with_cause("size", size)
 
-    def _of_turn(self, height: int, width: int, turn: str) -> KnownPictures:
-        if turn:
-            height, width = self.height, self.width
-        return self._known_pictures(height, width, turn)
-
-    def _compare(self, picture: Picture, known: KnownPictures) -> Diagnosis:
-        """Diagnose a picture of the size of the known ones."""
-        handin, width, saved = picture.codes, known.columns, picture.saved
+    def _compare(self, picture: Picture) -> Diagnosis:
+        """Diagnose a picture, compared with the right one of its own size."""
+        handin, saved = picture.codes, picture.saved
+        height, width = handin.shape[:2]
+        known = self._known_pictures(height, width)
+        plain = agreement(handin, _picture(known.right, width)) or featureless(handin)
+        if plain:
+            return plain
         handin = self.picture.saved(handin) if self.picture.saved else handin
         lossy = max(picture.lossy, self.picture.lossy)
         search = Search(_flat(handin), known, lossy or _PICTURE_LEVELS * (self.scene is None),
@@ -292,9 +277,14 @@ def _symptom(search: Search) -> tuple[str, str] | None:
     return None
 
 
+def _distance(a: Codes, b: Codes) -> Array:
+    """Return the maximum over the channels of the difference (h, w) of two pictures."""
+    return np.abs(a.astype(np.int16) - b).max(axis=2)
+
+
 def worst_pixel(a: Codes, b: Codes) -> tuple[int, int]:
     """Return column and row of the pixel whose codes differ most."""
-    y, x = np.unravel_index(np.abs(a.astype(np.int16) - b).max(axis=2).argmax(), a.shape[:2])
+    y, x = np.unravel_index(_distance(a, b).argmax(), a.shape[:2])
     return int(x), int(y)
 
 
@@ -304,7 +294,7 @@ def agreement(a: Codes, b: Codes) -> Diagnosis | None:
     if not count:
         return _verdict("identical", "The pictures are identical.")
     few = count <= max(10, 0.01 * a.shape[0] * a.shape[1])
-    if few and np.abs(a.astype(np.int16) - b).max() == 1:
+    if few and _distance(a, b).max() == 1:
         text = f"{_differ(count)} by one level: rounding, nothing to worry about."
         return _verdict("rounding", text)
     return None

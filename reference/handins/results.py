@@ -91,8 +91,11 @@ def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
     for result in results:
         if result.found and not result.agrees:
             counts[result.student].update(result.found.kind.split("|"))
+    order = {
+        student: [kind for kind, _ in count.most_common()] for student, count in counts.items()
+    }
     return [result._replace(found=result.found and result.found.preferring(
-            counts[result.student])) for result in results]  # fmt: skip
+            order.get(result.student, ()))) for result in results]  # fmt: skip
 
 
 def mistake_counts(results: Sequence[Result]) -> list[str]:

@@ -97,22 +97,20 @@ class KnownPictures:
         The right picture's codes.
     surface : (n,) int array
         The index of the surface that each pixel shows, or -1.
-    size : tuple of 2 ints
-        Width and height of the scene in pixels.
     columns : int
-        Width of the picture, which is the scene's height if the picture is turned.
+        Width of the picture in pixels.
     base : dict
         Formulas that all pictures share.
     """
 
     def __init__(
-        self, scene: Scene | Codes, right: Array, surface: Array, size: tuple[int, int],
-        columns: int, base: Formulas,
-    ) -> None:  # fmt: skip
-        self._given = scene_values(scene) | {"width": size[0], "height": size[1]}
+        self, scene: Scene | Codes, right: Array, surface: Array, columns: int, base: Formulas
+    ) -> None:
         self.right, self.surface, self.columns, self.base = right, surface, columns, base
         self.count, self._blank = right.shape[1], np.zeros_like(right)
-        known = scene if isinstance(scene, Scene) else Scene(width=size[0], height=size[1])
+        size = {"width": columns, "height": self.count // columns}
+        self._given = scene_values(scene) | size
+        known = scene if isinstance(scene, Scene) else Scene(**size)
         self.surface_count = len(known.surfaces)
         table = mistakes.mistakes_of(known)
         self.text = {kind: mistake.text for kind, mistake in table.items()}

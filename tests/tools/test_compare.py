@@ -241,6 +241,39 @@ def test_a_class(hand_ins: Path, compare: Compare) -> None:
     assert [row["kind"] for row in rows] == [one["kind"] or "" for one in found]
 
 
+def test_names_and_sizes_that_do_harm(tmp_path: Path, compare: Compare) -> None:
+    """Names that are not UTF-8, or that a spreadsheet runs; a picture larger than memory."""
+    for name in (b"one-sphere-\xff", b"=cmd|one-sphere", b"one-sphere-\x1b[2J"):
+        save(tmp_path / "class" / f"{os.fsdecode(name)}.png", CODES)
+    Image.new("1", (13000, 13000)).save(tmp_path / "class" / "huge_one-sphere.png")
+    page = tmp_path / "page.html"
+    status, lines, error = compare(tmp_path / "class", SCENE, "--csv", "--html", page)
+    assert (status, error) == (3, "")
+    assert "\x1b" not in "".join(lines)
+    students = sorted(row["student"] for row in csv.DictReader(lines))
+    assert students == ["'=cmd|", "\\udcff", "\\x1b[2j", "huge"]
+    assert any("has 13000x13000 pixels; at most 9 million can be compared" in x for x in lines)
+    assert "one-sphere-\\udcff.png" in page.read_text()
+
+
+def test_bugs_are_told_from_lack_of_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
+) -> None:
+    right = save(tmp_path / "a.png", CODES)
+    monkeypatch.setattr("reference.compare.worst_pixel", lambda *_: 1 // 0)
+    what = "ZeroDivisionError: integer division or modulo by zero; this is a bug, please report it"
+    assert compare(right, SCENE) == (3, [], f"{right}: cannot be compared: {what}\n")
+
+
+def test_what_is_no_picture_is_told(tmp_path: Path, compare: Compare) -> None:
+    picture, archive = save(tmp_path / "in" / "a.png", CODES), tmp_path / "one-sphere.zip"
+    archive.write_bytes(b"PK")
+    assert compare(archive, SCENE) == (3, [], f"{archive}: is an archive; unpack it first\n")
+    words = "a hand-in is a picture; give it first, then the scene"
+    assert f"{SCENE}: {words}" in compare(SCENE, picture)[2]
+    assert f"{SCENES}: {words}" in compare(SCENES, picture.parent)[2]
+
+
 def deadly(job: int) -> int:
     if job == 5:
         os.kill(os.getpid(), signal.SIGKILL)
