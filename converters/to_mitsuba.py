@@ -164,7 +164,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         type=file_name,
         metavar="PATH",
         help="the file to write, or a folder for those of several scenes;"
-        " a folder that ends in / is made if it is missing",
+        " a folder that ends in / is created if it is missing",
     )
     parser.add_argument(
         "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"

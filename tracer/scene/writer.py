@@ -46,7 +46,7 @@ def save_scene(
 
 
 def _is_scene(path: str) -> bool:
-    """Return whether a file begins like a scene; unlike these, scenes of Mitsuba have a version."""
+    """Return whether a file is XML with the root <scene>, and not a scene of Mitsuba."""
     roots: list[Element] = []
 
     def stop(root: Element) -> None:
@@ -55,6 +55,7 @@ def _is_scene(path: str) -> bool:
 
     with suppress(FatalError), open(path, "rb") as file:
         Parser(stop, lambda *_: None).parse(file)
+    # Mitsuba's scenes have a version.
     return any(root.tag == "scene" and "version" not in root.attrib for root in roots)
 
 
