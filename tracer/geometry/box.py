@@ -1,7 +1,6 @@
 """Axis-aligned boxes: intersections with rays from the eye, and tests of shadow segments.
 
-`Boxes` has the same methods and attributes as `Spheres`, which documents their arguments and
-results in full.
+`Boxes` has the same methods and attributes as `Spheres`.
 """
 
 from __future__ import annotations
@@ -83,15 +82,34 @@ class Boxes:
         return cls(frame, objects, min_pt, max_pt, planes, bounds, inside, curvature, size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Return the corners of axis-aligned bounding boxes: see `Spheres.bounding_boxes`."""
+        """Return the corners of the boxes, in the axes of the scene.
+
+        Returns
+        -------
+        low, high : (3, n) float arrays
+            For each box, the corners with the smallest and with the largest coordinates.
+        """
         return self.min_pt, self.max_pt
 
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute, for pairs of a box and a row of the picture, where the box begins and ends.
+        """Compute where boxes begin and end in rows of the picture, for pairs of both.
 
-        Arguments and results are those of `Spheres.row_extent`.
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The box of each pair, as an index among all objects of the scene.
+        rows : (n,) float array
+            The upper border of each row, in pixels from the top of the picture.
+        height : float
+            Height of the rows, in pixels; 0 if each row is a line.
+
+        Returns
+        -------
+        left, right : (n,) float arrays
+            Both ends, in pixels from the left border of the picture; left > right if the box does
+            not reach the row.  They contain all positions at which a ray in the row meets the box.
         """
         frame, box = self.frame, self.objects.positions(object_index)
         g = frame.down(rows + height / 2)
@@ -119,8 +137,26 @@ class Boxes:
         face meets the box.  The face is that through which the ray enters the box; if the eye is
         inside the box or on it, the face is that through which the ray leaves the box.
 
-        Arguments and results are those of `Spheres.hit`.  `detail` is twice the axis to which the
-        face is perpendicular, plus 1 if the normal of the face points up this axis.
+        Parameters
+        ----------
+        object_index : (spans,) int array
+            A span consists of consecutive rays in one row that are tested with the same box: the
+            index of this box among all objects of the scene.
+        g : (spans,) float array
+            Second component of the rays in each span.
+        s : (n,) float array
+            First component of each ray.
+        ray_count : (spans,) int array or None
+            Number of rays in each span; None if each span has one ray.
+
+        Returns
+        -------
+        t : (n,) float array
+            Distance from the eye, in units of the length of the ray's direction (s, g, depth);
+            infinity if the ray misses the box.
+        detail : (n,) int8 array
+            Twice the axis (0, 1 or 2) to which the face is perpendicular, plus 1 if the normal of
+            the face points up this axis.
         """
         frame, box = self.frame, self.objects.positions(object_index)
         eye, (u, v, w), near, far, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
@@ -157,9 +193,33 @@ class Boxes:
     def surface(
         self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """Compute the face, the normal and the tangent plane at hits.
+        """Compute the face, the normal and the tangent plane of runs of hits.
 
-        Arguments and results are those of `Spheres.surface`.
+        A run consists of consecutive hits on the same face of the same box.
+
+        Parameters
+        ----------
+        object_index : (runs,) int array
+            The box of each run, as an index among all objects of the scene.
+        run_length : (runs,) int array
+            Number of hits in each run.
+        local, t : (3, n) and (n,) float arrays
+            Not used: the faces of boxes are planes.
+        detail : (n,) int8 array
+            Second result of `hit` for each hit.
+
+        Returns
+        -------
+        face : (runs,) int array
+            Axis to which the face is perpendicular: 0, 1 or 2.
+        sign : (runs,) float array
+            1 if the normal of the face points up its axis, and -1 if it points down.
+        level : (runs,) float array
+            Coordinate of the face along its axis, in the axes of the scene.
+        normal : tuple of three (runs,) float arrays
+            Unit normals on the side of the eye, in the axes of the camera.
+        eye_height : (runs,) float array
+            Distance of the eye from the plane of the face.
         """
         box = self.objects.positions(object_index)
         run_detail = detail.take(run_length.cumsum() - run_length)
@@ -189,12 +249,42 @@ class Boxes:
         return take3(self.min_pt, box), take3(self.max_pt, box)
 
     def side(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide on which side of a box each light lies: see `Spheres.side`; never `ON`."""
+        """Decide, for pairs of a box and a light, on which side of the surface the light lies.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The box of each pair, as an index among all objects of the scene.
+        light : tuple of three float arrays
+            Position of the light of each pair, in the axes of the scene.  The arrays may have any
+            shape that broadcasts with (n,).
+
+        Returns
+        -------
+        side : int8 array
+            `INSIDE`, or `OUTSIDE` for lights on the surface as well, in the shape to which the
+            arguments broadcast.
+        """
         is_inside = self.signed_distance(object_index, light) < 0
         return np.where(is_inside, INSIDE, OUTSIDE).astype(np.int8)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute signed distances of points from boxes: see `Spheres.signed_distance`."""
+        """Compute the largest of the signed distances of a point from the planes of a box's faces.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The box of each pair of a box and a point, as an index among all objects of the scene.
+        point : tuple of three float arrays
+            The point of each pair, in the axes of the scene.  The arrays may have any shape that
+            broadcasts with (n,).
+
+        Returns
+        -------
+        distance : float array
+            Negative inside the box; outside, at most the distance from the box.  Its shape is that
+            to which the arguments broadcast.
+        """
         low, high = self.corners(object_index)
         heights = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
         return np.asarray(np.max(heights, axis=0))
@@ -209,9 +299,26 @@ class Boxes:
     ) -> Bools:
         """Test, pair by pair, whether a box blocks the open segment from a hit to a light.
 
-        Arguments and results are those of `Spheres.occludes`.  Slabs are open: a segment that lies
-        in the plane of a face is not blocked.  A flat box blocks segments that cross it.  An end
-        that lies within its tolerance of the plane of a face is moved onto this plane.
+        A segment is blocked if it crosses the surface strictly between its ends.  A segment that
+        lies in the plane of a face is not blocked, but a flat box blocks segments that cross it.
+        An end that lies within its tolerance of the plane of a face is moved onto this plane.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The box of each pair of a box and a segment, as an index among all objects.
+        hit, light : tuples of three (n,) float arrays
+            Both ends of each segment, in the axes of the scene.
+        side : (n,) int8 array
+            Not used: the positions of the lights suffice for boxes.
+        growth : (n,) float array, optional
+            Distance by which the box is grown on all sides before the test; a negative value
+            shrinks the box.  A box that shrinks to nothing blocks nothing.
+
+        Returns
+        -------
+        blocked : (n,) bool array
+            Whether the box blocks the segment.
         """
         low, high = self.corners(object_index)
         if growth is not None:
@@ -229,7 +336,26 @@ class Boxes:
     ) -> tuple[Bools, Bools]:
         """Test, pair by pair, whether a box meets a capsule, and whether it cuts the capsule.
 
-        Arguments and results are those of `Spheres.capsules`.
+        A capsule consists of all points within a certain distance, the thickness, of a segment
+        (Haines and Wallace, Shaft culling, 1991).  It contains all segments from a ball around its
+        start to its end.  Both results are conservative: rounding errors never exclude a box that
+        blocks a segment, and never let a box block all segments if it does not.
+
+        Parameters
+        ----------
+        object_index : (n,) int array
+            The box of each pair of a box and a capsule, as an index among all objects.
+        start, end : tuples of three (n,) float arrays
+            Both ends of the segment, in the axes of the scene.
+        thickness : (n,) float array
+            Radius of the capsule.
+
+        Returns
+        -------
+        meets : (n,) bool array
+            False if the box certainly blocks none of the segments.
+        cuts : (n,) bool array
+            True if the box certainly blocks all of the segments.
         """
         # A point that counts as on a face may be this far from the face.
         size = self.coordinate_size[self.objects.positions(object_index)]
@@ -331,6 +457,7 @@ def _snap(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple
     """
 
     def component(x: Floats, low: Floats, high: Floats) -> Floats:
+        """Move one coordinate of each point."""
         on_low, on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
         return np.where(on_low, low, np.where(on_high, high, x))
 
@@ -353,6 +480,7 @@ def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBound
     reaches_behind, reaches_ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
 
     def slopes(corner: Floats) -> tuple[Floats, Floats]:
+        """Return the minimum and the maximum of a component (8, n) of corners, divided by depth."""
         slope = corner / z
         minimum = np.where(reaches_behind, -np.inf, slope.min(axis=0))
         maximum_behind = np.where(reaches_ahead, np.inf, -np.inf)

@@ -216,6 +216,7 @@ class ScreenBounds(NamedTuple):
         visible = self.take(self.in_picture(frame))
 
         def interval(low: Floats, high: Floats, size: int) -> slice:
+            """Return the pixels, of `size` in all, between the bounds `low` and `high` (n,)."""
             start, stop = low.min(initial=np.inf) - 1, high.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, size)), ceil(np.clip(stop, 0, size)))
 

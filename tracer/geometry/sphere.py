@@ -1,7 +1,7 @@
 """Spheres: intersections with rays from the eye, and tests of shadow segments.
 
-`Spheres` and `Boxes` have the same methods and attributes; those of `Spheres` are documented in
-full.  All methods take indices of objects among all objects of the scene (see `ObjectRange`).
+`Spheres` and `Boxes` have the same methods and attributes.  All methods take indices of objects
+among all objects of the scene (see `ObjectRange`).
 
 Rays start at the eye.  A ray has the direction (s, g, depth) in the axes of the camera: s changes
 along a row of the picture, g from row to row, and depth is the same for all rays (see

@@ -275,9 +275,21 @@ def _light_part(
 
 
 def _occluders(hits: Hits, lights: Lights) -> Ints:
-    """Return the indices of all objects that block the segment from the one hit to the one light.
+    """Find all objects that block the segment from a hit to a light.
 
     The object on which the hit lies is not tested.
+
+    Parameters
+    ----------
+    hits : Hits
+        The one hit.
+    lights : Lights
+        The batch that contains only this light.
+
+    Returns
+    -------
+    occluders : (k,) int array
+        Indices among all objects of the scene.
     """
     occluders = []
     for shape in hits.prepared.shapes:

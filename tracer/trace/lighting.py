@@ -71,6 +71,7 @@ class LightGeometry(NamedTuple):
         distance = np.sqrt(dot(local, local))
 
         def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
+            """Return normals, and directions to the light and to the eye, at selected hits."""
             light_direction = scaled(take3(to_light, selected), 1 / length[selected])
             eye_direction = scaled(take3(local, selected), -1 / distance[selected])
             normal = take3(map3(group.expand, group.normal), index[selected])
@@ -182,7 +183,10 @@ class Shading:
 
 
 def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute vectors and angles between all hits and a batch of lights."""
+    """Compute n . l and l . l for all pairs of a light and a hit, regardless of occluders.
+
+    Here n is the unit normal at the hit, and l the vector from the hit to the light.
+    """
     geometry = LightGeometry(hits, lights, *np.empty((2, len(lights.local), hits.local.shape[1])))
     for light, (x, y, z) in enumerate(lights.local.tolist()):
         # If the eye is inside an object, the object blocks all lights that are not inside, too.

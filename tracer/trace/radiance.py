@@ -39,6 +39,13 @@ def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = 
 def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
     """Compute the radiance, and an id, of each of n samples.
 
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    samples : Rows or Scattered
+        The samples.
+
     Returns
     -------
     radiance : (3, n) float array

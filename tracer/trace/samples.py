@@ -235,8 +235,22 @@ class Scattered(NamedTuple):
     def covered(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find the samples at which objects of one shape may be visible.
 
-        Arguments and results are those of `Rows.covered`, with two differences: each span is one
-        sample, so `count` is None; and `row` contains the index of the sample.
+        Parameters
+        ----------
+        shape : Spheres or Boxes
+            The objects.
+        prepared : PreparedScene
+            The scene.
+
+        Returns
+        -------
+        object_index : (n,) int array
+            The object of each pair of an object and a sample, as an index among all objects.
+        sample, sample : (n,) int arrays
+            The sample of each pair, twice: as the index into `y`, and as the first sample of a span
+            as in `Rows.covered`.
+        count : None
+            Each span has one sample.
         """
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)

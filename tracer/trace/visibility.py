@@ -29,6 +29,13 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
 
     If surfaces are at exactly the same distance, the first of them in the file is visible.
     Samples whose rays meet no surface have no hit.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    samples : Rows or Scattered
+        All samples.
     """
     groups = _intersections(prepared, samples)
     return _hits(prepared, samples, _visible(prepared, groups, _nearest_distance(samples, groups)))
@@ -36,6 +43,13 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
 
 def nearest_and_hidden(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
     """Find the nearest surface at each sample, and all surfaces behind it.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    samples : Rows or Scattered
+        All samples.
 
     Returns
     -------
@@ -130,6 +144,13 @@ class _Intersections(NamedTuple):
 def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
     """Intersect the ray of each sample with the objects that may be visible at the sample.
 
+    Parameters
+    ----------
+    prepared : PreparedScene
+        The scene.
+    samples : Rows or Scattered
+        All samples.
+
     Returns
     -------
     groups : list of _Intersections
@@ -147,10 +168,20 @@ def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersect
 
 
 def _nearest_distance(samples: Samples, groups: list[_Intersections]) -> Floats:
-    """Return the distance (n,) of the nearest intersection at each sample.
+    """Return the distance of the nearest intersection at each sample.
 
-    The unit is the length of the ray's direction.  The distance is `_MAX_DISTANCE` if the ray meets
-    no surface.
+    Parameters
+    ----------
+    samples : Rows or Scattered
+        All n samples.
+    groups : list of _Intersections
+        All intersections, for each shape.
+
+    Returns
+    -------
+    nearest : (n,) float array
+        Distance in units of the length of the ray's direction; `_MAX_DISTANCE` if the ray meets no
+        surface.
     """
     nearest = np.full(samples.size, _MAX_DISTANCE)
     for group in groups:
