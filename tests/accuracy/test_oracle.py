@@ -185,6 +185,7 @@ def test_own_scenes(name):
         np.testing.assert_allclose(plain.render(scene), exact, rtol=0, atol=1e-10)
 
 
+@pytest.mark.usefixtures("pixels_are_split")
 @pytest.mark.parametrize(("width", "height"), [(8, 40), (40, 8)])
 def test_pictures_of_any_aspect(width, height):
     # Objects are in all parts of the picture, also in rows whose number exceeds the width.
@@ -195,6 +196,8 @@ def test_pictures_of_any_aspect(width, height):
     shown = {int(k) for k in first_hits(scene).surface.ravel()}
     assert shown == {*range(-1, 9)}
     assert_correct([scene], 1e-12, 0.9)
+    # Antialiasing skips rows and columns without objects, but no others.
+    assert render(scene, 4)[render(scene) > 0].min() > 0
 
 
 # Scaling and shifting round the scene.  The oracle renders the rounded scene, as the tracer does.
