@@ -134,7 +134,8 @@ class Distribution(Generic[_Item, _Result]):
     def submit(self) -> None:
         """Submit items to the executor until all its workers are busy.
 
-        A `function` that takes long should call this method from time to time.
+        If the executor raises an error, no more items are submitted, and this process does all the
+        remaining work.  A `function` that takes long should call this method from time to time.
         """
         pending = sum(not future.done() for future in self._futures.values())
         # This process keeps its own share of the remaining items.
@@ -160,7 +161,21 @@ class Distribution(Generic[_Item, _Result]):
         return self._repeated is not None and self._is_accepted(*self._repeated)
 
     def _process(self, index: int) -> tuple[int, _Result]:
-        """Process an item in this process, and return its index and result."""
+        """Process an item in this process.
+
+        Parameters
+        ----------
+        index : int
+            Index of the item.
+
+        Returns
+        -------
+        index : int
+            The same index.
+        result : object
+            The result of `function`; or that of a worker, if the item is repeated and a worker has
+            finished the item in the meantime.
+        """
         start = perf_counter()
         result = self._function(self._items[index])
         self._longest_seconds = max(self._longest_seconds, perf_counter() - start)
@@ -169,7 +184,21 @@ class Distribution(Generic[_Item, _Result]):
         return index, result
 
     def _is_accepted(self, index: int, future: Future[_Result]) -> bool:
-        """Test whether the future of an item has a result that `accepts` does not refuse."""
+        """Test whether a worker has finished an item, and its result is acceptable.
+
+        Parameters
+        ----------
+        index : int
+            Index of the item.
+        future : Future
+            The future that the executor returned for the item.
+
+        Returns
+        -------
+        is_accepted : bool
+            True if the future has a result, and `accepts` does not refuse the result.  False if the
+            future is not done, is cancelled, or has an exception.
+        """
         # An exception may be a worker's KeyboardInterrupt: it must not be raised here.
         if not future.done() or future.cancelled() or future.exception() is not None:
             return False
@@ -190,7 +219,18 @@ class Distribution(Generic[_Item, _Result]):
 
 
 def in_order(results: Iterable[tuple[int, _Result]]) -> Iterator[_Result]:
-    """Yield results in the order of their indices 0, 1, 2, ..., from pairs of index and result."""
+    """Restore the order of results that come in any order.
+
+    Parameters
+    ----------
+    results : iterable of (int, object)
+        Pairs of an index and a result, in any order; the indices are 0, 1, 2, ...
+
+    Yields
+    ------
+    result : object
+        The results, in the order of their indices.
+    """
     finished, next_index = dict[int, _Result](), 0
     for index, result in results:
         finished[index] = result
@@ -248,7 +288,7 @@ class WorkerPool:
             return self.submit(fn, *args)
 
     def _new_executor(self) -> ProcessPoolExecutor:
-        """Return a new pool, which starts its processes when work is submitted."""
+        """Create an executor that starts its processes when the first work is submitted."""
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
@@ -264,7 +304,7 @@ class WorkerPool:
         return ProcessPoolExecutor(self.workers, context, _begin_worker, (self._initializer,))
 
     def close(self) -> None:
-        """End the workers, whatever they do; nothing is left behind."""
+        """Kill the workers, whatever they do, and shut down the executor, if there is one."""
         if self._executor is None:
             return
         import multiprocessing
@@ -283,9 +323,15 @@ class WorkerPool:
 
 
 def _begin_worker(initializer: Callable[[], None] | None) -> None:
-    """Prepare a worker process, and call `initializer`, if there is one.
+    """Prepare a worker process, in which this function is called first.
 
-    The worker ignores SIGINT, and a thread ends it when the parent process has ended.
+    The worker ignores SIGINT, and a thread ends the worker when the parent process has ended.  If
+    that thread cannot be started, the worker ends immediately.
+
+    Parameters
+    ----------
+    initializer : callable or None
+        Called last, without arguments.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -361,7 +361,21 @@ class RenderJob:
         return pickle.dumps(self._arguments)
 
     def encoded_tile(self, encode: Callable[..., Any], rectangle: Rectangle) -> Tile:
-        """Render one tile, given by its rows and columns, and encode it as in `render_tiles`."""
+        """Render one tile, and encode it for a file.
+
+        Parameters
+        ----------
+        encode : callable
+            Called with the radiance of the tile, an array (rows, columns, 3), and `from_left`:
+            whether the tile begins at the left side of the picture.  Returns the encoded pixels.
+        rectangle : (slice, slice)
+            Rows and columns of the tile in the picture.
+
+        Returns
+        -------
+        tile : Tile
+            The encoded tile.
+        """
         radiance = self.render_tile(rectangle)
         data = encode(radiance, from_left=rectangle[1].start == 0)
         return Tile(data, radiance.size // 3, Exposure.of_pixels(radiance))
@@ -425,18 +439,29 @@ _jobs_lock = threading.Lock()
 
 
 def _remember(job: RenderJob) -> None:
-    """Keep a job, so that this process and its forks need not prepare its scene again."""
+    """Keep a render job, so that this process and its forks need not prepare the scene again.
+
+    At most `_MAX_REMEMBERED_JOBS` are kept: those that were used last.
+    """
     with _jobs_lock:
+        _remembered_jobs.pop(job.pickled, None)
         _remembered_jobs[job.pickled] = job
         if len(_remembered_jobs) > _MAX_REMEMBERED_JOBS:
             del _remembered_jobs[next(iter(_remembered_jobs))]
 
 
 def _job_from_pickle(pickled: bytes) -> RenderJob:
-    """Return the job with these pickled arguments: the one that is remembered, or a new one."""
-    with _jobs_lock:
-        job = _remembered_jobs.pop(pickled, None)
-    job = job or RenderJob(*pickle.loads(pickled))
+    """Return the render job that has certain arguments, in the process that unpickles the job.
+
+    A job is returned that this process remembers, if there is one.  Otherwise a new job is created
+    and remembered: that prepares the scene, which may take longer than to render a tile.
+
+    Parameters
+    ----------
+    pickled : bytes
+        The pickled arguments of `RenderJob`.
+    """
+    job = _remembered_jobs.get(pickled) or RenderJob(*pickle.loads(pickled))
     _remember(job)
     return job
 
@@ -452,7 +477,20 @@ def _relative_to_start(inner: slice, outer: slice) -> slice:
 
 
 def _divide(whole: slice, length: int) -> list[slice]:
-    """Divide a range into consecutive ranges of nearly the same length, at most the given one."""
+    """Divide a range into consecutive ranges of nearly the same length.
+
+    Parameters
+    ----------
+    whole : slice
+        The range to divide, from `start` to `stop`.  It may be empty: stop <= start.
+    length : int
+        Maximum length of each part.
+
+    Returns
+    -------
+    parts : list of slice
+        The parts, in ascending order; none if the range is empty.
+    """
     size = whole.stop - whole.start
     count = -(-size // length)
     bounds = [whole.start + size * k // max(count, 1) for k in range(count + 1)]
