@@ -68,6 +68,9 @@ class Faces:
         The object to which a face belongs.
     is_planar, may_be_visible : (f,) bool arrays
         Whether the face is a rectangle; whether the eye can see it if nothing is in between.
+    sheet_face : (n,) int array
+        For a box without extent along one axis, its only face with area that the eye may see; for
+        other objects, -1.
     plane : (2, f) float array
         Faces in the same plane have the same two numbers.  Where two of them overlap, the first in
         the file is visible.
@@ -185,6 +188,10 @@ class Faces:
         self.is_planar = self.object_index >= n
         may_be_visible = joined(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
         self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
+        is_sheet = np.append(np.zeros(n, np.bool_), ~has_extent.all(axis=0))
+        face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
+        self.sheet_face = np.full(self.count, -1)
+        self.sheet_face[self.object_index[face]] = face
 
     def _add_shadows(self, low: Floats, high: Floats) -> None:
         """Set the attributes `shadow` and `has_shadow_edge`: the shadow volumes of the boxes.
@@ -266,7 +273,9 @@ class Faces:
             high = (group.sign > 0) ^ self.prepared.eye_inside[group.run_object]
             side = group.run_object + group.shape.is_planar * n * (2 * group.face + high)
             face[group.interval] = group.repeat_runs(side)
-        return hits, order[hits.sample], face
+        # A ray through the rim of a sheet may hit a side that has no area.
+        sheet_face = self.sheet_face[self.object_index[face]]
+        return hits, order[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
 
     def is_lit(self, hits: Hits, active: Bools) -> Bools:
         """Test which of the `active` lights reach hits.

@@ -278,6 +278,16 @@ def test_means(name: str) -> None:
     assert truth.rmse(certified.image, sampled) < 1e-3
 
 
+@np.errstate(all="ignore")
+def test_the_rim_of_a_sheet_shows_its_face() -> None:
+    """A ray through the rim hits a side of the sheet that has no area."""
+    sheet = Box(min_pt=(-1, -1, -4), max_pt=(1, 1, -4))
+    faces = Faces(scene_of(sheet, size=(8, 8), lights=(0, 0, 0)))
+    _, sample, face = faces.visible(np.array([4.0, 6.0, 2.0]), np.array([4.0, 4.0, 6.0]))
+    assert sorted(sample) == [0, 1, 2]
+    assert faces.may_be_visible[face].all()
+
+
 FLOOR = Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9))
 
 
