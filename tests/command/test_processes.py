@@ -226,7 +226,8 @@ def test_a_lost_worker_costs_time_not_the_picture(seeds, tmp_path):
     for seed in seeds:
         rng = random.Random(seed)
         with start_process(path, "--quiet", "--processes", 2) as process:
-            time.sleep(rng.random() * seconds)
+            wait_until(lambda p=process: p.poll() is not None or bool(workers_of(p)))
+            time.sleep(rng.random() * seconds / 2)
             workers = workers_of(process)
             for worker in workers:
                 with suppress(ProcessLookupError):
