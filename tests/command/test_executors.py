@@ -256,7 +256,7 @@ from tracer.picture import render as module
 send, count = Connection._send, int(sys.argv[2])
 
 def send_a_part(self, data, *rest):
-    if multiprocessing.parent_process() and len(data) > 1000 and random.random() < 0.3:
+    if multiprocessing.parent_process() and len(data) > 1000 and random.random() < 0.5:
         send(self, data[: random.randrange(len(data))], *rest)
         os.write(1, b"lost ")
         os.kill(os.getpid(), random.choice([signal.SIGKILL, signal.SIGSTOP]))
@@ -284,4 +284,4 @@ def test_workers_that_are_killed_while_they_send_a_result(count, tmp_path):
     path.write_text(SCENE.format(200, 150))
     status, out, _ = run(path, count, python=["-c", CUT_OFF])
     assert status == 0  # up to Python 3.12, the pool's thread may report futures that are cancelled
-    assert out.count("lost") >= count / 2
+    assert out.count("lost") >= count / 5  # on a busy machine, some workers have no time to begin

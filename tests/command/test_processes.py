@@ -238,7 +238,7 @@ def test_a_lost_worker_costs_time_not_the_picture(seeds, tmp_path):
             assert picture.tobytes() == codes
         wait_until(lambda ids=workers: not any(map(is_running, ids)))
         lost += len(workers)
-    assert lost > len(seeds) / 5
+    assert lost >= len(seeds) / 5
 
 
 def is_running(process_id: int) -> bool:
