@@ -240,7 +240,8 @@ def test_exposure_of_a_large_picture_is_estimated():
     is_black, lit, clipped = Exposure.of_pixels(image)
     assert (is_black, lit / 30_000, clipped / 6_000) == (False, pytest.approx(1, abs=0.01),
                                                          pytest.approx(1, abs=0.01))  # fmt: skip
-    assert Exposure().including(Exposure.of_pixels(image)) == (False, lit, clipped)
+    part = Exposure.of_pixels(image)
+    assert Exposure().including(part) == part.including(Exposure()) == (False, lit, clipped)
     image[:, :150] = 2
     _, _, clipped = Exposure.of_pixels(image)
     assert clipped == pytest.approx(30_000 + 3_000, rel=0.01)

@@ -78,23 +78,26 @@ def test_figures_by_hand() -> None:
         figures(a, a, np.ones((10, 10), dtype=np.bool_))
 
 
-def test_comparison_shows_sign_and_size(tmp_path: Path) -> None:
-    """300 pixels wide, so not enlarged: A brighter by 0.04 at left, darker by 0.02 at right.
+@pytest.mark.parametrize("width", [300, 400])
+def test_comparison_shows_sign_and_size(width: int, tmp_path: Path) -> None:
+    """The picture is not enlarged.  It is brighter by 0.04 at left, and darker by 0.02 at right.
 
     One pixel that differs more does not fade the others.
     """
-    a, b = np.full((20, 300, 3), 0.5), np.full((20, 300, 3), 0.5)
+    a, b = np.full((20, width, 3), 0.5), np.full((20, width, 3), 0.5)
     a[:, :100] += 0.04
     a[:, 200:] -= 0.02
     a[19, 150] += 0.4
     write_comparison(tmp_path / "out.png", a, b, ("A" * 200, "B"))
     shown = read_picture(tmp_path / "out.png").codes
-    assert (shown[:32, 308:316] == 250).all()  # a long name stays in its column
+    # A long name stays in its column.
+    assert (shown[:32, width + 8 : width + 16] == 250).all()
     # The largest factor of 1, 2, 5, 10, ... under 1 / 0.04 is 20.
     orange, blue = np.array((1, 0.62, 0)), np.array((0.34, 0.71, 0.91))
     places = (10, 50, 0.8 * orange), (19, 150, orange), (10, 150, 0 * blue), (10, 250, 0.4 * blue)
     for row, column, light in places:
-        np.testing.assert_allclose(shown[32 + row, 624 + column] / 255, light, atol=1 / 255)
+        color = shown[32 + row, 2 * width + 24 + column] / 255
+        np.testing.assert_allclose(color, light, atol=1 / 255)
 
 
 # A PNG of one pixel, of the levels 1, 2 and 3 of 65535.
