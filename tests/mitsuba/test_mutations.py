@@ -138,22 +138,6 @@ def test_mistakes_of_beginners_are_detected(monkeypatch, mistake):
     assert check_scene(scene, mistake).verdict == "DIFFERS"
 
 
-def shifted(window: Window) -> Window:
-    """Return the window shifted by a fifth of its width."""
-    return window._replace(center=window.center + np.array([0.2 * window.width, 0, 0]))
-
-
-def reflected(window: Window) -> Window:
-    """Return the window with left and right exchanged."""
-    flip = np.array([-1, 1, 1])
-    return window._replace(axes=window.axes * flip[:, None], center=window.center * flip)
-
-
-def wider(window: Window) -> Window:
-    """Return a window that is 1 % too large."""
-    return window._replace(width=window.width * 1.01, height=window.height * 1.01)
-
-
 def without_a_surface(scene: Scene) -> Scene:
     """Return the scene without the lit surface that is visible in the fewest pixels."""
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
@@ -167,12 +151,6 @@ def without_a_surface(scene: Scene) -> Scene:
 def with_surfaces(change: Callable[[Surface], Surface]) -> Callable[[Scene], Scene]:
     """Return a function that changes each surface of a scene."""
     return lambda scene: replace(scene, surfaces=[change(surface) for surface in scene.surfaces])
-
-
-def larger(surface: Surface) -> Surface:
-    """Return a sphere that is 1 % larger, or the same box."""
-    is_sphere = isinstance(surface, Sphere)
-    return replace(surface, radius=surface.radius * 1.01) if is_sphere else surface
 
 
 def shiny(strength: float, exponent: float) -> Callable[[Surface], Surface]:
@@ -196,13 +174,21 @@ def lights_swapped(scene: Scene) -> Scene:
     return replace(scene, lights=[replace(light, intensity=i) for light, i in swapped])
 
 
-WRONG_WINDOWS = {"shifted": shifted, "mirrored": reflected, "field of view": wider}
+FLIP = np.array([-1, 1, 1])
+
+WRONG_WINDOWS: dict[str, Callable[[Window], Window]] = {
+    "shifted": lambda w: w._replace(center=w.center + np.array([0.2 * w.width, 0, 0])),
+    "mirrored": lambda w: w._replace(axes=w.axes * FLIP[:, None], center=w.center * FLIP),
+    "field of view": lambda w: w._replace(width=w.width * 1.01, height=w.height * 1.01),
+}
 
 WRONG_SCENES: dict[str, Callable[[Scene], Scene]] = {
     "no light": lambda scene: replace(scene, lights=scene.lights[1:]),
     "lights swapped": lights_swapped,
     "no surface": without_a_surface,
-    "radius": with_surfaces(larger),
+    "radius": with_surfaces(
+        lambda s: replace(s, radius=s.radius * 1.01) if isinstance(s, Sphere) else s
+    ),
     "no highlight": with_surfaces(shiny(0, 1)),
     "exponent": with_surfaces(shiny(1, 1.01)),
 }
