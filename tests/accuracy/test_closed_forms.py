@@ -71,15 +71,11 @@ def floor_from_above(
 
 
 def shading() -> Iterator[Ray]:
-    """Yield cases of Lambertian and Blinn-Phong shading."""
+    """Yield cases of Lambertian and Blinn-Phong shading of a floor, seen from above."""
     # Pythagorean triples give directions with rational cosines.  Distance does not matter.
     matte = replace(FLOOR, shader=Lambertian(diffuse=(1, 0.5, 0.25)))
-    for position, cosine in (
-        ((3, 4, 0), 0.8),
-        ((4, 3, 0), 0.6),
-        ((0, 28, 96), 0.28),
-        ((0, 1e4, 0), 1.0),
-    ):
+    cosines = {(3, 4, 0): 0.8, (4, 3, 0): 0.6, (0, 28, 96): 0.28, (0, 1e4, 0): 1.0}
+    for position, cosine in cosines.items():
         # The radiance is I kd n.l in each channel.
         lights = [PointLight(position=position, intensity=(0.5, 2, 4))]
         radiance = [0.5 * cosine, cosine, cosine]
@@ -96,6 +92,19 @@ def shading() -> Iterator[Ray]:
     yield floor_from_above((0, 28, 96), 0.5, gray_phong(0.5, 0), 0)
     yield floor_from_above((60, -0.5, 0), 0, gray_phong(1, 1, 1), 0)
     yield floor_from_above((20, 0, 0), 0, gray_phong(1, 0, 1), 0)
+    # Lights add up: three lights, each in its own channel, twice.  Radiance is not clipped.
+    # Without lights, everything is black.
+    lights = rgb_lights((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
+    yield Ray("lights add up", EYE, DOWN, lights, [FLOOR], [1.6, 1.2, 0.56])
+    bright = [PointLight(position=(0, 5, 0), intensity=(1000, 1, 0))]
+    yield Ray("not clipped", EYE, DOWN, bright, [FLOOR], [1000, 1, 0], 0)
+    yield Ray("no light and no ambient", EYE, DOWN, [], [FLOOR], 0)
+    for distance in (0.125, 1, 100, 1e6):
+        yield Ray(f"no fall-off, {distance}", EYE, DOWN, (0, distance, 0), [FLOOR], 1, 0)
+
+
+def highlights() -> Iterator[Ray]:
+    """Yield cases of highlights whose angle between h and n is known."""
     # If the light and the eye are at +-60 degrees, then h = n, and (n.h)^e = 1.  If the eye is at
     # the light, then h = l is 60 degrees from n, and (n.h)^e = (1/2)^e.
     s, cubed = math.sqrt(3), [replace(FLOOR, shader=gray_phong(1, 3))]
@@ -129,15 +138,10 @@ def shading() -> Iterator[Ray]:
     for light, radiance in (((5, 3, 9), 0.5), ((5, 3, 0.9), 0), ((0, 0, 1), 0)):
         yield Ray(f"ball, exponent 0, light at {light}", (0, 0, 5), BACK, light, [ball], radiance)
     yield floor_from_above((0, 0, 0), 0, gray_phong(1, 10, 1), 0)
-    # Lights add up: three lights, each in its own channel, twice.  Radiance is not clipped.
-    # Without lights, everything is black.
-    lights = rgb_lights((3, 4, 0), (0, 3, 4), (0, 28, 96)) * 2
-    yield Ray("lights add up", EYE, DOWN, lights, [FLOOR], [1.6, 1.2, 0.56])
-    bright = [PointLight(position=(0, 5, 0), intensity=(1000, 1, 0))]
-    yield Ray("not clipped", EYE, DOWN, bright, [FLOOR], [1000, 1, 0], 0)
-    yield Ray("no light and no ambient", EYE, DOWN, [], [FLOOR], 0)
-    for distance in (0.125, 1, 100, 1e6):
-        yield Ray(f"no fall-off, {distance}", EYE, DOWN, (0, distance, 0), [FLOOR], 1, 0)
+
+
+def normals() -> Iterator[Ray]:
+    """Yield cases that show the normals of spheres, and of boxes from outside and inside."""
     # The eye is straight above the hit, and the lights are at a distance of 1 from the hit along
     # each axis, so their n.l are the components of the normal.  Lengths up to 7 are rounded.
     ball = Sphere(center=(2, 2, 2), radius=3)
@@ -204,8 +208,8 @@ def shadows() -> Iterator[Ray]:
         yield Ray(f"terminator, {y}, {angle}", eye, toward, (0, 5, 0), [BALL], radiance, 1e-14)
 
 
-def odd_lights_and_eyes() -> Iterator[Ray]:
-    """Yield cases of lights and eyes on surfaces, and inside of surfaces."""
+def lights_on_surfaces() -> Iterator[Ray]:
+    """Yield cases of lights that are on a surface, or within its rounding errors."""
     # A box without height has two sides: n = (0, 1, 0) from above, and (0, -1, 0) from below.
     for side in (-1, 1):
         light = (3, 4 * side, 0)
@@ -248,6 +252,10 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
         room = [Sphere(radius=4), Box(min_pt=(-2, -1, -1), max_pt=(2, 0, 1))]
         radiance = 4 / math.hypot(x, 4)
         yield Ray(f"round room, {x}", (x, 1, 0), DOWN, (0, 4, 0), room, radiance, 8 * EPS)
+
+
+def insides() -> Iterator[Ray]:
+    """Yield cases of eyes and lights inside of surfaces, and of surfaces behind each other."""
     # The eye and the light are in the centre of the ball: l = -d = n.  An eye on the ball sees the
     # other side of the ball from inside.
     for d in ((0, 0, -1), (3, 1, -2), (-1, 7, 0.3)):
@@ -280,7 +288,7 @@ def odd_lights_and_eyes() -> Iterator[Ray]:
     yield Ray("nothing", (0, 0, 7), (0, 0, 1), (3, 0, 5), [BALL, CUBE], 0)
 
 
-RAYS = [*shading(), *shadows(), *odd_lights_and_eyes()]
+RAYS = [*shading(), *highlights(), *normals(), *shadows(), *lights_on_surfaces(), *insides()]
 
 
 def one_ray(eye: tuple, direction: tuple, lights: tuple | list, *surfaces: Sphere | Box) -> Scene:
