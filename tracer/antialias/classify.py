@@ -10,10 +10,11 @@ cell
 center sample
     The sample whose ray passes through the centre of a cell.
 footprint
-    The radius, on a surface, of the part that a cell sees around the hit of its center sample.
+    The radius of the part of a surface that is visible in a cell, around the hit of its center
+    sample.
 id
-    An integer that two samples share if they see the same face of the same object, and the same
-    lights reach both; -1 for the background.
+    An integer that two samples share if they hit the same face of the same object, and the same
+    lights reach both hits; -1 for the background.
 smooth
     A cell is smooth if no edge crosses it.  Its mean radiance follows from center samples alone.
 unresolved
@@ -216,7 +217,7 @@ def _add_lights(
     shading : Shading
         Sum of the light that reaches the hits; this function adds to it.
     surfaces : CellSurfaces
-        The surfaces that the cells see, each around the hit of the sample through a cell's centre.
+        The surface that is visible in each cell, around the hit of the cell's center sample.
     lights : Lights
         The lights to add.
     tolerance : float
@@ -251,7 +252,7 @@ def _add_lights(
 
 
 def _visible_silhouettes(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield, in batches, the silhouettes that may cross each cell, as the eye sees them.
+    """Yield, in batches, the silhouettes that may cross each cell, as visible from the eye.
 
     Parameters
     ----------

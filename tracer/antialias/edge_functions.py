@@ -15,8 +15,8 @@ or crease                   times the ray
 terminator                  the cosine between the normal and the direction to the light
 ==========================  ======================================================================
 
-The *apex* of a silhouette is the eye or a light.  Silhouettes as seen from a light are the edges of
-shadows; the ray then leads from the light to the surface that the cell sees.
+The *apex* of a silhouette is the eye or a light.  Silhouettes from a light are the edges of
+shadows; the ray then leads from the light to the surface that is visible in the cell.
 
 All vectors are in the axes of the camera, relative to the eye.
 

@@ -8,7 +8,8 @@ values whether the edge does cross the cell.
 Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
 is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
 which is the point where the ray through the centre of the cell meets a surface.  The search radius
-is the *footprint*: the radius, around the hit, of the part of the surface that the cell sees.
+is the *footprint*: the radius, around the hit, of the part of the surface that is visible in the
+cell.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def edge_batches(index: Ints) -> Iterator[Ints]:
 
 
 def footprints_of(hits: Hits, cell_width: float) -> Floats:
-    """Compute the footprint of each hit: the radius of the part of the surface that its cell sees.
+    """Compute the radius around each hit of the part of the surface that is visible in its cell.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
     Returns
     -------
     footprint : (n,) float array
-        Radius around the hit of the part of the face that the cell sees.
+        Radius around the hit of the part of the face that is visible in the cell.
     """
     # At the far end of the cell, the cosine is smaller by at most the angle.
     return radius / (n_dot_v * np.maximum(1 - angle / n_dot_v, _MIN_COSINE_RATIO))
@@ -225,7 +226,7 @@ def silhouettes(
 
 
 class CellSurfaces(NamedTuple):
-    """The surfaces that cells see: one for each of n hits of rays through the centres of cells.
+    """The surfaces that are visible in cells, at n hits of rays through the centres of cells.
 
     Attributes
     ----------
@@ -236,7 +237,7 @@ class CellSurfaces(NamedTuple):
     cell : (n,) int array
         The cell of each hit.
     footprint : (n,) float array
-        Radius around each hit of the part of the surface that the cell sees.
+        Radius around each hit of the part of the surface that is visible in its cell.
     cell_width : float
         Width of the cells, in pixels.
     """
@@ -301,7 +302,7 @@ class CellSurfaces(NamedTuple):
         """Yield edges where another face of a hidden box may meet the visible surface of a cell.
 
         A crease between the face at the hidden hit and the other face may be hidden as well, so
-        the other face can be visible in the cell although no sample sees it.
+        the other face can be visible in the cell although no sample hits it.
 
         Parameters
         ----------

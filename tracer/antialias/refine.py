@@ -8,8 +8,9 @@ These decide how the mean radiance of the cell is computed:
    curvature of the radiance, is as accurate as a grid of samples.
 2. A cell that is crossed only by straight lines is sampled on a lattice if few samples are
    requested in it, because sampling then costs less than subdivision.  The lines divide the cell
-   into regions; the samples in a region together represent its exact area.  If the samples in one
-   region see different things, then an edge was missed, and the cell is divided after all.
+   into regions; the samples in a region together represent its exact area.  If samples in one
+   region hit different faces, or the same face under different lights, then an edge was missed,
+   and the cell is divided after all.
 3. All other cells are divided into quarters, down to a smallest size.  Cells of this size are
    sampled, a second time on a finer lattice if the first one shows that an edge was missed.
    `_Plan` lists the lattices.  If all quarters of a cell are *unresolved* (they may contain
@@ -285,8 +286,8 @@ def _mean_of_samples(
     mean : (3, m) float array
         Mean radiance of each indexed cell.
     missed_edge : (m,) bool array
-        Whether samples in the same region of the cell have different ids: they see different faces
-        or objects, or different lights reach them.  So the cell has another edge.
+        Whether samples in the same region of the cell have different ids: they hit different faces
+        or objects, or different lights reach the hits.  So the cell has another edge.
     """
     cells, lines = classified.cells, classified.lines
     mean, missed_edge = np.empty((3, index.size)), np.zeros(index.size, dtype=np.bool_)

@@ -94,8 +94,8 @@ def mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     region : (n,) int array
         Number of the region of each sample.
     sample_id : (n,) int array
-        Id of each sample.  Two samples have the same id if they see the same face of the same
-        object, and the same lights reach both.
+        Id of each sample.  Two samples have the same id if they hit the same face of the same
+        object, and the same lights reach both hits.
 
     Returns
     -------

@@ -23,8 +23,8 @@ class CenterSamples(NamedTuple):
     radiance : (3, n) float array
         Linear RGB radiance of each sample.
     id : (n,) int array
-        Id of each sample.  Two samples have the same id if they see the same face of the same
-        object, and the same lights reach both; -1 for the background.
+        Id of each sample.  Two samples have the same id if they hit the same face of the same
+        object, and the same lights reach both hits; -1 for the background.
     """
 
     radiance: Floats
@@ -97,8 +97,8 @@ def means_of_quarters(
 
     This is Richardson extrapolation: the difference between the mean of the four quarter samples
     and the cell's own sample, divided by 3, is added to the sample of each quarter.  It is valid if
-    the five samples have the same id, that is, if they see the same face of the same object, and
-    the same lights reach all of them.
+    the five samples have the same id, that is, if they hit the same face of the same object,
+    and the same lights reach all hits.
 
     Parameters
     ----------
@@ -122,8 +122,8 @@ def means_of_quarters(
         2. The error of the cell, divided by 4, because the error decreases with the square of the
            width.  If the first estimate is unknown, an edge may be near.  Towards an edge, light
            may decrease like a square root, so the error of the cell is divided by 2 only.  This
-           estimate is ignored if it is within the tolerance although the quarter sees a different
-           surface, or is lit by different lights, than the centre of the cell.
+           estimate is ignored if it is within the tolerance although the sample of the quarter hits
+           a different surface than that of the cell, or the same surface under different lights.
     """
     cell_id, quarter_id = center.id.repeat(4), quarter_center.id
     quarter_mean = quarter_center.radiance.reshape(3, -1, 4).mean(axis=2)
@@ -131,7 +131,7 @@ def means_of_quarters(
     correction = np.where(is_same, (quarter_mean - center.radiance) / 3, 0)
     own_error = np.where(is_same, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
     inherited_error = error.repeat(4) / np.where(np.isnan(own_error), 2, 4)
-    sees_other = (quarter_id != cell_id) & (quarter_id >= 0)
-    inherited_error[sees_other & (inherited_error <= tolerance)] = np.nan
+    hits_other = (quarter_id != cell_id) & (quarter_id >= 0)
+    inherited_error[hits_other & (inherited_error <= tolerance)] = np.nan
     radiance = quarter_center.radiance + correction.repeat(4, axis=1)
     return SmoothMeans(radiance, np.fmax(inherited_error, own_error))
