@@ -29,7 +29,7 @@ from tracer import Scene, load_scene, render, to_codes
 from tracer.antialias.classify import Cells, Classification, classify
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import Lattice
-from tracer.arrays import Floats, Ints, ranges
+from tracer.arrays import Floats, Ints, join_ranges
 from tracer.trace.occlusion import packet_levels
 from tracer.trace.samples import Rows, pixel_centers
 from tracer.trace.visibility import nearest_hits
@@ -107,7 +107,7 @@ def draw_packets() -> None:
         image = np.ones((samples.size, 3))
         color = np.random.default_rng(3).uniform(0.3, 1, (count, 3))
         # The row packets are sorted by their square packet.
-        hit = ranges(rows.child_start, rows.child_count)
+        hit = join_ranges(rows.child_start, rows.child_count)
         image[hits.sample[hit]] = color[packet.repeat(rows.child_count)]
         name = "square" if packet is square else "row"
         _show(panel, image.reshape(scene.height, scene.width, 3), f"{count} {name} packets")

@@ -1,6 +1,7 @@
-"""Operations on arrays, and on vectors as tuples of three arrays.
+"""Operations on arrays, and on vectors stored as tuples of three arrays.
 
-Vectors are stored as a tuple of three arrays of one shape: x, y and z (a structure of arrays).
+A tuple contains the x, the y and the z components of many vectors in three arrays of one shape
+(a structure of arrays).
 """
 
 from __future__ import annotations
@@ -30,38 +31,42 @@ multiple of `CACHE_SIZE` or of `BATCH_SIZE`; no picture depends on it."""
 
 
 def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
-    """Apply a function to the x components of vectors, to the y and to the z components.
+    """Apply a function three times: to the x, to the y and to the z components of vectors.
+
+    For example, ``map3(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
 
     Parameters
     ----------
     function : callable
-        Takes one array for each argument in `vectors`, and returns an array.
-    vectors : tuples of three arrays
-        The components x, y and z of vectors.
+        Takes one array for each item of `vectors`, and returns one array.
+    *vectors : tuples of three arrays
+        Each tuple contains the x, y and z components of vectors.
 
     Returns
     -------
     result : tuple of three arrays
-        The three results of the function.
+        What the function returned for the x, for the y and for the z components.
     """
     x, y, z = map(function, *vectors)
     return x, y, z
 
 
 def dot(a: Triple, b: Triple | Vector, out: Floats | None = None) -> Floats:
-    """Compute dot products of vectors.
+    """Compute the dot product a . b of each pair of vectors.
 
     Parameters
     ----------
-    a, b : tuples of three arrays
-        Components x, y and z of the vectors; those of `b` may be numbers.
+    a : tuple of three arrays
+        The x, y and z components of the first vectors.
+    b : tuple of three arrays or of three floats
+        The components of the second vectors; three floats are one vector, paired with all of `a`.
     out : array, optional
-        Receives the result.
+        Receives the result.  By default, a new array is created.
 
     Returns
     -------
     product : array
-        a . b for each pair of vectors.
+        The dot products: `out`, if it is given.
     """
     total: Floats = np.multiply(a[0], b[0], out=out)
     total += a[1] * b[1]  # in place, as this memory is in the CPU cache
@@ -70,90 +75,121 @@ def dot(a: Triple, b: Triple | Vector, out: Floats | None = None) -> Floats:
 
 
 def cross(a: Triple, b: Triple) -> Triple:
-    """Compute the cross products a x b of vectors, each given by its three components."""
+    """Compute the cross product a x b of each pair of vectors.
+
+    Parameters
+    ----------
+    a, b : tuples of three arrays
+        The x, y and z components of the first and of the second vectors.
+
+    Returns
+    -------
+    product : tuple of three arrays
+        The x, y and z components of the cross products.
+    """
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def scaled(vector: Triple, factor: Floats) -> Triple:
-    """Multiply vectors, given by their three components, by factors."""
-    return vector[0] * factor, vector[1] * factor, vector[2] * factor
+def scale3(vectors: Triple, factor: Floats) -> Triple:
+    """Multiply each vector by its own factor.
+
+    Parameters
+    ----------
+    vectors : tuple of three arrays
+        The x, y and z components of the vectors.
+    factor : array
+        One factor for each vector.
+
+    Returns
+    -------
+    scaled : tuple of three arrays
+        The x, y and z components of the products.
+    """
+    return vectors[0] * factor, vectors[1] * factor, vectors[2] * factor
 
 
-def take3(vector: Triple | Floats, index: Ints | slice) -> Triple:
+def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
     """Select vectors by index.
 
     Parameters
     ----------
-    vector : tuple of three (n,) arrays, or (3, n) array
-        Components x, y and z of the vectors.
+    vectors : tuple of three (n,) arrays, or (3, n) array
+        The x, y and z components of n vectors.
     index : (k,) int array or slice
         Indices of the vectors to select.
 
     Returns
     -------
     selected : tuple of three (k,) arrays
-        The same components of the selected vectors.
+        The x, y and z components of the selected vectors, in the order of `index`.
     """
     # `take` is 1.5 times as fast as indexing by an array.
-    x, y, z = (m[index] if isinstance(index, slice) else m.take(index) for m in vector)
+    x, y, z = (
+        component[index] if isinstance(index, slice) else component.take(index)
+        for component in vectors
+    )
     return x, y, z
 
 
 def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
-    """Repeat the value of each run, so that there is one value for each element of the run.
+    """Repeat the value of each run once for each element of the run.
+
+    A run is a number of consecutive elements for which a single value is stored.
 
     Parameters
     ----------
     values : (runs,) array
-        One value for each run of consecutive elements.
+        One value for each run.
     counts : (runs,) int array or None
-        Number of elements in each run; None if each run has one element.
+        Number of elements in each run.  None means that every run has one element.
 
     Returns
     -------
     repeated : (n,) array
-        One value for each element.
+        One value for each element of all runs; n is the sum of `counts`.  If `counts` is None, the
+        result is `values` itself.
     """
     # Four times as fast as `take`, which would also need the run of each element.
     return values if counts is None else values.repeat(counts)
 
 
 def indices(mask: NDArray[Any]) -> Ints:
-    """Return the flat indices of all elements that are true, or not zero.
-
-    The same as np.flatnonzero, but five times as fast for arrays with few elements.
-    """
+    """Return the flat indices of all elements that are not False and not 0, in ascending order."""
+    # np.flatnonzero does the same, but takes five times as long for arrays with few elements.
     index: Ints = mask.ravel().nonzero()[0]
     return index
 
 
 def segment_indices(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
-    """Return the members of segments of consecutive integers, with the segment of each member.
+    """List the members of segments, and the segment to which each member belongs.
+
+    A segment is a range of consecutive integers: its members.
 
     Parameters
     ----------
     counts : (m,) int array
-        Number of members of each segment.
+        Number of members of each of m segments.
     start : (m,) int array or int
-        First member of each segment.
+        First member of each segment; an int is the first member of all segments.
 
     Returns
     -------
     segment : (n,) int array
-        The segment of each member: counts[0] times 0, then counts[1] times 1, and so on.
+        Index of the segment of each member: counts[0] times 0, then counts[1] times 1, and so on.
+        Here n is the sum of `counts`.
     member : (n,) int array
         The members: start[i], ..., start[i] + counts[i] - 1 for each segment i.
     """
-    return np.arange(counts.size).repeat(counts), ranges(start, counts)
+    return np.arange(counts.size).repeat(counts), join_ranges(start, counts)
 
 
-def ranges(start: Ints | int, counts: Ints) -> Ints:
-    """Join ranges of consecutive integers.
+def join_ranges(start: Ints | int, counts: Ints) -> Ints:
+    """Join ranges of consecutive integers into one array.
 
     Parameters
     ----------
     start : (m,) int array or int
-        First integer of each range.
+        First integer of each of m ranges; an int is the first integer of all ranges.
     counts : (m,) int array
         Number of integers in each range.
 
@@ -161,8 +197,9 @@ def ranges(start: Ints | int, counts: Ints) -> Ints:
     -------
     members : (n,) int array
         The integers start[0], ..., start[0] + counts[0] - 1, then those of the second range, and so
-        on.
+        on.  Here n is the sum of `counts`.
     """
+    # Within a range, a member exceeds its position in the result by a constant.
     skip = counts - counts.cumsum()
     skip += start
     members: Ints = skip.repeat(counts)
@@ -171,9 +208,19 @@ def ranges(start: Ints | int, counts: Ints) -> Ints:
 
 
 def run_starts(*values: NDArray[Any]) -> Bools:
-    """Return, for each position (n,), whether a run of equal elements starts there.
+    """Test at each position of arrays whether a run of equal elements starts there.
 
-    A run consists of consecutive elements that are equal in each of the given arrays (n,).
+    A run consists of consecutive positions at which each array has a constant value.
+
+    Parameters
+    ----------
+    *values : (n,) arrays
+        At least one array.
+
+    Returns
+    -------
+    is_start : (n,) bool array
+        True at the first position of each run.
     """
     is_start = np.ones(values[0].size, dtype=np.bool_)
     differs = np.not_equal(values[0][1:], values[0][:-1], out=is_start[1:])
@@ -183,31 +230,40 @@ def run_starts(*values: NDArray[Any]) -> Bools:
 
 
 def run_lengths(*values: NDArray[Any]) -> tuple[Ints, Ints]:
-    """Find runs: consecutive elements that are equal in each of the given arrays (n,).
+    """Find the runs of equal elements of arrays.
+
+    A run consists of consecutive positions at which each array has a constant value.
+
+    Parameters
+    ----------
+    *values : (n,) arrays
+        At least one array.
 
     Returns
     -------
-    start, length : (runs,) int arrays
-        Index of the first element of each run, and number of elements in it.
+    start : (runs,) int array
+        First position of each run, in ascending order.
+    length : (runs,) int array
+        Number of positions in each run.
     """
     start = indices(run_starts(*values))
     return start, np.append(start[1:], values[0].size) - start
 
 
 def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
-    """Divide items into batches of limited size, and yield the slice of each batch.
+    """Divide a sequence of items into batches of limited size, and yield them as slices.
 
     Parameters
     ----------
     sizes : (n,) int array
-        Size of each item.
+        Size of each item, in any unit.
     max_size : int
-        Maximum sum of the sizes in a batch.  A larger item is a batch on its own.
+        Maximum sum of the sizes in a batch.  An item that is larger is a batch on its own.
 
     Yields
     ------
     batch : slice
-        Consecutive items; the batches follow each other.
+        Indices of consecutive items.  Each batch begins where the one before it ends.
     """
     total = sizes.cumsum()
     start = 0
@@ -219,11 +275,36 @@ def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
 
 
 def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
-    """Return the elements of a table (m, n) at pairs of a row and a column, as an array (k,)."""
+    """Return the elements of a table at the given rows and columns.
+
+    Parameters
+    ----------
+    table : (m, n) array
+        The table.
+    row : (k,) int array or int
+        Row of each element; an int is the row of all elements.
+    column : (k,) int array
+        Column of each element.
+
+    Returns
+    -------
+    elements : (k,) array
+        table[row[i], column[i]] for each i.
+    """
     elements: NDArray[Any] = table.reshape(-1).take(row * table.shape[1] + column)
     return elements
 
 
 def put_2d(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
-    """Set the elements of a contiguous table (m, n) at pairs of a row and a column to a value."""
+    """Set the elements of a table at the given rows and columns to one value, in place.
+
+    Parameters
+    ----------
+    table : (m, n) bool array
+        The table; must be contiguous in memory (C order).
+    row, column : (k,) int arrays
+        Row and column of each element to set.
+    value : bool
+        The new value of these elements.
+    """
     table.reshape(-1)[row * table.shape[1] + column] = value

@@ -1,8 +1,8 @@
-"""Write complete files, or none.
+"""Write files so that an incomplete file never has the name of the result.
 
 A new file gets its name only when it is complete.  Until then it has no name at all, so that it
-vanishes with its process, whatever ends that; on systems without nameless files it has the name of
-a part file, which is removed if the process ends early.
+vanishes when its process ends for any reason.  On systems without nameless files, it has a
+temporary name until then: it is a *part file*, which is removed if the process ends early.
 """
 
 from __future__ import annotations
@@ -15,39 +15,50 @@ from contextlib import contextmanager, suppress
 from typing import IO
 
 _part_files: set[str] = set()
-"""Names of the part files that this process is writing."""
+"""Paths that the part files of this process have, or will have."""
 
 
 @contextmanager
 def atomic_file(
-    path: str | os.PathLike[str], magic: bytes, *, is_named: bool = False
+    path: str | os.PathLike[str], magic: bytes, *, needs_name: bool = False
 ) -> Iterator[IO[bytes]]:
-    """Open a new binary file that replaces `path` when it is complete, and vanishes after an error.
+    """Write a file in a with block; it gets its name only if the block ends without an error.
 
-    A link stays a link: the file that it refers to is replaced.
+    At the end of the block, the new file replaces the file at `path`, and takes over its
+    permissions.  After an error in the block, the new file is deleted, and the file at `path` is
+    unchanged.  If `path` is a symbolic link, the file to which it refers is replaced.
 
     Parameters
     ----------
     path : str or path-like
-        Name of the file.  If it is there already, it must be empty or begin with `magic`.
+        Path of the file.  A file that exists there must be writable, and either empty or of the
+        same kind: begin with `magic`.
     magic : bytes
-        The first bytes of files of this kind.
-    is_named : bool
-        Whether the new file needs a name from the beginning, its attribute `name`, because another
-        library will open it.
+        The first bytes of files of this kind.  If empty, a file of any kind is replaced.
+    needs_name : bool
+        Whether the new file must have a temporary path while it is written (its attribute `name`),
+        so that a library can open it by that path.
+
+    Yields
+    ------
+    file : binary file
+        The new file, empty and open for writing.
 
     Raises
     ------
     OSError
-        If the file cannot be written; or what has this name is not a regular file, or is a file of
-        another kind.
+        If the file cannot be written, or `path` names a folder or another object that is not a
+        regular file.
+    FileExistsError
+        If a file of another kind exists at `path`.  (This is a subclass of OSError.)
     """
     target, mode = os.path.realpath(path), None
     with suppress(FileNotFoundError):
         mode = os.stat(target).st_mode
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "not a regular file", target)
-        with open(target, "r+b") as existing:  # only those who may write it may replace it
+        # Opened for writing, as a file without permission to write must not be replaced.
+        with open(target, "r+b") as existing:
             if existing.read(len(magic)) not in (magic, b""):
                 raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
     folder = os.path.dirname(target)
@@ -55,7 +66,7 @@ def atomic_file(
     part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
     _part_files.add(part_path)
     try:
-        with open(part_path, "xb") if is_named else _open_nameless(folder, part_path) as file:
+        with open(part_path, "xb") if needs_name else _open_nameless(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
                 nameless = f"/proc/self/fd/{file.fileno()}"
@@ -74,18 +85,36 @@ def atomic_file(
 
 
 def _open_nameless(folder: str, part_path: str) -> IO[bytes]:
-    """Open a new file without a name in a folder; if this is impossible, one named `part_path`."""
+    """Create a file that has no name, or if the system has no such files, one with a given name.
+
+    Parameters
+    ----------
+    folder : str
+        Folder whose file system stores the file.
+    part_path : str
+        Path of the file if it must have a name.
+
+    Returns
+    -------
+    file : binary file
+        The new file, open for writing.
+
+    Raises
+    ------
+    OSError
+        If neither kind of file can be created.
+    """
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
-        with suppress(OSError):  # not on all file systems
+        with suppress(OSError):  # some file systems have no nameless files
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
     return open(part_path, "xb")
 
 
 def remove_part_files() -> None:
-    """Remove the part files of this process, which is about to end early.
+    """Delete all part files of this process: incomplete files that have temporary names.
 
-    A part file is a new file that has a name of its own because it is not complete yet.
+    Call this only when the process is about to end.  Files that cannot be deleted are skipped.
     """
-    for path in [*_part_files]:  # another thread may change the set
+    for path in [*_part_files]:  # a copy, as another thread may change the set
         with suppress(OSError):
             os.unlink(path)

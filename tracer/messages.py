@@ -1,20 +1,23 @@
-"""Make names and texts printable for messages."""
+"""Make names and texts fit for messages: printable, short and quoted."""
 
 from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    """Return a text as one line that any terminal can show: a line break becomes ``\\n``."""
+    """Return a text with its unprintable characters escaped: a line break becomes ``\\n``.
+
+    The result is a single line, and contains no control characters that a terminal would obey.
+    """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
 def shortened(text: str) -> str:
-    """Return a name or text, with its end replaced by "..." if it exceeds 40 characters."""
+    """Limit a text to 40 characters: the end of a longer text is replaced by "..."."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
 def quoted(text: str) -> str:
-    """Return a name or text shortened, in quotes, as one line that any terminal can show."""
+    """Return a text in quotes, limited to 40 characters, with unprintable characters escaped."""
     return repr(shortened(text))

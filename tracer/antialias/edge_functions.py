@@ -37,11 +37,11 @@ from tracer.arrays import (
     Triple,
     dot,
     indices,
+    join_ranges,
     map3,
-    ranges,
     run_lengths,
     run_starts,
-    scaled,
+    scale3,
     take3,
 )
 from tracer.geometry.camera import CameraFrame
@@ -101,7 +101,7 @@ class Lines(NamedTuple):
 
     def first(self, max_lines: int) -> Lines:
         """Return the first `max_lines` lines of each cell; the lines must be sorted by cell."""
-        return self.take(indices(ranges(0, run_lengths(self.cell)[1]) < max_lines))
+        return self.take(indices(join_ranges(0, run_lengths(self.cell)[1]) < max_lines))
 
 
 def rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
@@ -217,7 +217,7 @@ def _fit(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
     sag = (b * b * xx - 2 * a * b * xy + a * a * yy) / slope2
     maximum = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scaled((a, b, c + sag / 24), sign / maximum))
+    lines = Lines(cell, *scale3((a, b, c + sag / 24), sign / maximum))
     # If the slope changes much across the edge, the far side of a small object may be in the cell.
     turn = np.maximum(np.abs(sag), np.abs(bend)) / np.sqrt(slope2)
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1

@@ -30,7 +30,7 @@ from tracer.arrays import (
     dot,
     indices,
     map3,
-    scaled,
+    scale3,
     segment_indices,
     take3,
 )
@@ -366,7 +366,7 @@ class CellSurfaces(NamedTuple):
             ray, inverse = self.rays(batch_hit)
             # Vectors from the light to the surface, divided by t.
             light_position = take3(apexes.local.T, batch_light)
-            light_ray = map3(np.subtract, ray, scaled(light_position, inverse))
+            light_ray = map3(np.subtract, ray, scale3(light_position, inverse))
             triples = batch_light, self.cell[batch_hit], occluder[batch]
             yield from silhouettes(self.hits.prepared, apexes, *triples, light_ray)
 
@@ -396,9 +396,9 @@ class CellSurfaces(NamedTuple):
             light, hit = np.divmod(pair, turn.size)
             ray, inverse = self.rays(hit)
             # The rays meet the sphere at ray / inverse.  All vectors are multiplied by `inverse`.
-            center = scaled(take3(prepared.spheres.local, owner[hit]), inverse)
+            center = scale3(take3(prepared.spheres.local, owner[hit]), inverse)
             normal = map3(np.subtract, ray, center)
-            light_position = scaled(take3(apexes.local.T, light), inverse)
+            light_position = scale3(take3(apexes.local.T, light), inverse)
             to_light = map3(np.subtract, light_position, ray)
             length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
             yield self.cell[hit], dot(normal, to_light) / length

@@ -240,7 +240,7 @@ class Batch:
                 errors_as_failure(job.output, "written", OTHER_NAME, memory_remedy=_SMALLER),
                 open(1, "wb", closefd=False)
                 if job.output == "-"
-                else atomic_file(job.output, magic, is_named=magic == EXR) as file,
+                else atomic_file(job.output, magic, needs_name=magic == EXR) as file,
             ):
                 tiles = encoded_tiles(picture, self._pool if is_large else None)
                 write(file, scene.width, scene.height, tiles)

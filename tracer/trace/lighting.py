@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scaled, take3
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scale3, take3
 from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_LENGTH2, MIN_HALF_SQUARE
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.world.prepared_scene import Lights
@@ -72,8 +72,8 @@ class LightGeometry(NamedTuple):
 
         def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
             """Return normals, and directions to the light and to the eye, at selected hits."""
-            light_direction = scaled(take3(to_light, selected), 1 / length[selected])
-            eye_direction = scaled(take3(local, selected), -1 / distance[selected])
+            light_direction = scale3(take3(to_light, selected), 1 / length[selected])
+            eye_direction = scale3(take3(local, selected), -1 / distance[selected])
             normal = take3(map3(group.expand, group.normal), index[selected])
             return normal, light_direction, eye_direction
 
@@ -290,7 +290,7 @@ def _highlight(
     n, light, eye = unit_vectors(index)
     h = map3(np.add, light, eye)
     length2, p = dot(h, h), exponent[index]
-    e = map3(np.subtract, n, scaled(h, 1 / np.sqrt(length2)))
+    e = map3(np.subtract, n, scale3(h, 1 / np.sqrt(length2)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     accurate = np.where(p == 0, 1.0, np.exp(p * np.log1p(-0.5 * dot(e, e))))
     # If l = -v, the light grazes the surface, and h consists of rounding errors.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, indices, ranges, repeat_runs, run_starts
+from tracer.arrays import Bools, Floats, Ints, indices, join_ranges, repeat_runs, run_starts
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
@@ -160,7 +160,7 @@ def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersect
     all_s, all_g = samples.across(frame), frame.down(samples.y)
     for shape in prepared.shapes:
         object_index, row, first_sample, sample_count = samples.covered(shape, prepared)
-        sample = first_sample if sample_count is None else ranges(first_sample, sample_count)
+        sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
         g, s = all_g.take(row), all_s.take(sample)
         t, detail = shape.hit(object_index, g, s, sample_count)
         groups.append(_Intersections(shape, sample_count, object_index, g, sample, s, t, detail))

@@ -56,7 +56,7 @@ from tracer.arrays import (
     Ints,
     batches,
     indices,
-    ranges,
+    join_ranges,
     run_lengths,
     segment_indices,
 )
@@ -197,7 +197,7 @@ class LightGrid(NamedTuple):
         for part_index, start, length in self._ranges_to_read(rectangle, patch):
             for batch in batches(length, _PAIRS_PER_BATCH):
                 batch_part = part_index[batch].repeat(length[batch])
-                entry = self.listed.take(ranges(start[batch], length[batch]))
+                entry = self.listed.take(join_ranges(start[batch], length[batch]))
                 is_within = self.entry_bounds.take(entry, axis=0) >= bounds.take(batch_part, axis=0)
                 # The same as is_within.all(axis=1), but much faster.
                 match = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
