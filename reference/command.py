@@ -6,14 +6,9 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from tqdm import tqdm
-
 from tracer.command.arguments import CommandParser, real_path
 from tracer.command.process import MISUSED
 from tracer.messages import printable
-
-# Otherwise tqdm would start a thread, which could disturb measurements.
-tqdm.monitor_interval = 0
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
