@@ -47,6 +47,7 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 
 _FAILED = 3
+# Number of pixels in a band of rows, for which figures are computed at a time.
 _PIXELS_PER_BAND = 500_000
 
 
@@ -115,10 +116,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
     jobs = sorted(matched, key=lambda one: str(one.right))
     judged = start_workers(partial(judge, options), jobs, lost)
-    found = sorted(track(judged, len(jobs), "pictures"), key=_place)
-    results = with_common_causes_first([result for result, _ in found])
+    judged_pairs = sorted(track(judged, len(jobs), "pictures"), key=_sort_key)
+    results = with_common_causes_first([result for result, _ in judged_pairs])
     if options.html:
-        pairs = {str(result.picture): pair for result, pair in found if pair}
+        pairs = {str(result.picture): pair for result, pair in judged_pairs if pair}
         text = class_page(results, pairs, options.folder)
         page = Path(options.html)
         with errors_as_failure(page, "written", "choose another with --html", status=_FAILED):
@@ -138,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return _FAILED if unread else int(not all(result.agrees for result in results))
 
 
-def _place(one: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
+def _sort_key(one: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
     """Return the key by which results are sorted: pictures by name, then what is missing."""
     result = one[0]
     return not result.picture, result.picture or result.student or "~", result.scene
@@ -200,19 +201,20 @@ def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | 
 def _figures(a: Codes, b: Codes) -> tuple[float, float, float]:
     """Return SSIM, RMSE and the maximum difference in linear light, of codes of one shape.
 
-    They are computed for bands of rows, because their arrays take 100 bytes per pixel.
+    They are computed band by band, because their arrays take about 100 bytes per pixel.  `windows`
+    is the number of rows at which SSIM's window lies inside the picture.
     """
     (height, width, _), margin = a.shape, SSIM_WINDOW - 1
     step = max(1, _PIXELS_PER_BAND // width)
-    ssim, squares, largest, rows = 0.0, 0.0, 0.0, max(1, height - margin)
-    for start in range(0, rows, step):
-        part = slice(start, start + step + margin)
-        band = figures(linear(a[part]), linear(b[part]))
-        ssim += band.ssim * min(step, rows - start) / rows
+    ssim, squares, largest, windows = 0.0, 0.0, 0.0, max(1, height - margin)
+    for start in range(0, windows, step):
+        rows = slice(start, start + step + margin)
+        band = figures(linear(a[rows]), linear(b[rows]))
+        ssim += band.ssim * min(step, windows - start) / windows
         largest = max(largest, band.max)
     for start in range(0, height, step):
-        part = slice(start, start + step)
-        squares += float(((linear(a[part]) - linear(b[part])) ** 2).sum())
+        rows = slice(start, start + step)
+        squares += float(((linear(a[rows]) - linear(b[rows])) ** 2).sum())
     return ssim, float(np.sqrt(squares / a.size)), largest
 
 
@@ -223,15 +225,15 @@ def _compared(
 
     If there are several hand-ins, a comparison is written only for those that differ.
     """
-    found, right = solution.diagnose(picture), solution.codes
+    diagnosis, right = solution.diagnose(picture), solution.codes
     names = ("It", picture.note), (str(hand_in.right and hand_in.right.name), note)
-    notes = [f"{name} {text}" for name, text in names if text and found.kind != "identical"]
-    found = found.preceded_by(" ".join(notes))
-    result, pair = _result(hand_in)._replace(found=found), None
+    notes = [f"{name} {text}" for name, text in names if text and diagnosis.kind != "identical"]
+    diagnosis = diagnosis.preceded_by(" ".join(notes))
+    result, pair = _result(hand_in)._replace(diagnosis=diagnosis), None
     if picture.codes.shape != right.shape:
         return result, None
     ssim, rmse, largest = _figures(picture.codes, right)
-    agrees = found.kind in AGREEING
+    agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or largest <= options.max) and (
             options.ssim is None or ssim >= options.ssim

@@ -31,7 +31,7 @@ class Picture(NamedTuple):
     ----------
     codes : (h, w, 3) uint8 array
     note : str
-        What its format did to the codes, as the rest of a sentence about the picture.
+        A predicate about the format if it has changed the codes: "is a JPEG, which changes levels".
     lossy : int
         Number of levels by which this format changes codes.
     saved : callable, optional
@@ -45,7 +45,7 @@ class Picture(NamedTuple):
 
 
 def read_picture(path: Path) -> Picture:
-    """Read a picture; what is transparent becomes black.
+    """Read a picture; transparent pixels become black.
 
     Raises
     ------

@@ -20,7 +20,7 @@ _LEGEND = (
 
 def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
     """Return the pair of a hand-in and the right picture, which have the same size."""
-    found = result.found
+    diagnosis = result.diagnosis
     return pair(
         handin,
         right,
@@ -31,10 +31,11 @@ def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
         left="hand-in",
         right="right",
         thumbnail=png(handin, thumbnail=True),
-        notes=[str(found)],
+        notes=[str(diagnosis)],
         worst=result.worst if result.differing else None,
         figures=[
-            ("kind", found and found.kind), ("hint", (found and found.hint) or "none"),
+            ("kind", diagnosis and diagnosis.kind),
+            ("hint", (diagnosis and diagnosis.hint) or "none"),
             ("SSIM", f"{result.ssim:.6f}"), ("RMSE", f"{result.rmse:.2e}"),
             ("largest difference", f"{result.max:.2e}"), ("pixels that differ", result.differing),
         ],
@@ -44,8 +45,8 @@ def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
 def _cell(result: Result, shown: Pair | None, link: int | None) -> Cell:
     """Return the cell of the overview: the verdict, or the first cause in words."""
     text = result.word
-    if result.found and text == "differs":
-        text = result.found.first
+    if result.diagnosis and text == "differs":
+        text = result.diagnosis.first
     return Cell(text, link, result.agrees, shown["thumbnail"] if shown else None)
 
 
@@ -74,8 +75,8 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
     rows = [[[Cell(student)], [Cell(f"{len(right[student])} of {len(scenes)}")],
              *(row.get(scene, []) for scene in scenes)]
             for student, row in sorted(cells.items())]  # fmt: skip
-    notes = [f"{result.picture}: {result.found}" for result in results
-             if result.found and result.picture not in pairs]  # fmt: skip
+    notes = [f"{result.picture}: {result.diagnosis}" for result in results
+             if result.diagnosis and result.picture not in pairs]  # fmt: skip
     errors = [result.error for result in results if result.error and not (
         result.student and result.scene and not result.picture)]  # fmt: skip
     return pages.page(

@@ -1,7 +1,8 @@
 """Say what is wrong with a hand-in: with which mistakes a scene renders so, or where it differs.
 
-A cause that was not rendered is never reported.  Of a scene, all mistakes of the table can be
-rendered; of a right picture alone, some of the camera and of the encoding.
+A cause is reported only if the scene, rendered with it, gives the hand-in.  With a scene, all
+mistakes of the table can be rendered; with a right picture alone, only some mistakes of the camera
+and of the encoding can be.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _TURNS: dict[str, Callable[[Codes], Codes]] = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is known of a hand-in.
+    """The verdict on a hand-in, or the causes of its difference, in keywords and sentences.
 
     Attributes
     ----------
@@ -118,9 +119,9 @@ class Solution:
         self.height, self.width = self.codes.shape[:2]
 
     def _known_pictures(self, height: int, width: int) -> KnownPictures:
-        """Return what is known at one size.
+        """Return the known pictures of one size.
 
-        At most the right size and one more are kept, because they are large.
+        Those of the right size and of one more size are cached; more would take too much memory.
         """
         key = height, width
         if key not in self._known:
@@ -149,9 +150,9 @@ class Solution:
             upright = {turn: np.ascontiguousarray(turned(codes)) for turn, turned in _TURNS.items()}
             turn = min(upright, key=lambda turn: int(_distance(upright[turn], self.codes).sum()))
             text = self._known_pictures(self.height, self.width).text[turn]
-            found = self._compare(picture._replace(codes=upright[turn]))
-            if found.kind != UNKNOWN:
-                return found.with_cause(turn, text, size)
+            diagnosis = self._compare(picture._replace(codes=upright[turn]))
+            if diagnosis.kind != UNKNOWN:
+                return diagnosis.with_cause(turn, text, size)
         return self._compare(picture).with_cause("size", size)
 
     def _compare(self, picture: Picture) -> Diagnosis:
@@ -168,39 +169,45 @@ class Solution:
                         saved and (lambda flat: _flat(saved(_picture(flat, width)))))  # fmt: skip
         if lossy and search.is_wrong.mean() < 0.01:
             return _verdict("format", "It is the right picture.")
-        found = search.find()
-        if found.causes:
-            causes = tuple(_sentences(cause, search) for cause in found.causes)
-            left = f"That leaves {found.left:,} of {search.wrong:,} pixels that differ."
-            return Diagnosis(causes, after=left if found.left else "")
+        finding = search.find()
+        if finding.causes:
+            causes = tuple(_sentences(cause, search) for cause in finding.causes)
+            rest = f"That leaves {finding.remaining:,} of {search.wrong:,} pixels that differ."
+            return Diagnosis(causes, after=rest if finding.remaining else "")
         if not search.lossy and (text := _symptom(search)):
             return _verdict(*text)
-        return self._unknown(search, found)
+        return self._unknown(search, finding)
 
-    def _unknown(self, search: Search, found: Finding) -> Diagnosis:
-        """Say what is known of a picture that no known mistake explains."""
+    def _unknown(self, search: Search, finding: Finding) -> Diagnosis:
+        """Describe a picture that no known mistake explains: the nearest, and where it differs."""
         if not search.beyond:
-            text = f"{_pixels(search.wrong)} one level off; no known mistake does this."
+            text = (
+                f"{_pixels(search.wrong, 'is', 'are')} one level off; no known mistake does this."
+            )
             return _verdict(UNKNOWN, text)
         count = len(search.known.table)
         text, nearest = f"None of the {count} known mistakes explains this picture.", ""
-        if found.hint:
-            nearest = " ".join(_sentences(found.hint, search).values())
-            nearest = (f"The nearest that is known: {nearest} It does not explain {found.left:,} of"
-                       f" {search.wrong:,} pixels.")  # fmt: skip
-        after = " ".join(filter(None, (nearest, self._where(search, found.hint))))
-        return _verdict(UNKNOWN, text, after=after, hint="+".join(found.hint))
+        if finding.hint:
+            nearest = " ".join(_sentences(finding.hint, search).values())
+            nearest = (f"The nearest that is known: {nearest} It does not explain"
+                       f" {finding.remaining:,} of {search.wrong:,} pixels.")  # fmt: skip
+        after = " ".join(filter(None, (nearest, self._where(search, finding.hint))))
+        return _verdict(UNKNOWN, text, after=after, hint="+".join(finding.hint))
 
     def _where(self, search: Search, hint: Cause) -> str:
-        """Say which pixels differ, in words of the scene."""
+        """Say which pixels differ: on which surfaces, by which lights, and where most.
+
+        Lights and the worst pixel are omitted if there is a hint, or if outlines differ: they would
+        mislead.
+        """
         known, wrong = search.known, difference(search.known.right, search.handin) > 1
         x, y = worst_pixel(*(_picture(c, known.columns) for c in (search.handin, known.right)))
         pixel = y * known.columns + x
-        here, right = (" ".join(map(str, c[:, pixel])) for c in (search.handin, known.right))
-        worst = f" The worst is {x},{y}: {here} in place of {right}"
+        wrong_code, code = (" ".join(map(str, c[:, pixel])) for c in (search.handin, known.right))
+        worst = f" The worst is {x},{y}: {wrong_code} in place of {code}"
         if not self.scene:
             more = "With the scene in place of the right picture, more can be said."
-            return f"{_differ(wrong.sum())}.{worst}. {more}"
+            return f"{_pixels(wrong.sum())}.{worst}. {more}"
         change = search.handin.astype(np.int16) - known.right
         lines = []
         for k in np.unique(known.surface[wrong]):
@@ -215,33 +222,34 @@ class Solution:
         words += f", {others:,} on others" if others else ""
         outlines = (wrong & (known.surface < 0)).sum() > 0.02 * wrong.sum()
         if outlines or hint:
-            return f"{_differ(wrong.sum())}: {words}."
+            return f"{_pixels(wrong.sum())}: {words}."
         size = (self.scene.width, self.scene.height)
         shown = (known.columns, known.count // known.columns)
         option = "" if size == shown else f" --size {shown[0]}x{shown[1]}"
         return (
-            f"{_differ(wrong.sum())}: {words}.{self._lights(search, wrong)}{worst};"
+            f"{_pixels(wrong.sum())}: {words}.{self._lights(search, wrong)}{worst};"
             f" tracer {self.name}{option} --pixel {x},{y} explains it."
         )
 
     def _lights(self, search: Search, wrong: Array) -> str:
-        """Say which lights the wrong pixels lack, or have too many."""
-        words, found = "", symptoms.lights(search)
-        if not found or not self.scene:
+        """Name the lights that many of the wrong pixels (n,) lack, or have in spite of a shadow."""
+        words, changes = "", symptoms.lights(search)
+        if not changes or not self.scene:
             return words
         for k, light in enumerate(self.scene.lights):
             name = f"light {k}" + (f" (line {light.line})" if light.line else "")
-            for wrongly, verb in ((found.lost, "should shine but does not"),
-                                  (found.extra, "should be blocked but shines")):  # fmt: skip
-                count = int((wrongly[k] & wrong[found.pixels]).sum())
+            for wrongly, verb in ((changes.lost, "should shine but does not"),
+                                  (changes.extra, "should be blocked but shines")):  # fmt: skip
+                count = int((wrongly[k] & wrong[changes.pixels]).sum())
                 if count > _MIN_LIGHT_SHARE * wrong.sum():
                     words += f" At {count:,} of these pixels {name} {verb}."
         return words
 
 
 def _rendered(scene: Scene) -> Codes:
+    """Render a scene as codes, without warnings about a window that its size stretches."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a size that stretches the window
+        warnings.simplefilter("ignore")
         codes: Codes = to_codes(render(scene))
     return codes
 
@@ -257,10 +265,10 @@ def _surfaces(scene: Scene) -> Array:
 
 
 def _symptom(search: Search) -> tuple[str, str] | None:
-    """Return a keyword and a sentence for what is no mistake in a formula."""
+    """Return a keyword and a sentence for a difference that no mistake in a formula causes."""
     known = search.known
     if search.beyond and symptoms.is_decided_by_rounding(search):
-        text = f"{_differ(search.beyond)} where rounding decides, as in single precision."
+        text = f"{_pixels(search.beyond)} where rounding decides, as in single precision."
         return "single-precision", text
     if symptoms.is_speckled(symptoms.lights(search), known):
         text = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
@@ -270,10 +278,7 @@ def _symptom(search: Search) -> tuple[str, str] | None:
         return "format", "It is the right picture, after JPEG, which changes levels."
     wrong = (difference(known.right, search.handin) > 1).reshape(-1, known.columns)
     if edge := symptoms.edges(wrong):
-        return (
-            "edge",
-            f"It is the right picture, but for {_pixels(wrong.sum())[:-4]} in its {edge}.",
-        )
+        return "edge", f"It is the right picture, except in the {edge}."
     return None
 
 
@@ -295,7 +300,7 @@ def agreement(a: Codes, b: Codes) -> Diagnosis | None:
         return _verdict("identical", "The pictures are identical.")
     few = count <= max(10, 0.01 * a.shape[0] * a.shape[1])
     if few and _distance(a, b).max() == 1:
-        text = f"{_differ(count)} by one level: rounding, nothing to worry about."
+        text = f"{_pixels(count)} by one level: rounding, nothing to worry about."
         return _verdict("rounding", text)
     return None
 
@@ -309,12 +314,8 @@ def featureless(codes: Codes) -> Diagnosis | None:
     return _verdict("black", "The picture is black.")
 
 
-def _pixels(count: int) -> str:
-    return "One pixel is" if count == 1 else f"{count:,} pixels are"
-
-
-def _differ(count: int) -> str:
-    return "One pixel differs" if count == 1 else f"{count:,} pixels differ"
+def _pixels(count: int, singular: str = "differs", plural: str = "differ") -> str:
+    return f"One pixel {singular}" if count == 1 else f"{count:,} pixels {plural}"
 
 
 def _sentences(cause: Cause, search: Search) -> dict[str, str]:
@@ -338,7 +339,7 @@ def _picture(flat: Array, width: int) -> Codes:
 
 
 def _brighter(change: Array) -> str:
-    """Say how codes (3, n) are changed, in a word if most are in the same way."""
+    """Return a word if most of the changes (3, n) of codes have the same sign, or nothing."""
     if (change >= -1).all(axis=0).mean() > 0.9:
         return " (brighter)"
     return " (darker)" if (change <= 1).all(axis=0).mean() > 0.9 else ""

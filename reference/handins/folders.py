@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
 _ARCHIVES = (".zip", ".rar", ".7z", ".tar", ".tgz", ".gz")
-# What systems append to the name of a copy.
+# The words that systems append to the name of a copy.
 _COPY = re.compile(r"[ _-]*(\(\d+\)|copy|kopie)$")
 
 
@@ -45,8 +45,8 @@ def hand_ins(folder: Path) -> list[Path]:
 def _visible(folder: Path) -> Iterator[Path]:
     """Yield all files and folders in a folder, without those that systems leave there."""
     for path in folder.rglob("*"):
-        parts = path.relative_to(folder).parts
-        if not any(part.startswith(".") or part == "__MACOSX" for part in parts):
+        names = path.relative_to(folder).parts
+        if not any(name.startswith(".") or name == "__MACOSX" for name in names):
             yield path
 
 
@@ -123,8 +123,8 @@ def _match(picture: Path, folder: Path, rights: Path, known: dict[str, Path]) ->
     fitting = [one for one in known if re.search(rf"(?<![^\W_]){re.escape(one)}(?![^\W_])", name)]
     if fitting or not rights.is_dir():
         scene = max(fitting, key=len) if fitting else next(iter(known))
-        rest = name.replace(scene, " ", 1).strip(" _-.")
-        return HandIn(student or rest or folder.name, scene, picture, known[scene])
+        owner = name.replace(scene, " ", 1).strip(" _-.")
+        return HandIn(student or owner or folder.name, scene, picture, known[scene])
     error = f"no scene or picture in {rights} has this name"
     words = (name, name.rpartition("_")[2])
     close = [close for word in words for close in difflib.get_close_matches(word, known, 1)]

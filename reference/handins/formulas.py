@@ -1,6 +1,9 @@
-"""The functions that formulas of `mistakes.md` call, beside NumPy's; and how a formula is read.
+"""Read the formulas of `mistakes.md`, and define the functions that they call.
 
-Vectors are (3, n) for n pixels, (lights, 3, n) for lights and (3, surfaces, 1) for surfaces.
+A formula is a Python expression.  It becomes a function whose parameters are the names in the
+expression, so that `reference.handins.drawing` can compute it from other formulas.  Vectors are
+(3, n) for n pixels, (lights, 3, n) for lights and (3, surfaces, 1) for surfaces.  Rays are
+o + t d, with origins `o` and directions `d`.
 """
 
 from __future__ import annotations
@@ -23,22 +26,37 @@ def unit(v: Array, axis: int = 0) -> Array:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Multiply vectors (..., 3, n)."""
+    """Return the scalar products (..., n) of vectors (..., 3, n)."""
     return (a * b).sum(axis=-2)
 
 
-def at(surfaces: Array, surface: Array) -> Array:
-    """Look up vectors (3, n) of surfaces by their indices (n,)."""
-    return surfaces[:, surface, 0]
+def at(vectors: Array, surface: Array) -> Array:
+    """Select, from the vectors (3, surfaces, 1) of surfaces, those of n indices: (3, n)."""
+    return vectors[:, surface, 0]
 
 
-def middle(low: Array, high: Array, surface: Array) -> Array:
-    """Centres (3, n) of boxes."""
+def box_center(low: Array, high: Array, surface: Array) -> Array:
+    """Return the centres (3, n) of the boxes that the indices `surface` (n,) select."""
     return (at(low, surface) + at(high, surface)) / 2
 
 
 def sphere_roots(c: Array, r: Array, o: Array, d: Array, *, unit_d: bool = False) -> Array:
-    """Both t (2, spheres, n) of rays o + t d; NaN where they miss.  `unit_d` takes d.d for 1."""
+    """Intersect n rays with spheres.
+
+    Parameters
+    ----------
+    c, r : (3, spheres, 1) and (spheres, 1) arrays
+        Centres and radii.
+    o, d : (3, n) arrays
+        Origins and directions.
+    unit_d : bool
+        Whether to omit d.d, as if the directions had length 1.
+
+    Returns
+    -------
+    t : (2, spheres, n) array
+        Near and far t; NaN if the ray misses the sphere.
+    """
     m = [c[k] - o[k] for k in range(3)]
     b = sum(m[k] * d[k] for k in range(3))
     if unit_d:
@@ -51,7 +69,17 @@ def sphere_roots(c: Array, r: Array, o: Array, d: Array, *, unit_d: bool = False
 
 
 def box_roots(low: Array, high: Array, o: Array, d: Array, *, ordered: bool = True) -> Array:
-    """Both t (2, boxes, n); NaN where rays miss."""
+    """Intersect n rays with boxes: near and far t (2, boxes, n), or NaN.
+
+    Parameters
+    ----------
+    low, high : (3, boxes, 1) arrays
+        Opposite corners.
+    o, d : (3, n) arrays
+        Origins and directions.
+    ordered : bool
+        Whether to sort the two t of each pair of faces, as is right.
+    """
     near, far = -np.inf, np.inf
     for k in range(3):
         ends = (low[k] - o[k]) / d[k], (high[k] - o[k]) / d[k]
@@ -61,12 +89,12 @@ def box_roots(low: Array, high: Array, o: Array, d: Array, *, ordered: bool = Tr
 
 
 def scaled(roots: Callable[..., Array], factor: float) -> Callable[..., Array]:
-    """`sphere_roots` or `box_roots` with every t multiplied."""
+    """Return the function `roots`, with every t that it returns multiplied by `factor`."""
     return lambda *given: factor * roots(*given)
 
 
 def far_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """`intersection` with the larger t twice."""
+    """Return the function `intersect`, with the far t in place of the near one."""
     return lambda *given: intersect(*given)[[1, 1]]
 
 
@@ -74,7 +102,23 @@ def intersection(
     is_sphere: Array, center: Array, radius: Array, low: Array, high: Array, present: Array,
     of_spheres: Callable[..., Array], of_boxes: Callable[..., Array],
 ) -> Callable[[Array, Array], Array]:  # fmt: skip
-    """Return a function of origins and directions (3, n): both t (2, surfaces, n)."""
+    """Return a function that intersects rays with all surfaces.
+
+    Parameters
+    ----------
+    is_sphere, present : (surfaces,) bool array
+        Whether a surface is a sphere, and whether it is in the picture at all.
+    center, radius, low, high : array
+        Vectors and numbers of spheres and of boxes, as `sphere_roots` and `box_roots` take them;
+        each has an entry for every surface.
+    of_spheres, of_boxes : callable
+        Functions such as `sphere_roots` and `box_roots`.
+
+    Returns
+    -------
+    intersect : callable
+        Takes origins and directions (3, n), and returns near and far t (2, surfaces, n).
+    """
     balls, boxes = np.flatnonzero(is_sphere & present), np.flatnonzero(~is_sphere & present)
 
     def intersect(o: Array, d: Array) -> Array:
@@ -89,14 +133,17 @@ def intersection(
 
 
 def first_positive(roots: Array) -> Array:
-    """The smaller t in front of the origin; infinite if there is none."""
+    """Return the smallest t > 0 of near and far t (2, ...), or infinity."""
     near, far = roots
     t = np.where(near > 1e-9, near, far)
     return np.where(t > 1e-9, t, np.inf)
 
 
 def each_light(intersect: Callable[[Array, Array], Array], p: Array, to_lights: Array) -> Array:
-    """Intersect shadow rays towards each light: both t (lights, 2, surfaces, n)."""
+    """Intersect the rays from hits `p` (3, n) along `to_lights` (lights, 3, n).
+
+    The result contains near and far t (lights, 2, surfaces, n).
+    """
     roots = [intersect(p, d) for d in to_lights]
     return np.array(roots) if roots else np.zeros((0, 2, 1, 1))
 
@@ -104,7 +151,7 @@ def each_light(intersect: Callable[[Array, Array], Array], p: Array, to_lights: 
 def blockers(
     shadow_roots: Array, t_min: Array, t_max: Array, tested: Array, far_min: float | None = None
 ) -> Array:
-    """Test which surfaces block each light: (lights, surfaces, n) bools.
+    """Test which surfaces block each light from each hit: (lights, surfaces, n) bools.
 
     Parameters
     ----------
@@ -127,7 +174,7 @@ def blockers(
 
 
 def last_of(values: Array, is_chosen: Array) -> Array:
-    """Return the last of values (..., surfaces) that is chosen: (..., 1), or 0 if none is."""
+    """Return the value (..., 1) of the last chosen surface, of values (..., surfaces), or 0."""
     chosen = np.flatnonzero(is_chosen)
     return values[..., chosen[-1:]] if chosen.size else 0 * values[..., :1]
 
@@ -135,7 +182,17 @@ def last_of(values: Array, is_chosen: Array) -> Array:
 def box_normals(
     p: Array, low: Array, high: Array, turn: int = 0, sign: float | None = None
 ) -> Array:
-    """Normals of the faces that points lie on, or of the next axis but `turn`, or of one `sign`."""
+    """Return the outward normals (3, n) at hits on boxes.
+
+    Parameters
+    ----------
+    p, low, high : (3, n) arrays
+        The hits, and opposite corners of the boxes.
+    turn : int
+        Number that is added to the index of the normal's axis; 0 is right.
+    sign : float, optional
+        The sign of all normals, in place of the right one.
+    """
     from_center, half = p - (low + high) / 2, (high - low) / 2
     face = np.abs(np.abs(from_center) - half).argmin(axis=0)
     side = np.where(np.take_along_axis(from_center, face[None], axis=0)[0] < 0, -1.0, 1.0)
@@ -143,7 +200,7 @@ def box_normals(
 
 
 def grey(shares: tuple[float, float, float], channels: Array) -> Array:
-    """One mean for all channels (3, n)."""
+    """Return the weighted mean of the channels (3, n) in all channels."""
     return np.tensordot(shares, channels, 1) + 1e-9 + 0 * channels
 
 
@@ -171,6 +228,7 @@ def _usual_values(handin: Array, hit: Array, expected: Array, limit: float) -> t
 
 
 def _median(values: Array, default: float) -> float:
+    """Return the median of values, or `default` if there are none."""
     return float(np.median(values)) if values.size else default
 
 
@@ -202,7 +260,10 @@ def commonest_color(hit: Array, handin: Array) -> Array:
 
 
 def light_in(picture: Array, x: Array, y: Array) -> Array:
-    """Look up light (3, n) in a picture's (h, w, 3), interpolated between its pixels' centres."""
+    """Return the light (3, n) of a picture (h, w, 3), interpolated between the pixels' centres.
+
+    `x` and `y` (n,) are coordinates in the window: from -0.5 to 0.5, to the right and upwards.
+    """
     height, width = picture.shape[:2]
     places = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
     channels = (picture[:, :, k] for k in range(3))
@@ -210,13 +271,16 @@ def light_in(picture: Array, x: Array, y: Array) -> Array:
 
 
 def shown_in(picture: Array, x: Array, y: Array, handin: Array) -> Array:
-    """Where something is seen: not where a picture is black, and the hand-in is not."""
+    """Return whether a pixel shows a surface, judged by a right picture and a hand-in (3, n).
+
+    Only the background is black in the picture and not in the hand-in.
+    """
     return light_in(picture, x, y).any(axis=0) | ~handin.any(axis=0)
 
 
 _OWN: tuple[Callable[..., Any], ...] = (
-    unit, dot, at, middle, sphere_roots, box_roots, scaled, intersection, first_positive, far_roots,
-    each_light, blockers, last_of, box_normals, grey, commonest_color, median_ambient,
+    unit, dot, at, box_center, sphere_roots, box_roots, scaled, intersection, first_positive,
+    far_roots, each_light, blockers, last_of, box_normals, grey, commonest_color, median_ambient,
     median_factor, median_gamma, light_in, shown_in, len, partial,
 )  # fmt: skip
 _NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
@@ -228,18 +292,21 @@ _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 
 @cache
 def formula(expression: str) -> Callable[..., Any]:
-    """Read a formula: a function, whose parameters are named as in the expression.
+    """Convert an expression to a function; its parameters are the names that it uses.
 
-    Raises SyntaxError if it is not a Python expression.
+    Raises
+    ------
+    SyntaxError
+        If it is not a Python expression.
     """
     names = {n.id for n in ast.walk(ast.parse(expression, mode="eval")) if isinstance(n, ast.Name)}
-    wanted = sorted(names - _FUNCTIONS.keys())
-    function: Callable[..., Any] = eval(f"lambda {', '.join(wanted)}: {expression}", _FUNCTIONS)
+    arguments = sorted(names - _FUNCTIONS.keys())
+    function: Callable[..., Any] = eval(f"lambda {', '.join(arguments)}: {expression}", _FUNCTIONS)
     return function
 
 
 @cache
 def parameters(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Name what a formula is computed from."""
+    """Return the names of the values that a formula is computed from."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]

@@ -1,6 +1,7 @@
-"""The table of mistakes, as the page `mistakes.md` lists them: which formulas each replaces.
+"""Read the table of mistakes from the page `mistakes.md`.
 
-General ones come before special ones: of those that draw the same, they are named in this order.
+The page defines the right picture by formulas, and each mistake by the formulas that it replaces.
+The order is that of reports: of mistakes with the same picture, the first is named first.
 """
 
 from __future__ import annotations
@@ -44,49 +45,50 @@ class Mistake(NamedTuple):
 
 
 def _rows() -> Iterator[list[str]]:
-    """The cells of all tables of the page, less their heads; code without its backticks."""
+    """Yield the rows of all tables of the page, as cells without backticks."""
     for line in _PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("| `"):
             yield [cell.strip(" `") for cell in line.strip("|").split("|")]
 
 
 RIGHT: Formulas = {row[0]: formula(row[1]) for row in _rows() if len(row) == 2}
-"""The right picture, in the order of computation."""
+"""The formulas of the right picture, in the order of computation."""
 CAMERA = frozenset([*RIGHT][: [*RIGHT].index("samples")])
 """Formulas of the camera."""
 _MISTAKES = [row for row in _rows() if len(row) == 3]
 
 
 def read(formulas: str) -> Formulas:
-    """Read what a mistake changes, as in `x = column / width; y = row / height`."""
-    pairs = (part.split(" = ", 1) for part in formulas.split("; "))
+    """Convert the formulas of a mistake, such as ``x = column / width; y = row / height``."""
+    pairs = (assignment.split(" = ", 1) for assignment in formulas.split("; "))
     return {name: formula(expression) for name, expression in pairs}
 
 
 def offset(x: float, y: float) -> Formulas:
-    """Samples at (x, y) of each pixel, in place of its centre (0.5, 0.5)."""
+    """Return formulas that sample each pixel at (x, y) instead of its centre (0.5, 0.5)."""
     return read(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
 
 
-# Where the right picture is given in place of a scene, its light is looked up.
+# Formulas that replace those of a scene if only a right picture is known.
 OF_PICTURE = read("hit = shown_in(picture, x, y, handin); radiance = light_in(picture, x, y)")
 
 
 def mistakes_of(scene: Scene) -> dict[str, Mistake]:
-    """The table for a scene: what stands for any light or surface, {k}, is there for each of them.
+    """Return the mistakes that are possible with a scene, by their keywords.
 
-    They are numbered from 0, as `tracer --pixel` does.
+    A row of the table with ``{k}`` becomes one mistake for each light or surface of the scene; they
+    are numbered from 0, as by `tracer --pixel`.
     """
     lines = [f" (line {light.line})" if light.line else "" for light in scene.lights]
     named = {
         "{surface}": [str(SurfaceRef.from_index(scene, k)) for k in range(len(scene.surfaces))],
         "{light}": [f"Light {k}{line}" for k, line in enumerate(lines)],
     }
-    found = {}
+    table = {}
     for kind, text, formulas in _MISTAKES:
         word = next((word for word in named if word in text), "")
         for k, name in enumerate(named.get(word, [""])):
             changes = read(formulas.replace("{k}", str(k)))
-            one = Mistake(text.replace(word, name), changes, bool(word))
-            found[kind.replace("{k}", str(k))] = one
-    return found
+            mistake = Mistake(text.replace(word, name), changes, bool(word))
+            table[kind.replace("{k}", str(k))] = mistake
+    return table

@@ -14,7 +14,7 @@ from tracer.messages import printable
 
 
 class Result(NamedTuple):
-    """What is known of a hand-in, or of one that is missing.
+    """The result for a hand-in, or for one that is missing.
 
     Attributes
     ----------
@@ -24,8 +24,8 @@ class Result(NamedTuple):
         The picture and the right one; no picture if it is missing.
     agrees : bool
         Whether the picture is right, or within the tolerances.
-    found : Diagnosis or None
-        The diagnosis; None if the pictures could not be compared.
+    diagnosis : Diagnosis or None
+        None if the pictures could not be compared.
     ssim, rmse, max : float or None
         Figures of the difference in linear light; None if the sizes differ.
     differing : int or None
@@ -43,7 +43,7 @@ class Result(NamedTuple):
     picture: str | None
     right: str | None
     agrees: bool = False
-    found: Diagnosis | None = None
+    diagnosis: Diagnosis | None = None
     ssim: float | None = None
     rmse: float | None = None
     max: float | None = None
@@ -61,14 +61,10 @@ class Result(NamedTuple):
 
     def fields(self) -> dict[str, Any]:
         """Return the columns of the table, and their values."""
-        values = self._asdict()
-        found = values.pop("found")
-        names = {"kind": found and found.kind, "hint": found and found.hint,
-                 "diagnosis": found and str(found)}  # fmt: skip
-        columns = [*values]
-        before = columns.index("ssim")
-        return ({name: values[name] for name in columns[:before]} | names
-                | {name: values[name] for name in columns[before:]})  # fmt: skip
+        one = self.diagnosis
+        texts = {"kind": one and one.kind, "hint": one and one.hint, "diagnosis": one and str(one)}
+        values = [*self._asdict().items()]
+        return dict(values[:5]) | texts | dict(values[6:])
 
     def figures(self) -> str:
         """Return SSIM, RMSE and the largest difference; nothing if the sizes differ."""
@@ -78,7 +74,7 @@ class Result(NamedTuple):
 
     def line(self) -> str:
         """Return a line for a list of many results."""
-        text = f"{self.figures()}  {printable(str(self.picture))}: {self.found}".lstrip()
+        text = f"{self.figures()}  {printable(str(self.picture))}: {self.diagnosis}".lstrip()
         return f"{self.word:8} {self.error or text}"
 
 
@@ -89,18 +85,24 @@ def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
     """
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
-        if result.found and not result.agrees:
-            counts[result.student].update(result.found.kind.split("|"))
+        if result.diagnosis and not result.agrees:
+            counts[result.student].update(result.diagnosis.kind.split("|"))
     order = {
         student: [kind for kind, _ in count.most_common()] for student, count in counts.items()
     }
-    return [result._replace(found=result.found and result.found.preferring(
-            order.get(result.student, ()))) for result in results]  # fmt: skip
+    return [
+        one._replace(
+            diagnosis=one.diagnosis and one.diagnosis.preferring(order.get(one.student, ()))
+        )
+        for one in results
+    ]
 
 
 def mistake_counts(results: Sequence[Result]) -> list[str]:
     """Return a line for each mistake of the class, with its number of pictures."""
-    causes = (result.found.causes[0] for result in results if result.found and not result.agrees)
+    causes = (
+        result.diagnosis.causes[0] for result in results if result.diagnosis and not result.agrees
+    )
     counts = Counter(text for cause in causes for kind, text in cause.items() if kind != UNKNOWN)
     return [f"{count} × {text}" for text, count in counts.most_common()]
 
@@ -121,7 +123,7 @@ def text_of(results: Sequence[Result], *, many: bool) -> str:
     if not many:
         one = results[0]
         comparison = printable(one.comparison or "")
-        return one.error or "\n".join(filter(None, (one.figures(), str(one.found), comparison)))
+        return one.error or "\n".join(filter(None, (one.figures(), str(one.diagnosis), comparison)))
     return "\n".join([*(result.line() for result in results), count_of(results)])
 
 

@@ -5,9 +5,9 @@ hours.  Almost all pairs are refuted by a few pixels, so the search is successiv
 and Talwalkar 2016): all candidates are rendered at few pixels, the best of them at more pixels,
 and only the last few in full.  A *cause* is a tuple of mistakes that are made together.
 
-What is reported is certain in this sense: with the cause, the scene renders as the hand-in, except
-for at most 3 % of the pixels that differ from the right picture.  If no cause does, the nearest is
-returned as a hint.
+A cause is reported only if the scene, rendered with it, gives the hand-in, except for at most 3 %
+of the pixels in which the hand-in differs from the right picture.  If there is no such cause, the
+nearest one is returned as a hint.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from reference.pictures import Codes
 from tracer import Scene
 
 # A cause is reported if it leaves at most this part of the differing pixels, or this many pixels.
-_MAX_LEFT, _MAX_LEFT_PIXELS = 0.03, 10
+_MAX_REMAINING, _MAX_REMAINING_PIXELS = 0.03, 10
 # Minimum ratio between the pixels that two causes leave, if only the better one is reported; and
 # between what a mistake of a pair takes away and what the pair leaves.
 _MIN_RATIO = 5
@@ -58,14 +58,14 @@ def difference(a: Array, b: Array) -> Array:
 
 
 class Finding(NamedTuple):
-    """What is known of a hand-in after the search.
+    """The result of a search.
 
     Attributes
     ----------
     causes : tuple of causes
         Those with which the scene renders as the hand-in; empty if there are none.  If there are
         several, this scene cannot tell them apart.
-    left : int
+    remaining : int
         Number of pixels in which the hand-in differs from the picture with the first cause, or
         with the hint.
     hint : cause
@@ -73,12 +73,15 @@ class Finding(NamedTuple):
     """
 
     causes: tuple[Cause, ...]
-    left: int
+    remaining: int
     hint: Cause = ()
 
 
 def stratified(strata: Array, size: int) -> Array:
-    """Choose at most `size` indices from strata (n,), about as many of each stratum."""
+    """Choose at most `size` indices of an array (n,) of strata, about equally many per stratum.
+
+    The first indices of a larger choice are a smaller choice.
+    """
     order = np.random.default_rng(1).permutation(len(strata))
     order = order[np.argsort(strata[order], kind="stable")]
     _, start, count = np.unique(strata[order], return_index=True, return_counts=True)
@@ -253,24 +256,34 @@ class Search:
         self.handin, self.known, self.lossy = handin, known, lossy
         self.saved = saved or (lambda codes: codes)
         off = difference(self.saved(known.right), handin)
-        # Where at most two pixels differ by more than rounding, single levels are searched.
+        # If at most two pixels differ by more than rounding, single levels count as wrong.
         self.tolerance = lossy or int((off > 1).sum() > 2)
         self.is_wrong, self.beyond = off > self.tolerance, int((off > 1).sum())
         self.wrong = int(self.is_wrong.sum())
         commonest = np.unique(handin.astype(np.int32).T @ (65536, 256, 1), return_counts=True)[1]
         shown = known.count - int(commonest.max())
-        self.max_left = max(_MAX_LEFT_PIXELS, int(_MAX_LEFT * min(self.wrong, shown)))
+        self.max_remaining = max(
+            _MAX_REMAINING_PIXELS, int(_MAX_REMAINING * min(self.wrong, shown))
+        )
         mixed = np.random.default_rng(1).permutation(known.count)
         self._halves = [mixed[self.is_wrong[mixed]], mixed[~self.is_wrong[mixed]]]
         size = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, known.surface_count))
         self._last, self._weights = self._pixels(size)
         if lossy or known.count <= size:
             self._last, self._weights = np.arange(known.count), np.ones(known.count)
-        self._left, self._inexact = dict[Cause, int](), dict[Cause, int]()
+        self._remaining, self._inexact = dict[Cause, int](), dict[Cause, int]()
         self.fit = known.fitted_formulas(handin)
 
     def _pixels(self, size: int) -> tuple[Array, Array]:
-        """Choose pixels, half of them wrong: indices (k,), and what each counts (k,)."""
+        """Choose pixels, half of them wrong.
+
+        Returns
+        -------
+        pixels : (k,) int array
+            Indices.
+        weights : (k,) float array
+            The number of pixels of the picture that each one represents.
+        """
         a, b = self._halves
         first = a[: max(size // 2, size - len(b))]
         second = b[: size - len(first)]
@@ -278,26 +291,26 @@ class Search:
         return np.append(first, second), np.repeat(weights, (len(first), len(second)))
 
     def off(self, causes: Sequence[Cause]) -> Array:
-        """Render the last round: (causes, k), by how many levels each of its k pixels is off."""
+        """Return the differences (causes, k), in levels, at the k pixels of the last round."""
         rendered = self.known.render(causes, self._last, self.handin, self.fit)
         return np.array([difference(self.saved(codes), self.handin[:, self._last])
                          for codes in rendered]).reshape(len(causes), len(self._last))  # fmt: skip
 
-    def left(self, cause: Cause) -> int:
-        """Return the number of pixels that a cause leaves wrong, an estimate for a subset."""
-        if cause not in self._left:
-            self._left[cause] = round((self.off([cause])[0] > self.tolerance) @ self._weights)
-        return self._left[cause]
+    def remaining(self, cause: Cause) -> int:
+        """Return the number of pixels that a cause leaves wrong; from a subset, an estimate."""
+        if cause not in self._remaining:
+            self._remaining[cause] = round((self.off([cause])[0] > self.tolerance) @ self._weights)
+        return self._remaining[cause]
 
-    def left_everywhere(self, cause: Cause) -> int:
+    def remaining_everywhere(self, cause: Cause) -> int:
         """Count the pixels of the complete picture that a cause leaves wrong."""
         if len(self._last) == self.known.count:
-            return self.left(cause)
-        left = 0
+            return self.remaining(cause)
+        count = 0
         for batch in self.known.batches(np.arange(self.known.count)):
             codes = self.known.render([cause], batch, self.handin, self.fit)[0]
-            left += int((difference(codes, self.handin[:, batch]) > self.tolerance).sum())
-        return left
+            count += int((difference(codes, self.handin[:, batch]) > self.tolerance).sum())
+        return count
 
     def halve(self, causes: list[Cause]) -> list[Cause]:
         """Return the best causes, the best first, by successive halving; none if all are bad."""
@@ -307,7 +320,7 @@ class Search:
         while len(causes) > least and size < len(self._last):
             causes = self._round(causes, size, max(least, count))
             size, count = 4 * size, count // 4
-        return sorted(self._rounded(causes[:_MIN_CAUSES]), key=self.left)
+        return sorted(self._rounded(causes[:_MIN_CAUSES]), key=self.remaining)
 
     def _round(self, causes: list[Cause], size: int, count: int) -> list[Cause]:
         """Return the best causes, at most `count`, by `size` pixels.
@@ -334,24 +347,31 @@ class Search:
         """Return the causes that render the hand-in, or else the nearest one."""
         singles = self.halve(self.known.singles)
         group = self._reported(singles)
-        if not group or self.left(group[0]) > _MAX_LEFT_PIXELS:
+        if not group or self.remaining(group[0]) > _MAX_REMAINING_PIXELS:
             pairs = self._pairs()
             better = self._reported([c for c in pairs if self.is_needed(c)])
-            if better and (not group or _MIN_RATIO * self.left(better[0]) <= self.left(group[0])):
+            if better and (
+                not group or _MIN_RATIO * self.remaining(better[0]) <= self.remaining(group[0])
+            ):
                 group = better
             elif not group:
                 return self._nearest(singles, pairs)
+        remaining = self.remaining_everywhere(group[0])
+        if remaining > self.max_remaining:  # the subset gave fewer
+            return self._nearest(group[:1], [])
         causes = dict.fromkeys(tuple(k for k in c if k not in mistakes.VARIANTS) for c in group)
-        return Finding(tuple(causes), self.left_everywhere(group[0]))
+        return Finding(tuple(causes), remaining)
 
     def _nearest(self, singles: list[Cause], pairs: list[Cause]) -> Finding:
         """Return the cause that explains most pixels as a hint; a pair only if it is far better."""
         if not (best := singles[:1] + pairs[:1]):
             return Finding((), self.wrong)
-        hint = best[-1] if 2 * self.left(best[-1]) < self.left(best[0]) else best[0]
-        if 2 * (left := self.left_everywhere(hint)) > self.wrong:
+        hint = best[-1] if 2 * self.remaining(best[-1]) < self.remaining(best[0]) else best[0]
+        if 2 * (unexplained := self.remaining_everywhere(hint)) > self.wrong:
             return Finding((), self.wrong)
-        return Finding((), left, tuple(kind for kind in hint if kind not in mistakes.VARIANTS))
+        return Finding(
+            (), unexplained, tuple(kind for kind in hint if kind not in mistakes.VARIANTS)
+        )
 
     def _pairs(self) -> list[Cause]:
         """Return the best pairs of mistakes."""
@@ -376,11 +396,11 @@ class Search:
         Mistakes of the camera by which fewer surfaces are seen than in the right picture count as
         needed only if three are seen: with fewer, the picture shows too little.
         """
-        fixed = (*mistakes.VARIANTS, *mistakes.ROUNDINGS)
-        left, variant = self.left(cause), [kind for kind in cause if kind in fixed]
-        kinds = [kind for kind in cause if kind not in fixed]
-        for part in combinations(kinds, len(kinds) - 1):
-            if self.left((*part, *variant)) - left < max(_MIN_RATIO * left, 1):
+        kept = (*mistakes.VARIANTS, *mistakes.ROUNDINGS)
+        remaining, suffix = self.remaining(cause), [kind for kind in cause if kind in kept]
+        kinds = [kind for kind in cause if kind not in kept]
+        for others in combinations(kinds, len(kinds) - 1):
+            if self.remaining((*others, *suffix)) - remaining < max(_MIN_RATIO * remaining, 1):
                 return False
         camera = any(mistakes.CAMERA & self.known.table[kind].keys() for kind in kinds)
         if not camera or not self.known.surface_count:
@@ -393,12 +413,12 @@ class Search:
 
     def _reported(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that may be reported, from the best ones, in the table's order."""
-        causes = [c for c in causes if self.left(c) <= self.max_left and self.shows(c)]
+        causes = [c for c in causes if self.remaining(c) <= self.max_remaining and self.shows(c)]
         if not causes:
             return []
-        least = min(map(self.left, causes))
-        causes = [c for c in causes if self.left(c) < _MIN_RATIO * max(1, least)]
-        exact = _MIN_RATIO * max(min(map(self._inexact.__getitem__, causes)), _MAX_LEFT_PIXELS)
+        least = min(map(self.remaining, causes))
+        causes = [c for c in causes if self.remaining(c) < _MIN_RATIO * max(1, least)]
+        exact = _MIN_RATIO * max(min(map(self._inexact.__getitem__, causes)), _MAX_REMAINING_PIXELS)
         causes = [c for c in causes if self._inexact[c] <= exact]
         causes = [c for c in causes if not any(map(self.known.fitted_names, c))] or causes
         place = {kind: k for k, kind in enumerate(self.known.table)}
@@ -406,7 +426,7 @@ class Search:
 
     def shows(self, cause: Cause) -> bool:
         """Return whether a cause takes away any of the differing pixels."""
-        return self.left(cause) < self.wrong
+        return self.remaining(cause) < self.wrong
 
     def _rounded(self, causes: list[Cause]) -> list[Cause]:
         """Render causes for the last time, and add the rounding to those that it makes exact."""
@@ -415,8 +435,9 @@ class Search:
                         is not None] for c in causes}  # fmt: skip
         every = [*dict.fromkeys(v for c in causes for v in (c, *variants[c]))]
         for cause, off in zip(every, self.off(every), strict=True):
-            self._left[cause] = round((off > self.tolerance) @ self._weights)
+            self._remaining[cause] = round((off > self.tolerance) @ self._weights)
             self._inexact[cause] = round((off > self.lossy) @ self._weights)
         rounded = [min([c, *variants[c]], key=self._inexact.__getitem__) for c in causes]
-        return [r if _MIN_RATIO * max(self._inexact[r], _MAX_LEFT_PIXELS) < self._inexact[c] else c
+        limit = {r: _MIN_RATIO * max(self._inexact[r], _MAX_REMAINING_PIXELS) for r in rounded}
+        return [r if limit[r] < self._inexact[c] else c
                 for c, r in zip(causes, rounded, strict=True)]  # fmt: skip

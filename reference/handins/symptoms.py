@@ -32,7 +32,7 @@ _MAX_PLACES = 100
 
 
 class Lights(NamedTuple):
-    """Which lights a hand-in lacks, and which it has too many, at pixels (n,) that are wrong.
+    """Changes of the lights at the n wrong pixels of a hand-in.
 
     Attributes
     ----------
@@ -73,22 +73,22 @@ def lights(search: Search) -> Lights | None:
     return Lights(pixels, lit & ~best & is_known, best & ~lit & is_known, is_known)
 
 
-def is_speckled(found: Lights | None, known: KnownPictures) -> bool:
+def is_speckled(changes: Lights | None, known: KnownPictures) -> bool:
     """Test whether surfaces shadow themselves in dots that depend on rounding.
 
     Two conditions hold of such dots.  (1) Light is lost, and hardly anything else is wrong.
     (2) Along rows as along columns, neighbours on the affected surfaces differ nearly as often as
     if chance decided on each pixel.
     """
-    if found is None or known.count > MAX_PIXELS:
+    if changes is None or known.count > MAX_PIXELS:
         return False
-    is_lost = found.lost.any(axis=0)
-    others = (found.extra.any(axis=0) | ~found.is_known).sum()
+    is_lost = changes.lost.any(axis=0)
+    others = (changes.extra.any(axis=0) | ~changes.is_known).sum()
     if others > _MAX_OTHERS * is_lost.sum() or is_lost.sum() <= _MIN_SPECKLES * known.count:
         return False
     lit = known.in_batches("lit", np.arange(known.count))
     lost = np.zeros_like(lit)
-    lost[:, found.pixels] = found.lost
+    lost[:, changes.pixels] = changes.lost
     # The probability that light is lost, which differs from surface to surface.
     surface = known.surface + 1
     lost_count, lit_count = (np.array([np.bincount(surface, row) for row in mask])
@@ -149,8 +149,8 @@ def disguise(handin: Codes, right: Codes) -> tuple[str, str] | None:
     # Places of the upper left corner at which some pixels agree.
     agree = np.ones((rows + 1, columns + 1), dtype=np.bool_)
     for y, x in np.random.default_rng(1).integers((height, width), size=(50, 2)):
-        part = handin[y : y + rows + 1, x : x + columns + 1].astype(np.int16)
-        agree &= np.abs(part - right[y, x]).max(axis=2) <= 1
+        window = handin[y : y + rows + 1, x : x + columns + 1].astype(np.int16)
+        agree &= np.abs(window - right[y, x]).max(axis=2) <= 1
     for y, x in np.argwhere(agree)[:_MAX_PLACES]:
         if is_same(handin[y : y + height, x : x + width], right):
             return "border", "It is the right picture, with a border."
@@ -158,7 +158,7 @@ def disguise(handin: Codes, right: Codes) -> tuple[str, str] | None:
 
 
 def edges(is_wrong: Array) -> str:
-    """Return which edge of a picture holds all wrong pixels (h, w), as "last row", or nothing."""
-    parts = {"first row": is_wrong[0], "last row": is_wrong[-1],
+    """Return the edge that contains all wrong pixels (h, w), such as "last row", or nothing."""
+    lines = {"first row": is_wrong[0], "last row": is_wrong[-1],
              "first column": is_wrong[:, 0], "last column": is_wrong[:, -1]}  # fmt: skip
-    return next((name for name, part in parts.items() if part.sum() == is_wrong.sum() > 0), "")
+    return next((name for name, line in lines.items() if line.sum() == is_wrong.sum() > 0), "")

@@ -34,19 +34,19 @@ def _serve(work: Callable[[Any], Any], link: connection.Connection) -> None:
 def _start(work: Callable[[Any], Any]) -> connection.Connection:
     """Start a process for jobs; it ignores Ctrl-C, and ends with the calling process."""
     context = get_context("spawn")
-    here, there = context.Pipe()
+    own_end, other_end = context.Pipe()
     mask = None
     if os.name != "nt":
         # If it started later, it would let signals through again (CPython's resource_tracker.py).
         resource_tracker.ensure_running()
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        context.Process(target=_serve, args=(work, there), daemon=True).start()
+        context.Process(target=_serve, args=(work, other_end), daemon=True).start()
     finally:
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        there.close()
-    return here
+        other_end.close()
+    return own_end
 
 
 def start_workers(

@@ -244,10 +244,12 @@ def test_few_sizes_are_kept() -> None:
 def test_causes_of_all_scenes_come_first() -> None:
     pictures = (("room", "a|b"), ("box", "b|c"), ("wall", "c|b"))
     results = [
-        Result("ada", name, name, name, found=Diagnosis(tuple({k: k} for k in kinds.split("|"))))
+        Result(
+            "ada", name, name, name, diagnosis=Diagnosis(tuple({k: k} for k in kinds.split("|")))
+        )
         for name, kinds in pictures
     ]
-    kinds = [result.found.kind for result in with_common_causes_first(results)]
+    kinds = [result.diagnosis.kind for result in with_common_causes_first(results)]
     assert kinds == ["b|a", "b|c", "b|c"]
 
 
