@@ -5,6 +5,7 @@ import multiprocessing
 import random
 import sys
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import ThreadPoolExecutor as Threads
@@ -241,6 +242,20 @@ def test_each_processor_has_two_calls_to_make_and_no_more(processors, monkeypatc
     share = tiles * processors // (processors + 1)
     assert waiting.max_unfinished == min(2 * processors, share)
     assert waiting.unfinished == []
+
+
+def test_a_call_that_takes_as_long_as_here_is_not_repeated():
+    calls: list[int] = []
+
+    def wait(item: int) -> int:
+        calls.append(item)
+        time.sleep(0.2)
+        return -item
+
+    with Threads(1) as pool:
+        work = parallel.Distribution(wait, range(4), pool, wait, lambda *_: True, workers=1)
+        assert dict(work) == {0: 0, 1: -1, 2: -2, 3: -3}
+    assert sorted(calls) == [0, 1, 2, 3]
 
 
 # A program that renders pictures with worker processes.  While a worker sends a result, it kills or
