@@ -3,7 +3,6 @@
 import os
 import pickle
 import re
-import resource
 import signal
 import sys
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from running import ROOT, SCENE, drop_jit, file_names, peak_memory, run, start_process
+from running import ROOT, SCENE, drop_jit, file_names, run, start_process
 
 import tracer
 from converters import to_mitsuba
@@ -193,47 +192,6 @@ def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):
     ]
     assert out.startswith(f"{scene}.png: ")
     assert file_names(scene.parent) == ["ball.xml.png", "faulty.xml"]
-
-
-TOO_LARGE = "not enough memory; make the image smaller or take fewer samples\n"
-
-
-@pytest.mark.parametrize(
-    ("size", "megabytes", "error"), [((3000, 2000), 4, TOO_LARGE), ((40, 30), 16, "")]
-)
-def test_little_memory(scene, size, megabytes, error):
-    """The process may use only a few megabytes more than all its modules do."""
-    scene.write_text(SCENE.format(*size))
-    script = f"""if True:
-        import resource, sys
-        from tracer.command.cli import main
-        used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)
-        sys.exit(main([sys.argv[1], "--processes", "1"]))
-    """
-    status, _, err = run(scene, python=("-c", script))
-    assert (status, err.partition(": cannot be written: ")[2]) == (1 if error else 0, error)
-    assert file_names(scene.parent) == ([] if error else ["ball.xml.png"])
-
-
-@pytest.mark.parametrize("megabytes", [20, 40])
-def test_too_little_memory_to_load_numpy(scene, megabytes):
-    """With 60 to 80 MB, versions of OpenBLAS never end; above, Python may fail anywhere."""
-    limit = megabytes << 20
-    status, out, err = run(
-        scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    )
-    assert (status, out, err.count("\n")) == (1, "", 1)
-    assert re.match(r"the command cannot start: [^;]*[.]so[^;]*; give it more memory, or", err)
-    assert file_names(scene.parent) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [(1 << 28, 1), (1, 1 << 28)])
-def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size):
-    scene.write_text(SCENE.format(*size))
-    assert peak_memory(sys.executable, "-m", "tracer", str(scene), "--quiet") < 150
-    assert Path(f"{scene}.png").stat().st_size > 100_000
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,17 @@
-"""Memory: freed memory is used again for the next picture, and the peak is bounded."""
+"""Memory: it is used again for the next picture, its peak is bounded, and a lack is reported."""
 
 import gc
 import pickle
 import platform
+import re
 import resource
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from probe import scene_of
-from running import peak_memory
+from running import SCENE, file_names, peak_memory, run
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 from tracer.world.prepared_scene import PreparedScene
@@ -60,3 +62,51 @@ def test_memory_does_not_increase_with_pairs_of_a_light_and_a_sample(light_count
     scene = scene_of(Sphere(center=(0, 0, -3)), size=(200, 200), lights=lights)
     given = pickle.dumps((scene, samples))
     assert peak_memory(sys.executable, "-c", RENDER, given=given) < 250
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """Return the path of a scene file to write."""
+    return tmp_path / "ball.xml"
+
+
+TOO_LARGE = "not enough memory; make the image smaller or take fewer samples\n"
+
+
+@pytest.mark.parametrize(
+    ("size", "megabytes", "error"), [((3000, 2000), 4, TOO_LARGE), ((40, 30), 16, "")]
+)
+def test_a_lack_of_memory_is_reported(scene, size, megabytes, error):
+    """The process may use only a few megabytes more than all its modules do."""
+    scene.write_text(SCENE.format(*size))
+    script = f"""if True:
+        import resource, sys
+        from tracer.command.cli import main
+        used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + ({megabytes} << 20),) * 2)
+        sys.exit(main([sys.argv[1], "--processes", "1"]))
+    """
+    status, _, err = run(scene, python=("-c", script))
+    assert (status, err.partition(": cannot be written: ")[2]) == (1 if error else 0, error)
+    assert file_names(scene.parent) == ([] if error else ["ball.xml.png"])
+
+
+@pytest.mark.parametrize("megabytes", [20, 40])
+def test_a_lack_of_memory_for_numpy_is_reported(scene, megabytes):
+    """With 60 to 80 MB, versions of OpenBLAS never end; above, Python may fail anywhere."""
+    scene.write_text(SCENE.format(40, 30))
+    limit = megabytes << 20
+    status, out, err = run(
+        scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    )
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert re.match(r"the command cannot start: [^;]*[.]so[^;]*; give it more memory, or", err)
+    assert file_names(scene.parent) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(1 << 28, 1), (1, 1 << 28)])
+def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size):
+    scene.write_text(SCENE.format(*size))
+    assert peak_memory(sys.executable, "-m", "tracer", str(scene), "--quiet") < 150
+    assert Path(f"{scene}.png").stat().st_size > 100_000
