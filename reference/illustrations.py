@@ -30,7 +30,7 @@ from tracer.antialias.classify import Cells, Classification, classify
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import Lattice
 from tracer.arrays import Floats, Ints, join_ranges
-from tracer.trace.occlusion import packet_levels
+from tracer.trace.occlusion import build_packet_levels
 from tracer.trace.samples import Rows, pixel_centers
 from tracer.trace.visibility import nearest_hits
 from tracer.world.light_grid import LightGrid
@@ -80,7 +80,7 @@ def draw_spans() -> None:
     left.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     tested = 0
     for shape in prepared.shapes:
-        index, span_row, start, length = samples.covered(shape, prepared)
+        index, span_row, start, length = samples.covered_samples(shape, prepared)
         kept = np.flatnonzero(span_row == row)
         first_column = start[kept] - row * scene.width
         color = prepared.diffuse[:, index[kept]].T ** (1 / 2.2)
@@ -98,7 +98,7 @@ def draw_packets() -> None:
     scene, prepared, samples = _load("room", 96)
     hits = nearest_hits(prepared, samples)
     frontlit = np.ones((1, hits.sample.size), dtype=np.bool_)
-    squares, rows = packet_levels(hits, frontlit, None)
+    squares, rows = build_packet_levels(hits, frontlit, None)
     square = np.arange(squares.child_count.size).repeat(squares.child_count)
     _, panels = plt.subplots(1, 3, figsize=(_WIDTH, 2.2))
     _show(panels[0], to_codes(render(scene)) / 255, f"{hits.sample.size:,} hits")

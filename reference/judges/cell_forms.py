@@ -197,7 +197,7 @@ class CellForms:
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Coordinates of the cells' centres in the window, and half of their sizes.
-        self._right, self._down = frame.across(cells.x), frame.down(cells.y)
+        self._right, self._down = frame.ray_s(cells.x), frame.ray_g(cells.y)
         self._half_right = 0.5 * cells.width * frame.step_u
         self._half_down = 0.5 * cells.width * frame.step_v
         coef = np.zeros((8, cells.x.size))

@@ -111,12 +111,12 @@ class Faces:
         self.prepared = prepared = PreparedScene(scene)
         self.frame = frame = prepared.frame
         self.prepared_lights = lights = prepared.prepare_lights()
-        balls, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
-        self.spheres, self.count = balls.objects.size, eye_inside.size
+        balls, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
+        self.spheres, self.count = balls.objects.size, is_eye_inside.size
         self.light_position = lights.local
         self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
-        on_box = eye_inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
+        on_box = is_eye_inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or on_box.any():
             raise ValueError("the eye is on a surface; move it off")
         sizes = np.append(balls.radius, (boxes.max_pt - boxes.min_pt).ravel())
@@ -132,9 +132,9 @@ class Faces:
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box = boxes.objects.indices()
         side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
-        is_dark = np.any(np.where(eye_inside, side > 0, side < 0), axis=1, keepdims=True)
+        is_dark = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # It does not reach the box itself, whose sides are seen from within.
-        is_unlit = is_dark | (eye_inside & (lights.side >= 0))[:, self.object_index]
+        is_unlit = is_dark | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 
     def _add_faces(self, low: Floats, high: Floats) -> None:
@@ -157,7 +157,7 @@ class Faces:
         # Arrays of boxes have three axes: along x, y or z; low or high side; number of the box.
         corner = np.stack([low, high], axis=1)
         place = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
-        inward = np.where(prepared.eye_inside[n:], 1, -1) * [[-1], [1]]
+        inward = np.where(prepared.is_eye_inside[n:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         above = np.sign(corner) * (place - points)
@@ -239,7 +239,7 @@ class Faces:
             Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.
         """
         prepared, grid, codes = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
-        may_block = ~prepared.eye_inside & ~prepared.is_duplicate
+        may_block = ~prepared.is_eye_inside & ~prepared.is_duplicate
         shape = (*active.T.shape, self.count)
         if grid is not None and active.any():
             owner = self.object_index[face]
@@ -270,7 +270,7 @@ class Faces:
         hits, n = nearest_hits(self.prepared, samples), self.count - self.spheres
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            high = (group.sign > 0) ^ self.prepared.eye_inside[group.run_object]
+            high = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]
             side = group.run_object + group.shape.is_planar * n * (2 * group.face + high)
             face[group.interval] = group.repeat_runs(side)
         # A ray through the rim of a sheet may hit a side that has no area.

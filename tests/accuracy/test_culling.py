@@ -44,7 +44,7 @@ def brute_force(scene: Scene) -> Floats:
     """
     window = slice(0, scene.height), slice(0, scene.width)
     with (
-        patch("tracer.trace.samples.spans", _whole_rows),
+        patch("tracer.trace.samples.object_spans", _whole_rows),
         patch("tracer.trace.radiance.occlusion", _occlusion_by_all),
         patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
         patch.object(ScreenBounds, "window", lambda *_: window),
@@ -55,7 +55,7 @@ def brute_force(scene: Scene) -> Floats:
 def _whole_rows(
     shape: Shape, prepared: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Replace `spans`: every object covers every row."""
+    """Replace `object_spans`: every object covers every row."""
     row, position = np.indices((rows.size, shape.objects.size)).reshape(2, -1)
     left, right = np.full((row.size, 2), columns).T
     return position + shape.objects.start, row, left, right
@@ -71,7 +71,7 @@ def _occlusion_by_all(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
                 hit = np.flatnonzero(faces_light & ~blocked & (own_object != index))
                 x, y, z = np.full((3, hit.size), light[:, None])
                 same_object = np.full(hit.size, index)
-                side = shape.side(same_object, (x, y, z))
+                side = shape.side_of_light(same_object, (x, y, z))
                 blocked[hit] = shape.occludes(same_object, hits.points(hit), (x, y, z), side)
     return is_blocked
 
@@ -131,7 +131,7 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
         frame = camera_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
-        local = np.array([frame.across(x)[0], frame.down(y)[0], frame.depth])
+        local = np.array([frame.ray_s(x)[0], frame.ray_g(y)[0], frame.depth])
         camera = replace(
             scene.camera,
             view_dir=local @ frame.axes,

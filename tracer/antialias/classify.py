@@ -37,10 +37,10 @@ from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, indices
 from tracer.geometry.camera import CameraFrame
-from tracer.trace.lighting import Shading, light_geometry, narrow_highlights
+from tracer.trace.lighting import Shading, find_narrow_highlights, light_geometry
 from tracer.trace.occlusion import shadow_edges
 from tracer.trace.samples import Samples
-from tracer.trace.visibility import nearest_and_hidden
+from tracer.trace.visibility import nearest_and_hidden_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 # Shadow edges are searched for if the footprint of a cell is at most this fraction of its distance
@@ -182,7 +182,7 @@ def classify(
     count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
     is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
-    hits, hidden_hits = nearest_and_hidden(prepared, samples)
+    hits, hidden_hits = nearest_and_hidden_hits(prepared, samples)
     hit_cell, footprint = sample_cell[hits.sample], footprints_of(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     outlines = _visible_silhouettes(prepared, cells)
@@ -245,7 +245,7 @@ def _add_lights(
     terminators = surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2)
     edges = chain(surfaces.shadows(apexes, *shadows), terminators)
     lines, curved_cell = fit_lines(edges, tolerance)
-    highlights = narrow_highlights(geometry, frontlit, footprint)
+    highlights = find_narrow_highlights(geometry, frontlit, footprint)
     narrow_cells = [hit_cell[narrow_hit] for narrow_hit in highlights]
     unresolved_cell = np.concatenate([hit_cell[is_wide | is_crowded], curved_cell, *narrow_cells])
     return lines, unresolved_cell, hit_cell[is_crowded]
@@ -272,7 +272,7 @@ def _visible_silhouettes(prepared: PreparedScene, cells: Cells) -> Iterator[Edge
     eye = Apexes(frame.eye[None], np.zeros((1, 3)))
     for batch in edge_batches(np.arange(cells.pair_cell.size)):
         cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
-        across, down = frame.across(cells.center_x[cell]), frame.down(cells.center_y[cell])
+        across, down = frame.ray_s(cells.center_x[cell]), frame.ray_g(cells.center_y[cell])
         ray = rays(frame, across, down, cells.width)
         yield from silhouettes(prepared, eye, np.zeros_like(cell), cell, object_index, ray)
 
@@ -295,4 +295,4 @@ def _light_positions(frame: CameraFrame, lights: Lights) -> Apexes:
     if lights.grid is None:
         return Apexes(lights.position, lights.local)
     position = lights.grid.light[:, :, 0].T
-    return Apexes(position, np.column_stack(frame.to_camera(position)))
+    return Apexes(position, np.column_stack(frame.points_to_camera(position)))

@@ -259,10 +259,10 @@ class InverseDepth(NamedTuple):
         for group in hits.groups:
             interval = group.interval
             # If the eye is on a sphere (P = 0), the tangent plane at the hit replaces the sphere.
-            k[:, interval] = [group.expand(normal / -group.eye_height) for normal in group.normal]
+            k[:, interval] = [group.per_hit(normal / -group.eye_height) for normal in group.normal]
             if not group.shape.is_planar:
-                power = group.per_sample(spheres.power)
-                center = np.array([*map(group.per_sample, spheres.local)])
+                power = group.object_values(spheres.power)
+                center = np.array([*map(group.object_values, spheres.local)])
                 w[interval] = np.where(power != 0, 1 / power, 0)
                 k[:, interval] = np.where(power != 0, center / power, k[:, interval])
         return cls((k[0], k[1], k[2]), w)

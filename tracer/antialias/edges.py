@@ -37,7 +37,7 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import box_edge_functions, silhouette_planes, sphere_edge_function
 from tracer.trace.hits import Hits
-from tracer.trace.samples import spans
+from tracer.trace.samples import object_spans
 from tracer.world.prepared_scene import PreparedScene
 
 # Towards the horizon of a face, footprints are divided by the cosine at the far end of the cell.
@@ -87,13 +87,13 @@ def footprints_of(hits: Hits, cell_width: float) -> Floats:
     footprint = np.empty(distance.size)
     for group in hits.groups:
         radius = perpendicular_radius[group.interval]
-        n_dot_v = group.expand(group.eye_height) / distance[group.interval]
+        n_dot_v = group.per_hit(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
             footprint[group.interval] = _footprint_on_face(radius, n_dot_v, angle)
             continue
         # At any angle, a strip of width r next to the silhouette of a sphere of radius R shows no
         # more of the sphere than sqrt(2 r R).
-        maximum = np.sqrt(2 * radius / group.per_sample(hits.prepared.curvature))
+        maximum = np.sqrt(2 * radius / group.object_values(hits.prepared.curvature))
         footprint[group.interval] = np.fmin(radius / n_dot_v, maximum)
     return footprint
 
@@ -155,7 +155,7 @@ def silhouette_pixels(
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in prepared.shapes:
         limits = columns.start, columns.stop
-        owner, row, left, right = spans(shape, prepared, lines[:-1], limits, height=1.0)
+        owner, row, left, right = object_spans(shape, prepared, lines[:-1], limits, height=1.0)
         # The interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
         for line in (row, row + 1):
@@ -322,7 +322,7 @@ class CellSurfaces(NamedTuple):
         prepared, owner = hidden.prepared, hidden.hit_object
         frame, boxes = prepared.frame, prepared.boxes
         angle = _half_diagonal(frame, self.cell_width)
-        index = indices(boxes.objects.contains(owner) & (is_close | prepared.eye_inside[owner]))
+        index = indices(boxes.objects.contains(owner) & (is_close | prepared.is_eye_inside[owner]))
         owner, hit, distance = owner[index], take3(hidden.local, index), hidden.distance[index]
         visible = visible[index]
         visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
@@ -330,7 +330,7 @@ class CellSurfaces(NamedTuple):
         for axis in range(3):
             height = frame.scene_component(hit, axis)
             low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
-            is_high = prepared.eye_inside[owner] == (height > 0)
+            is_high = prepared.is_eye_inside[owner] == (height > 0)
             level = np.where(is_high, high, low) - frame.eye[axis]
             # The ray meets the plane of the other face at this factor times the hidden hit.
             factor = level / height
@@ -423,7 +423,7 @@ class CellSurfaces(NamedTuple):
             box = prepared.boxes.objects.positions(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
                 level = corner[axis, box] - frame.eye[axis]
-                is_visible = prepared.eye_inside[group.run_object] | (sign * level < 0)
+                is_visible = prepared.is_eye_inside[group.run_object] | (sign * level < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
                 level = group.repeat_runs(level)
                 is_near = np.abs(height - level) < self.footprint[group.interval]

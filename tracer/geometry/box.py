@@ -42,7 +42,7 @@ class Boxes:
 
     Attributes
     ----------
-    is_planar, frame, objects, bounds, eye_inside, curvature, coordinate_size
+    is_planar, frame, objects, bounds, is_eye_inside, curvature, coordinate_size
         As in `Spheres`.
     min_pt, max_pt : (3, n) float arrays
         Opposite corners, with the smallest and with the largest coordinates.
@@ -60,7 +60,7 @@ class Boxes:
     max_pt: Floats
     planes: Triple
     bounds: ScreenBounds
-    eye_inside: Bools
+    is_eye_inside: Bools
     curvature: Floats
     coordinate_size: Floats
 
@@ -112,7 +112,7 @@ class Boxes:
             not reach the row.  They contain all positions at which a ray in the row meets the box.
         """
         frame, box = self.frame, self.objects.positions(object_index)
-        g = frame.down(rows + height / 2)
+        g = frame.ray_g(rows + height / 2)
         low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
         # Rounding errors may turn rays; the margin contains the turned rays, too.
         margin = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.max_ray_size
@@ -125,9 +125,9 @@ class Boxes:
             bound = -at_row / (slope + 0.0)
             np.fmax(low, bound, out=low, where=slope >= 0)
             np.fmin(high, bound, out=high, where=slope < 0)
-        return frame.column(low), frame.column(high)
+        return frame.column_of(low), frame.column_of(high)
 
-    def hit(
+    def intersect(
         self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
         """Compute the distances at which rays meet boxes, and the faces that they meet.
@@ -170,7 +170,7 @@ class Boxes:
                 planes = np.where(is_above, high, low), np.where(is_above, low, high)
                 enter, leave = (repeat_runs(plane, ray_count) / d for plane in planes)
             else:
-                enter, leave = _slab(
+                enter, leave = _intersect_slab(
                     repeat_runs(low, ray_count), repeat_runs(high, ray_count), d, closed=True
                 )
             near.append(enter)
@@ -180,7 +180,7 @@ class Boxes:
         enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
         enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
         t, plane_t, meets = enter, near, enter <= leave
-        inside = self.eye_inside[box]
+        inside = self.is_eye_inside[box]
         if inside.any():
             inside = repeat_runs(inside, ray_count)
             t, meets = np.where(inside, leave, t), meets | inside
@@ -190,7 +190,7 @@ class Boxes:
         face = np.where(plane_t[0] == t, faces[0], face)
         return np.where(meets & (t > 0), t, np.inf), face
 
-    def surface(
+    def tangent_planes(
         self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the face, the normal and the tangent plane of runs of hits.
@@ -206,7 +206,7 @@ class Boxes:
         local, t : (3, n) and (n,) float arrays
             Not used: the faces of boxes are planes.
         detail : (n,) int8 array
-            Second result of `hit` for each hit.
+            Second result of `intersect` for each hit.
 
         Returns
         -------
@@ -225,7 +225,7 @@ class Boxes:
         run_detail = detail.take(run_length.cumsum() - run_length)
         face, sign = run_detail.astype(np.intp) >> 1, np.where(run_detail & 1, 1.0, -1.0)
         low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
-        level = np.where(self.eye_inside[box] == (sign > 0), low, high)
+        level = np.where(self.is_eye_inside[box] == (sign > 0), low, high)
         eye_height = sign * (self.frame.eye[face] - level)
         x, y, z = (np.asarray(sign * axis[face]) for axis in self.frame.axes)
         return face, sign, level, (x, y, z), eye_height
@@ -248,7 +248,7 @@ class Boxes:
         box = self.objects.positions(object_index)
         return take3(self.min_pt, box), take3(self.max_pt, box)
 
-    def side(self, object_index: Ints, light: Triple) -> Sides:
+    def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
         """Decide, for pairs of a box and a light, on which side of the surface the light lies.
 
         Parameters
@@ -324,14 +324,14 @@ class Boxes:
         if growth is not None:
             low, high = map3(lambda c: c - growth, low), map3(lambda c: c + growth, high)
         size = self.coordinate_size[self.objects.positions(object_index)]
-        start = _snap(hit, low, high, hit_tolerance(size, hit, self.frame.eye))
-        end = _snap(light, low, high, LIGHT_TOLERANCE * size)
-        blocked = _crosses(start, end, low, high)
+        start = _snap_to_faces(hit, low, high, hit_tolerance(size, hit, self.frame.eye))
+        end = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * size)
+        blocked = _crosses_surface(start, end, low, high)
         if growth is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked
 
-    def capsules(
+    def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
         """Test, pair by pair, whether a box meets a capsule, and whether it cuts the capsule.
@@ -369,7 +369,7 @@ class Boxes:
             if np.count_nonzero(d) < d.size:
                 lengths = np.abs(to_low) + np.abs(to_high) + thickness
                 d = d + (d == 0) * (MIN_COMPONENT * lengths)
-            near, far = _slab(to_low, to_high, d)
+            near, far = _intersect_slab(to_low, to_high, d)
             margin = thickness / np.abs(d)
             enter_shrunk = np.maximum(enter_shrunk, near + margin)
             leave_shrunk = np.minimum(leave_shrunk, far - margin)
@@ -382,7 +382,7 @@ class Boxes:
         return meets, cuts
 
 
-def _slab(
+def _intersect_slab(
     low: Floats, high: Floats, d: Floats, *, closed: bool | None = None
 ) -> tuple[Floats, Floats]:
     """Compute where lines enter and leave slabs.  A slab is the space between two parallel planes.
@@ -415,7 +415,7 @@ def _slab(
     return enter, leave
 
 
-def _crosses(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
+def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
     """Test, pair by pair, whether an open segment crosses the surface of a box.
 
     Parameters
@@ -432,13 +432,13 @@ def _crosses(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
     for p, q, a, b in zip(start, end, low, high, strict=True):
-        near, far = _slab(a - p, b - p, q - p, closed=False)
+        near, far = _intersect_slab(a - p, b - p, q - p, closed=False)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return crosses
 
 
-def _snap(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
+def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
     """Move points that count as on the planes of faces onto these planes.
 
     Parameters

@@ -83,7 +83,7 @@ MIN_DIVISOR = 1e-300
 of which the least is 1e-75."""
 
 
-def side_of(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
+def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
     """Decide on which side of a surface each point lies.
 
     Parameters

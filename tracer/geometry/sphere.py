@@ -29,7 +29,7 @@ from tracer.geometry.rounding import (
     SQUARE_ROUNDING,
     UNIT_TOLERANCE,
     hit_tolerance,
-    side_of,
+    side_of_surface,
 )
 from tracer.scene.model import Surfaces
 
@@ -60,7 +60,7 @@ class Spheres:
         is on the sphere.
     bounds : ScreenBounds
         Bounding rectangles of the spheres in the picture.
-    eye_inside : (n,) bool array
+    is_eye_inside : (n,) bool array
         Whether the eye is inside the sphere, or on it.
     curvature : (n,) float array
         Curvature of the surface: 1 / radius; 0 for planar shapes.
@@ -78,7 +78,7 @@ class Spheres:
     local: Triple
     power: Floats
     bounds: ScreenBounds
-    eye_inside: Bools
+    is_eye_inside: Bools
     curvature: Floats
     coordinate_size: Floats
 
@@ -86,14 +86,14 @@ class Spheres:
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
         """Prepare all spheres among the surfaces of a scene for the rays of a camera."""
         center, radius = surfaces.center.T.copy(), surfaces.radius
-        local = frame.to_camera(surfaces.center)
+        local = frame.points_to_camera(surfaces.center)
         distance = np.sqrt(dot(local, local))
         height = distance - radius
         # Rounding errors alone must not move the eye off a sphere on which it lies.
         is_on = np.abs(height) <= UNIT_TOLERANCE * radius
         power = np.where(is_on, 0, height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
-        rows, columns = (_tangents(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
+        rows, columns = (_tangent_slopes(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
         bounds = ScreenBounds.from_slopes(frame, rows, columns)
         objects, size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
         inside, curvature = power <= 0, 1 / radius
@@ -139,13 +139,13 @@ class Spheres:
         slope_margin = 0.5 * height * frame.step_v / frame.depth
         grown = radius + slope_margin * np.maximum(self.local[2][sphere] + radius, 0)
         power = self.power[sphere] - (grown - radius) * (grown + radius)
-        g = frame.down(rows + height / 2)
-        hypot2, u, ahead, chord2 = self._discs(sphere, grown, g)
-        low, high = _tangents(u, ahead, chord2, power)
+        g = frame.ray_g(rows + height / 2)
+        hypot2, u, ahead, chord2 = self._cut_discs(sphere, grown, g)
+        low, high = _tangent_slopes(u, ahead, chord2, power)
         hypot = np.sqrt(hypot2)
-        return frame.column(low * hypot), frame.column(high * hypot)
+        return frame.column_of(low * hypot), frame.column_of(high * hypot)
 
-    def _discs(
+    def _cut_discs(
         self, sphere: Ints, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Intersect spheres with the planes of rays: each plane cuts a disc out of its sphere.
@@ -177,7 +177,7 @@ class Spheres:
         offset, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
         return hypot2, u, ahead, (radius - offset) * (radius + offset)
 
-    def hit(
+    def intersect(
         self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Floats]:
         """Compute the distances at which rays meet objects.
@@ -206,11 +206,12 @@ class Spheres:
             misses the object.  If the eye is inside the object or on it, this is the distance at
             which the ray leaves the object.
         detail : (n,) array
-            Argument for `surface`.  For spheres, this is |n . d| radius, with the unit normal n
-            and the direction d = (s, g, depth).  For boxes, it is an int8 number of the face.
+            Argument for `tangent_planes`.  For spheres, this is |n . d| radius, with the unit
+            normal n and the direction d = (s, g, depth).  For boxes, it is an int8 number of the
+            face.
         """
         sphere = self.objects.positions(object_index)
-        hypot2, u, ahead, chord2 = self._discs(sphere, self.radius[sphere], g)
+        hypot2, u, ahead, chord2 = self._cut_discs(sphere, self.radius[sphere], g)
         hypot = np.sqrt(hypot2)
         power = self.power[sphere]
         length2 = s * s + repeat_runs(hypot2, ray_count)
@@ -227,7 +228,7 @@ class Spheres:
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
         return np.where(t > 0, t, np.inf), root
 
-    def surface(
+    def tangent_planes(
         self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the face, the normal and the tangent plane at hits.
@@ -243,7 +244,7 @@ class Spheres:
         local : (3, n) float array
             Vectors from the eye to the hits, in the axes of the camera.
         t, detail : (n,) arrays
-            Results of `hit` for the hits.
+            Results of `intersect` for the hits.
 
         Returns
         -------
@@ -265,7 +266,7 @@ class Spheres:
         inverse = repeat_runs(1 / self.radius[sphere], run_length)
         center = (repeat_runs(m[sphere], run_length) for m in self.local)
         x, y, z = ((p - c) * inverse for p, c in zip(local, center, strict=True))
-        inside = self.eye_inside[sphere]
+        inside = self.is_eye_inside[sphere]
         if inside.any():
             flip = repeat_runs(np.where(inside, -1.0, 1.0), run_length)
             x, y, z = flip * x, flip * y, flip * z
@@ -274,7 +275,7 @@ class Spheres:
 
     # Tests of shadow segments: segments from hits to lights.
 
-    def side(self, object_index: Ints, light: Triple) -> Sides:
+    def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
         """Decide, for pairs of an object and a light, on which side of the surface the light lies.
 
         Parameters
@@ -292,7 +293,7 @@ class Spheres:
             broadcast.
         """
         tolerance = LIGHT_TOLERANCE * self.coordinate_size[self.objects.positions(object_index)]
-        return side_of(self.signed_distance(object_index, light), tolerance)
+        return side_of_surface(self.signed_distance(object_index, light), tolerance)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
         """Compute the distance of each point from the surface of an object; negative inside.
@@ -337,7 +338,7 @@ class Spheres:
         hit, light : tuples of three (n,) float arrays
             Both ends of each segment, in the axes of the scene.
         side : (n,) int8 array
-            The side of the object's surface on which the light lies: see `Spheres.side`.
+            The side of the object's surface on which the light lies: see `Spheres.side_of_light`.
         growth : (n,) float array, optional
             Distance by which the object is grown before the test; a negative value shrinks the
             object.  An object that shrinks to nothing blocks nothing.
@@ -361,12 +362,14 @@ class Spheres:
         is_within = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_within & (b > 0) & (b < length2)
         height = np.sqrt(dot(to_center, to_center)) - radius
-        hit_side = side_of(height, hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye))
+        hit_side = side_of_surface(
+            height, hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye)
+        )
         special = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
         if special.size:
             hit_side, side = hit_side[special], side[special]
             b, length2 = b[special], length2[special]
-            starts_inside = self.eye_inside[sphere[special]]
+            starts_inside = self.is_eye_inside[sphere[special]]
             blocked[special] = np.where(
                 hit_side == ON,
                 np.where(starts_inside, (b < 0) | (side == OUTSIDE), b > 0),
@@ -374,7 +377,7 @@ class Spheres:
             )
         return blocked
 
-    def capsules(
+    def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
         """Test, pair by pair, whether an object meets a capsule, and whether it cuts the capsule.
@@ -429,7 +432,9 @@ class Spheres:
         return meets, cuts
 
 
-def _tangents(u: Floats, ahead: Floats, chord2: Floats, power: Floats) -> tuple[Floats, Floats]:
+def _tangent_slopes(
+    u: Floats, ahead: Floats, chord2: Floats, power: Floats
+) -> tuple[Floats, Floats]:
     """Compute the slopes of the rays from the origin that touch discs in a plane.
 
     Parameters

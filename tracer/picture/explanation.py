@@ -212,7 +212,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     index = first_hit.surface.item()
-    s, g, depth = samples.across(frame), frame.down(samples.y), np.array([frame.depth])
+    s, g, depth = samples.ray_s(frame), frame.ray_g(samples.y), np.array([frame.depth])
     shader = scene.surfaces[index].shader if index >= 0 else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
         x=x,
@@ -256,7 +256,7 @@ def _light_part(
     faces_light = light_geometry(hits, lights).n_dot_l.item() > 0
     occluders = _occluders(hits, lights) if faces_light else hits.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for _, channel, diffuse_term, specular_term in shade(hits, [lights]).terms():
+    for _, channel, diffuse_term, specular_term in shade(hits, [lights]).reflection_terms():
         diffuse[channel] = diffuse_term.item()
         specular[channel] = 0 if specular_term is None else specular_term.item()
     point, normal = first_hit.point[0], first_hit.normal[0]

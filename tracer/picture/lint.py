@@ -127,7 +127,7 @@ def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[in
     """
     if not prepared.shapes:
         return
-    for batch in batches(np.full(len(scene.lights), prepared.eye_inside.size)):
+    for batch in batches(np.full(len(scene.lights), prepared.is_eye_inside.size)):
         position = np.array([light.position for light in scene.lights[batch]])
         x, y, z = position.T[:, :, None]
         # A light at a depth of less than the tolerance counts as on the surface.
@@ -136,7 +136,7 @@ def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[in
             < -LIGHT_TOLERANCE * shape.coordinate_size
             for shape in prepared.shapes
         ]
-        encloses = np.concatenate(is_inside, axis=1) & ~prepared.eye_inside
+        encloses = np.concatenate(is_inside, axis=1) & ~prepared.is_eye_inside
         for index in np.flatnonzero(encloses.any(axis=1)).tolist():
             if any(scene.lights[batch.start + index].intensity):
                 yield batch.start + index, indices(encloses[index])
@@ -160,7 +160,7 @@ def _reason_for_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     if not colors[is_bright.any(axis=0)].any():
         return "the surfaces in view reflect no colour of the lights", shader
     unlit = "no light reaches anything in view"
-    around = visible[prepared.eye_inside[visible]]
+    around = visible[prepared.is_eye_inside[visible]]
     if around.size:
         name = _surface_name(scene, around)
         return unlit, f"viewPoint is inside {name}: move it out, or a light in"

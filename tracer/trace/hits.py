@@ -34,10 +34,10 @@ class ShapeHits(NamedTuple):
     run_object : (runs,) int array
         Index of the object of each run, among all objects.
     face, sign, level : arrays
-        The face of each run: see `Spheres.surface`.
+        The face of each run: see `Spheres.tangent_planes`.
     normal : tuple of three float arrays
         Unit normals on the side of the eye, in the axes of the camera: (runs,) for planar shapes,
-        otherwise (n,).  `expand` converts both to (n,).
+        otherwise (n,).  `per_hit` converts both to (n,).
     eye_height : float array
         Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
     """
@@ -57,11 +57,11 @@ class ShapeHits(NamedTuple):
         """Repeat the values (runs,) of runs, so that there is one value (n,) for each hit."""
         return repeat_runs(values, self.run_length)
 
-    def expand(self, values: Floats) -> Floats:
+    def per_hit(self, values: Floats) -> Floats:
         """Return values of `normal` or `eye_height`, or computed from them, for each hit (n,)."""
         return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
-    def per_sample(self, values: NDArray[Any]) -> Any:
+    def object_values(self, values: NDArray[Any]) -> Any:
         """Return, from values of all objects of the scene, the value (n,) of each hit's object."""
         return self.repeat_runs(values[self.run_object])
 
@@ -82,7 +82,7 @@ class ShapeHits(NamedTuple):
         """
         if self.shape.is_planar:
             # In the axes of the scene, a light in the plane of a face has height 0 exactly.
-            return self.expand(self.sign * (position[self.face] - self.level))
+            return self.per_hit(self.sign * (position[self.face] - self.level))
         return dot(self.normal, vector)
 
 

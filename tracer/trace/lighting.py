@@ -47,7 +47,7 @@ class LightGeometry(NamedTuple):
     n_dot_l: Floats
     length2: Floats
 
-    def highlight(self, light: int, group: ShapeHits, index: Ints) -> Floats:
+    def highlight_strength(self, light: int, group: ShapeHits, index: Ints) -> Floats:
         """Compute the strength (n.h)^exponent of the highlight of one light at some hits.
 
         Parameters
@@ -74,14 +74,14 @@ class LightGeometry(NamedTuple):
             """Return normals, and directions to the light and to the eye, at selected hits."""
             light_direction = scale3(take3(to_light, selected), 1 / length[selected])
             eye_direction = scale3(take3(local, selected), -1 / distance[selected])
-            normal = take3(map3(group.expand, group.normal), index[selected])
+            normal = take3(map3(group.per_hit, group.normal), index[selected])
             return normal, light_direction, eye_direction
 
-        return _highlight(
+        return _stable_highlight(
             self.n_dot_l[light, group.interval][index] / length,
-            group.expand(group.eye_height)[index] / distance,
+            group.per_hit(group.eye_height)[index] / distance,
             dot(to_light, local) / (-distance * length),
-            group.per_sample(self.hits.prepared.exponent)[index],
+            group.object_values(self.hits.prepared.exponent)[index],
             unit_vectors,
         )
 
@@ -104,7 +104,7 @@ class Shading:
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        self._is_glossy = [group.per_sample(hits.prepared.is_glossy) for group in hits.groups]
+        self._is_glossy = [group.object_values(hits.prepared.is_glossy) for group in hits.groups]
         # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
         # the colours of the surfaces.
         self._diffuse, self._specular = np.zeros((2, *hits.local.shape))
@@ -136,11 +136,11 @@ class Shading:
                     channel[interval] += factor * cosine
                 if any_glossy:
                     strength, index = np.zeros(lit.size), indices(lit & glossy)
-                    strength[index] = geometry.highlight(light, group, index)
+                    strength[index] = geometry.highlight_strength(light, group, index)
                     for channel, factor in zip(self._specular, intensity, strict=True):
                         channel[interval] += factor * strength
 
-    def terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
+    def reflection_terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
         """Yield the diffuse and the specular term of the radiance, for each channel.
 
         Yields
@@ -158,10 +158,10 @@ class Shading:
         for (group, glossy), k in product(
             zip(self._hits.groups, self._is_glossy, strict=True), range(3)
         ):
-            diffuse = self._diffuse[k, group.interval] * group.per_sample(prepared.diffuse[k])
+            diffuse = self._diffuse[k, group.interval] * group.object_values(prepared.diffuse[k])
             specular = None
             if glossy.any():
-                specular = self._specular[k, group.interval] * group.per_sample(
+                specular = self._specular[k, group.interval] * group.object_values(
                     prepared.specular[k]
                 )
             yield group.sample, k, diffuse, specular
@@ -175,7 +175,7 @@ class Shading:
             Receives the result: a picture is too large for a copy.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for sample, channel, diffuse, specular in self.terms():
+        for sample, channel, diffuse, specular in self.reflection_terms():
             if specular is not None:
                 diffuse += specular
             out[channel][sample] = diffuse
@@ -190,20 +190,20 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     geometry = LightGeometry(hits, lights, *np.empty((2, len(lights.local), hits.local.shape[1])))
     for light, (x, y, z) in enumerate(lights.local.tolist()):
         # If the eye is inside an object, the object blocks all lights that are not inside, too.
-        is_blocked = hits.prepared.eye_inside & (lights.side[light] != INSIDE)
+        is_blocked = hits.prepared.is_eye_inside & (lights.side[light] != INSIDE)
         for group in hits.groups:
             local = hits.local[:, group.interval]
             to_light = x - local[0], y - local[1], z - local[2]
             n_dot_l = group.height_of(lights.position[light], to_light)
             if is_blocked[group.run_object].any():
                 # 0 would count as a terminator: a line at which light begins.
-                n_dot_l[group.per_sample(is_blocked)] = -np.inf
+                n_dot_l[group.object_values(is_blocked)] = -np.inf
             geometry.n_dot_l[light, group.interval] = n_dot_l
             dot(to_light, to_light, out=geometry.length2[light, group.interval])
     return geometry
 
 
-def narrow_highlights(
+def find_narrow_highlights(
     geometry: LightGeometry, frontlit: Bools, footprint: Floats
 ) -> Iterator[Ints]:
     """Find hits whose footprint may contain a highlight too narrow for a single sample.
@@ -230,23 +230,23 @@ def narrow_highlights(
     """
     prepared, distance = geometry.hits.prepared, geometry.hits.distance
     for group in geometry.hits.groups:
-        glossy, interval = group.per_sample(prepared.is_glossy), group.interval
+        glossy, interval = group.object_values(prepared.is_glossy), group.interval
         if not np.any(glossy):
             continue
-        eye_turn = 1 / distance[interval] + group.per_sample(prepared.curvature)
-        scale = np.where(glossy, np.sqrt(group.per_sample(prepared.exponent) / 2), 0)
+        eye_turn = 1 / distance[interval] + group.object_values(prepared.curvature)
+        scale = np.where(glossy, np.sqrt(group.object_values(prepared.exponent) / 2), 0)
         for light, faces_light in enumerate(frontlit[:, interval]):
             turn = eye_turn + 1 / np.sqrt(geometry.length2[light, interval])
             step = footprint[interval] * turn * scale
             index = indices((step > _MAX_LOBE_STEP) & faces_light)
             if index.size:
-                power = geometry.highlight(light, group, index)
+                power = geometry.highlight_strength(light, group, index)
                 position = np.minimum(np.sqrt(-np.log(power)), _LOBE_UNDERFLOW)
                 is_visible = position - step[index] < _LOBE_CUTOFF
                 yield interval.start + index[is_visible]
 
 
-def _highlight(
+def _stable_highlight(
     n_dot_l: Floats,
     n_dot_v: Floats,
     l_dot_v: Floats,

@@ -97,7 +97,7 @@ class Packets(NamedTuple):
     radius: Floats
     is_lit: Bools
 
-    def expand(self, columns: Ints) -> Ints:
+    def replace_by_children(self, columns: Ints) -> Ints:
         """Return a copy of `columns` in which all children of a packet replace the packet.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
@@ -146,7 +146,7 @@ class _OccluderSearch:
     ) -> None:
         self._prepared, self._lights = hits.prepared, lights
         is_needed = lights.grid is not None and bool(frontlit.any())
-        self._levels = packet_levels(hits, frontlit, footprint) if is_needed else []
+        self._levels = build_packet_levels(hits, frontlit, footprint) if is_needed else []
         self._shaded_packets: list[list[Ints]] = [[] for _ in self._levels]
 
     def candidates(self) -> Iterator[tuple[Shape, Ints]]:
@@ -178,7 +178,7 @@ class _OccluderSearch:
         """
         pairs = np.zeros((2, 0), dtype=np.intp)
         for packets, shaded in zip(self._levels, self._shaded_packets, strict=True):
-            pairs = packets.expand(np.concatenate([pairs, *shaded], axis=1))
+            pairs = packets.replace_by_children(np.concatenate([pairs, *shaded], axis=1))
         return pairs[0], pairs[1]
 
     def _narrow_down(self, level: int, shape: Shape, triples: Ints) -> Ints:
@@ -210,13 +210,13 @@ class _OccluderSearch:
         light, packet, occluder = triples
         center, radius = take3(packets.center, packet), packets.radius[packet]
         light_position = take3(self._lights.position.T, light)
-        meets, cuts = shape.capsules(occluder, center, light_position, radius)
+        meets, cuts = shape.test_capsules(occluder, center, light_position, radius)
         shaded = triples[:2].take(indices(cuts), axis=1)
         self._shaded_packets[level].append(shaded)
         put_2d(packets.is_lit, shaded[0], shaded[1], False)
         # Another object in this batch may shade the whole packet.
         triples = triples.take(indices(meets & take_2d(packets.is_lit, light, packet)), axis=1)
-        return packets.expand(triples)
+        return packets.replace_by_children(triples)
 
     def _grid_candidates(self) -> Iterator[tuple[Shape, Ints]]:
         """Yield, in batches, the objects that the light grid lists for the largest packets.
@@ -484,7 +484,7 @@ def _blocks(
     return shape.occludes(occluder, hits.points(hit), light_position, light_side, growth)
 
 
-def packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
+def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
     """Group hits into row packets and, where objects are large enough, these into square packets.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
@@ -506,14 +506,16 @@ def packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list
     """
     width = hits.prepared.packet_width * hits.samples.density  # of a packet, in samples
     max_row_hits = int(min(max(width, 1), _MAX_ROW_HITS))
-    row_packets = _row_packets(hits, frontlit, footprint, max_row_hits)
+    row_packets = _build_row_packets(hits, frontlit, footprint, max_row_hits)
     side = int(min(width, _MAX_SQUARE_SIDE))
     if side < _MIN_SQUARE_SIDE:
         return [row_packets]
-    return [*_square_packets(hits, row_packets, side)]
+    return [*_build_square_packets(hits, row_packets, side)]
 
 
-def _row_packets(hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits: int) -> Packets:
+def _build_row_packets(
+    hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits: int
+) -> Packets:
     """Divide each run of hits into groups of `max_hits` hits, which are called row packets.
 
     A run consists of all consecutive hits in one row of samples that lie on the same object.  The
@@ -548,7 +550,7 @@ def _row_packets(hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits
     return Packets(object_index, start, count, center, radius, is_lit)
 
 
-def _square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[Packets, Packets]:
+def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[Packets, Packets]:
     """Group row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  Row packets belong
@@ -578,11 +580,11 @@ def _square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[Packet
     first_hit = row_packets.child_start
     # One integer encodes the object, and the row and the column of the square.
     square_key = row_packets.object_index
-    for position in hits.samples.grid_position(hits.sample.take(first_hit)):
+    for position in hits.samples.grid_positions(hits.sample.take(first_hit)):
         square_key = square_key * (position.max() // side + 1) + position // side
     order = square_key.argsort(kind="stable")
     depth = hits.local[2].take(first_hit)
-    layer = hits.prepared.frame.layer(depth, side / hits.samples.density)
+    layer = hits.prepared.frame.depth_layer(depth, side / hits.samples.density)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
     start, count = run_lengths(square_key[order], layer[order])
     return _merge_row_packets(row_packets, start, count), row_packets
@@ -606,7 +608,7 @@ def _bounding_spheres(hits: Hits, start: Ints, count: Ints) -> tuple[Floats, Flo
     radius : (m,) float array
         Radii of the spheres.
     """
-    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.eye_inside.any():
+    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.is_eye_inside.any():
         corner, opposite = (f.reduceat(hits.local, start, axis=1) for f in (np.minimum, np.maximum))
     else:
         # Hits in one row of samples lie on a straight line, or on an arc of less than half a

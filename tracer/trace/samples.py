@@ -2,7 +2,7 @@
 
 There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at any
 positions.  Both find the pairs of a sample and an object that a ray has to be tested with.  For
-this purpose, `spans` computes which part of each row of the picture an object covers.
+this purpose, `object_spans` computes which part of each row of the picture an object covers.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _MAX_SINGLE_KEY = 2.0**39
 
 # The order of scattered samples along a row is exact for positions up to this many pixels from the
 # left border of the picture.  All positions farther away count as equally far, so they are tested
-# with more objects than necessary.  A power of two: see `_key`.
+# with more objects than necessary.  A power of two: see `_sort_key`.
 _MAX_SORTED_X = 2.0**20
 
 
-def spans(
+def object_spans(
     shape: Shape,
     prepared: PreparedScene,
     rows: Floats,
@@ -109,21 +109,23 @@ class Rows(NamedTuple):
         columns, rows = self.per_pixel
         return float(columns**0.75 * rows**0.25)
 
-    def across(self, frame: CameraFrame) -> Floats:
+    def ray_s(self, frame: CameraFrame) -> Floats:
         """Return the first component s (n,) of each sample's ray."""
-        return np.add.outer(self.shift * frame.step_u, frame.across(self.x)).ravel()
+        return np.add.outer(self.shift * frame.step_u, frame.ray_s(self.x)).ravel()
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
         """Return the positions x and y of samples, given by index."""
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def grid_position(self, index: Ints) -> tuple[Ints, Ints]:
+    def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
         """Return the row and the column of samples, given by index."""
         row, column = np.divmod(index, self.x.size)
         return row, column
 
-    def covered(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
+    def covered_samples(
+        self, shape: Shape, prepared: PreparedScene
+    ) -> tuple[Ints, Ints, Ints, Ints]:
         """Find the samples at which objects of one shape may be visible.
 
         The samples are given as spans: consecutive samples in one row, paired with one object.
@@ -147,7 +149,7 @@ class Rows(NamedTuple):
             Number of samples in each span, possibly 0.
         """
         columns, per_pixel = self.x.size, self.per_pixel[0]
-        object_index, row, left, right = spans(
+        object_index, row, left, right = object_spans(
             shape, prepared, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
         )
         first_x = self.x[0] + self.shift[row]
@@ -174,7 +176,7 @@ class Scattered(NamedTuple):
     row_start : (rows,) int array
         Index of the first sample in each row of pixels.  Rows without samples are not counted.
     key : (n,) float array
-        A number for each sample: see `_key`.  The numbers are in ascending order, except for
+        A number for each sample: see `_sort_key`.  The numbers are in ascending order, except for
         rounding errors that are negligible compared with `_SPAN_PADDING`.
     """
 
@@ -208,7 +210,7 @@ class Scattered(NamedTuple):
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
         is_start = run_starts(np.floor(y))
-        return cls(y, x, indices(is_start), _key(is_start.cumsum(), x)), order
+        return cls(y, x, indices(is_start), _sort_key(is_start.cumsum(), x)), order
 
     @property
     def size(self) -> int:
@@ -220,19 +222,21 @@ class Scattered(NamedTuple):
         """Number of samples across a pixel; it is unknown, so packets are as for one sample."""
         return 1.0
 
-    def across(self, frame: CameraFrame) -> Floats:
+    def ray_s(self, frame: CameraFrame) -> Floats:
         """Return the first component s (n,) of each sample's ray."""
-        return frame.across(self.x)
+        return frame.ray_s(self.x)
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
         """Return the positions x and y of samples, given by index."""
         return self.x[index], self.y[index]
 
-    def grid_position(self, index: Ints) -> tuple[Ints, Ints]:
+    def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
         """Return the row and the column of the pixel that contains each sample, given by index."""
         return self.y[index].astype(np.intp), self.x[index].astype(np.intp)
 
-    def covered(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
+    def covered_samples(
+        self, shape: Shape, prepared: PreparedScene
+    ) -> tuple[Ints, Ints, Ints, None]:
         """Find the samples at which objects of one shape may be visible.
 
         Parameters
@@ -248,22 +252,22 @@ class Scattered(NamedTuple):
             The object of each pair of an object and a sample, as an index among all objects.
         sample, sample : (n,) int arrays
             The sample of each pair, twice: as the index into `y`, and as the first sample of a span
-            as in `Rows.covered`.
+            as in `Rows.covered_samples`.
         count : None
             Each span has one sample.
         """
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)
-        object_index, row, left, right = spans(
+        object_index, row, left, right = object_spans(
             shape, prepared, rows, columns, height=1.0, pad=_SPAN_PADDING
         )
-        start = self.key.searchsorted(_key(row + 1, left))
-        stop = self.key.searchsorted(_key(row + 1, right), side="right")
+        start = self.key.searchsorted(_sort_key(row + 1, left))
+        stop = self.key.searchsorted(_sort_key(row + 1, right), side="right")
         span, sample = segment_indices(np.maximum(stop - start, 0), start)
         return object_index[span], sample, sample, None
 
 
-def _key(row: Ints, x: Floats) -> Floats:
+def _sort_key(row: Ints, x: Floats) -> Floats:
     """Return numbers that order positions by row and, along each row, by x.
 
     Rounding may make numbers equal, but never changes their order: the product is exact.

@@ -37,11 +37,13 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     samples : Rows or Scattered
         All samples.
     """
-    groups = _intersections(prepared, samples)
-    return _hits(prepared, samples, _visible(prepared, groups, _nearest_distance(samples, groups)))
+    groups = _intersect_objects(prepared, samples)
+    return _build_hits(
+        prepared, samples, _select_visible(prepared, groups, _nearest_distances(samples, groups))
+    )
 
 
-def nearest_and_hidden(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
+def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
     """Find the nearest surface at each sample, and all surfaces behind it.
 
     Parameters
@@ -58,11 +60,11 @@ def nearest_and_hidden(prepared: PreparedScene, samples: Samples) -> tuple[Hits,
     hidden : Hits
         The hits on objects that are hidden by the nearest surface.  A sample may have several.
     """
-    groups = _intersections(prepared, samples)
-    nearest = _nearest_distance(samples, groups)
-    hidden = [g.where((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]
-    visible = _visible(prepared, groups, nearest)
-    return _hits(prepared, samples, visible), _hits(prepared, samples, hidden)
+    groups = _intersect_objects(prepared, samples)
+    nearest = _nearest_distances(samples, groups)
+    hidden = [g.select((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]
+    visible = _select_visible(prepared, groups, nearest)
+    return _build_hits(prepared, samples, visible), _build_hits(prepared, samples, hidden)
 
 
 class _Intersections(NamedTuple):
@@ -88,7 +90,7 @@ class _Intersections(NamedTuple):
         Distance of the intersection, in units of the length of the ray's direction (s, g, depth);
         infinity if the ray misses the object.
     detail : (n,) array
-        Second result of `Spheres.hit` or `Boxes.hit`.
+        Second result of `Spheres.intersect` or `Boxes.intersect`.
     """
 
     shape: Shape
@@ -100,7 +102,7 @@ class _Intersections(NamedTuple):
     t: Floats
     detail: NDArray[Any]
 
-    def where(self, mask: Bools) -> _Intersections:
+    def select(self, mask: Bools) -> _Intersections:
         """Select pairs by a mask (n,)."""
         index = indices(mask)
         if index.size == mask.size:
@@ -113,12 +115,12 @@ class _Intersections(NamedTuple):
         pairs = [values.take(index) for values in pairs]
         return _Intersections(shape, sample_count, object_index, g, *pairs)
 
-    def runs(self, samples: Samples, frame: CameraFrame, ahead: Floats) -> Ints:
+    def find_run_starts(self, samples: Samples, frame: CameraFrame, ahead: Floats) -> Ints:
         """Divide the intersections into runs, and return the index of the first in each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
         object.  Runs of scattered samples also end at the borders of squares of `_RUN_WIDTH`
-        pixels, and of layers of depth: see `CameraFrame.layer`.
+        pixels, and of layers of depth: see `CameraFrame.depth_layer`.
 
         Parameters
         ----------
@@ -133,7 +135,7 @@ class _Intersections(NamedTuple):
         is_start = run_starts(self.detail) if planar else np.zeros(ahead.size, dtype=np.bool_)
         if self.sample_count is None:
             x, y = samples.positions(self.sample)
-            layer = frame.layer(ahead, _RUN_WIDTH)
+            layer = frame.depth_layer(ahead, _RUN_WIDTH)
             is_start |= run_starts(self.object_index, np.floor(y), np.floor(x / _RUN_WIDTH), layer)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
@@ -141,7 +143,7 @@ class _Intersections(NamedTuple):
         return indices(is_start)
 
 
-def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
+def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
     """Intersect the ray of each sample with the objects that may be visible at the sample.
 
     Parameters
@@ -157,17 +159,17 @@ def _intersections(prepared: PreparedScene, samples: Samples) -> list[_Intersect
         The pairs of a sample and an object, for each shape.  They include rays that miss.
     """
     frame, groups = prepared.frame, []
-    all_s, all_g = samples.across(frame), frame.down(samples.y)
+    all_s, all_g = samples.ray_s(frame), frame.ray_g(samples.y)
     for shape in prepared.shapes:
-        object_index, row, first_sample, sample_count = samples.covered(shape, prepared)
+        object_index, row, first_sample, sample_count = samples.covered_samples(shape, prepared)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
         g, s = all_g.take(row), all_s.take(sample)
-        t, detail = shape.hit(object_index, g, s, sample_count)
+        t, detail = shape.intersect(object_index, g, s, sample_count)
         groups.append(_Intersections(shape, sample_count, object_index, g, sample, s, t, detail))
     return groups
 
 
-def _nearest_distance(samples: Samples, groups: list[_Intersections]) -> Floats:
+def _nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
     """Return the distance of the nearest intersection at each sample.
 
     Parameters
@@ -189,7 +191,7 @@ def _nearest_distance(samples: Samples, groups: list[_Intersections]) -> Floats:
     return nearest
 
 
-def _visible(
+def _select_visible(
     prepared: PreparedScene, groups: list[_Intersections], nearest: Floats
 ) -> list[_Intersections]:
     """Select the intersections that are visible: one for each sample whose ray meets a surface.
@@ -209,7 +211,7 @@ def _visible(
         The nearest intersection at each sample; of several, that with the object that is first in
         the scene file.
     """
-    visible = [group.where(group.t == nearest.take(group.sample)) for group in groups]
+    visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
     if sum(g.t.size for g in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
         return visible  # no sample has two
     file_index = prepared.surfaces.file_index
@@ -218,12 +220,12 @@ def _visible(
     for group, rank in zip(visible, ranks, strict=True):
         np.minimum.at(first, group.sample, rank)
     return [
-        group.where(rank == first.take(group.sample))
+        group.select(rank == first.take(group.sample))
         for group, rank in zip(visible, ranks, strict=True)
     ]
 
 
-def _hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
+def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
     """Compute the hits, with their surfaces, from intersections without misses.
 
     Parameters
@@ -243,10 +245,10 @@ def _hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections
         np.multiply(group.t, group.s, out=group_local[0])
         np.multiply(group.t, repeat_runs(group.g, group.sample_count), out=group_local[1])
         np.multiply(group.t, frame.depth, out=group_local[2])
-        run_start = group.runs(samples, frame, group_local[2])
+        run_start = group.find_run_starts(samples, frame, group_local[2])
         length = np.diff(run_start, append=end - start)
         run_object = repeat_runs(group.object_index, group.sample_count)[run_start]
-        surface = group.shape.surface(run_object, length, group_local, group.t, group.detail)
+        surface = group.shape.tangent_planes(run_object, length, group_local, group.t, group.detail)
         interval = slice(start, end)
         shape_hits.append(
             ShapeHits(group.shape, interval, group.sample, length, run_object, *surface)

@@ -51,7 +51,7 @@ class Lights(NamedTuple):
     intensity : (lights, 3) float array
         Linear RGB intensities.
     side : (lights, n) int8 array
-        Side of each object's surface on which the light lies: see `Spheres.side`.
+        Side of each object's surface on which the light lies: see `Spheres.side_of_light`.
     grid : LightGrid or None
         Lists of objects by their direction from each light; None if no object can be in shadow.
     """
@@ -93,7 +93,7 @@ class PreparedScene:
         Those of `spheres` and `boxes` that contain objects.
     bounds : ScreenBounds
         Bounding rectangles of all objects in the picture.
-    eye_inside : (n,) bool array
+    is_eye_inside : (n,) bool array
         Whether the eye is inside the object, or on its surface.
     curvature : (n,) float array
         1 / radius of spheres, and 0 for boxes.
@@ -125,10 +125,10 @@ class PreparedScene:
         self.boxes = Boxes.from_surfaces(frame, surfaces)
         shapes: tuple[Shape, ...] = self.spheres, self.boxes  # in the order of their indices
         self._all_shapes, self.shapes = shapes, tuple(s for s in shapes if s.objects.size)
-        self.is_duplicate = _duplicates(surfaces)
+        self.is_duplicate = _find_duplicates(surfaces)
         bounds = ScreenBounds(*map(np.concatenate, zip(*(s.bounds for s in shapes), strict=True)))
         self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
-        self.eye_inside = np.concatenate([shape.eye_inside for shape in shapes])
+        self.is_eye_inside = np.concatenate([shape.is_eye_inside for shape in shapes])
         self.curvature = np.concatenate([shape.curvature for shape in shapes])
         self.depth_complexity = self.bounds.depth_complexity(frame)
         self.window = self.bounds.window(frame)
@@ -175,13 +175,15 @@ class PreparedScene:
         lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
-        sides = [shape.side(shape.objects.indices(), (x, y, z)) for shape in self._all_shapes]
+        sides = [
+            shape.side_of_light(shape.objects.indices(), (x, y, z)) for shape in self._all_shapes
+        ]
         boxes = [shape.bounding_boxes() for shape in self._all_shapes]
         low, high = (np.concatenate(corners, axis=1) for corners in zip(*boxes, strict=True))
         lit = self.bounds.in_picture(self.frame)
         return Lights(
             position=position,
-            local=np.column_stack(self.frame.to_camera(position)),
+            local=np.column_stack(self.frame.points_to_camera(position)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
             grid=build_light_grid(
@@ -190,7 +192,7 @@ class PreparedScene:
         )
 
 
-def _duplicates(surfaces: Surfaces) -> Bools:
+def _find_duplicates(surfaces: Surfaces) -> Bools:
     """Find objects that are equal to objects earlier in the file.
 
     Returns
