@@ -47,7 +47,7 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 
 _FAILED = 3
-# Number of pixels in a band of rows, for which figures are computed at a time.
+# Number of pixels in a band of rows: figures are computed band by band.
 _PIXELS_PER_BAND = 500_000
 
 

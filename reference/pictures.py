@@ -21,7 +21,7 @@ _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 # Maximum number of pixels.  Reading takes about 20 bytes per pixel, comparing about 60.
 _MAX_PIXELS = 9_000_000
 UNREADABLE = (MemoryError, OSError, SyntaxError, ValueError, Image.DecompressionBombError)
-"""What reading may raise; Pillow's errors in a PNG are SyntaxErrors."""
+"""Exceptions that reading may raise; Pillow's errors in a PNG are SyntaxErrors."""
 
 
 class Picture(NamedTuple):

@@ -1,6 +1,7 @@
-"""A tracer as a student writes it, and mistakes in its source: each changes one place or two.
+"""A tracer as a student writes it, and mistakes: changes of one or two places in its source.
 
-It shares nothing with `reference.handins.formulas`, which are to find the mistakes.
+The tests search for the mistakes with `reference.handins.formulas`, with which the source shares no
+code.
 """
 
 import numpy as np
@@ -105,7 +106,7 @@ NAMES = {
     "VH": "cam.view_height",
 }
 
-# Kinds, and what is replaced by what in the source.
+# For each keyword of the table of mistakes: replacements in the source.
 TABLE = r"""
 projNormal-ignored: cam.proj_normal or cam.view_dir => cam.view_dir
 viewUp-ignored: np.array(cam.view_up) => np.array((0.0, 1, 0))
@@ -208,7 +209,7 @@ def srgb(x):
 
 
 def source_with(*kinds: str) -> str | None:
-    """The source with mistakes; None if they change the same place."""
+    """Return the source with mistakes, or None if two change the same place."""
     source = SOURCE
     for kind in kinds:
         for old, new in MISTAKES[kind]:
@@ -220,7 +221,7 @@ def source_with(*kinds: str) -> str | None:
 
 @np.errstate(all="ignore")
 def run(source: str, scene: Scene):
-    """Codes (h, w, 3) as a source draws them."""
+    """Render a scene with a source, and return the codes (h, w, 3)."""
     for name, code in NAMES.items():
         source = source.replace(name, code)
     space = {"np": np, "Box": Box, "Sphere": Sphere, "Phong": Phong, "srgb": srgb}
@@ -229,6 +230,6 @@ def run(source: str, scene: Scene):
 
 
 def draw(scene: Scene, *kinds: str):
-    """Codes (h, w, 3); None if the mistakes change the same place."""
+    """Render a scene with mistakes: codes (h, w, 3), or None if two change the same place."""
     source = source_with(*kinds)
     return None if source is None else run(source, scene)

@@ -172,8 +172,8 @@ class Solution:
         finding = search.find()
         if finding.causes:
             causes = tuple(_sentences(cause, search) for cause in finding.causes)
-            rest = f"That leaves {finding.remaining:,} of {search.wrong:,} pixels that differ."
-            return Diagnosis(causes, after=rest if finding.remaining else "")
+            after = f"That leaves {finding.remaining:,} of {search.wrong:,} pixels that differ."
+            return Diagnosis(causes, after=after if finding.remaining else "")
         if not search.lossy and (text := _symptom(search)):
             return _verdict(*text)
         return self._unknown(search, finding)

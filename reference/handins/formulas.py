@@ -78,7 +78,7 @@ def box_roots(low: Array, high: Array, o: Array, d: Array, *, ordered: bool = Tr
     o, d : (3, n) arrays
         Origins and directions.
     ordered : bool
-        Whether to sort the two t of each pair of faces, as is right.
+        Whether to sort the two t of each pair of faces; false is a mistake.
     """
     near, far = -np.inf, np.inf
     for k in range(3):

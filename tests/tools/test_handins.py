@@ -41,7 +41,11 @@ def solution(name: str) -> Solution:
 
 
 def verdict(name: str, made: tuple[str, ...]) -> str | None:
-    """How right the diagnosis is: it names what was made, or what draws the same; None: unseen."""
+    """Render a scene with mistakes, and return how right the diagnosis is.
+
+    It is "right" if it reports the mistakes, or some of them with the same picture; "part" if it
+    reports one of them; "vague" if it reports none; and else "wrong".  None: nothing shows.
+    """
     codes = student.draw(scene(name), *made)
     if codes is None or (codes == solution(name).codes).all() or not np.ptp(codes, (0, 1)).any():
         return None
@@ -58,7 +62,7 @@ def verdict(name: str, made: tuple[str, ...]) -> str | None:
 
 
 def verdicts(name: str, count: int, seed: int) -> Counter[str]:
-    """So many pictures: a third with a shift and other single mistakes, the rest with pairs."""
+    """Count the verdicts on this many pictures: first shifts, then other mistakes, then pairs."""
     chance, found = random.Random(f"{name} {seed}"), Counter[str]()
     singles = [(kind,) for kind in chance.sample([*student.MISTAKES], len(student.MISTAKES))]
     shifts = [kinds for kinds in singles if kinds[0] in SHIFTS]
@@ -96,7 +100,7 @@ def test_what_shows_only_beside_another_mistake_is_found() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_mistakes_are_found(name: str) -> None:
-    """Of 25 pictures none is wrong, and at least 24 are right or right in part."""
+    """No diagnosis of 25 pictures is wrong, and at least 24 are right or right in part."""
     found = verdicts(name, 25, 2)
     print(found)
     assert found["wrong"] == 0
@@ -120,7 +124,7 @@ def test_a_surface_of_many_is_found() -> None:
 
 
 def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
-    """In formulas that exist, of values that exist."""
+    """Mistakes replace formulas that exist, and use values that exist."""
     table = mistakes_of(scene("room"))
     assert {name for one in table.values() for name in one.formulas} <= {*RIGHT}
     small = replace(scene("room"), width=40, height=30)
@@ -187,7 +191,7 @@ def test_speckles_and_single_precision() -> None:
 
 
 def test_single_levels() -> None:
-    """What is one level off is rounding in few pixels, or has a known cause, or is said so."""
+    """Differences of one level are rounding in few pixels, have a known cause, or are unknown."""
     small = replace(scene("room"), width=10, height=10)
     right = Solution(small).codes
     for count, kind in ((2, "rounding"), (40, "unknown")):
