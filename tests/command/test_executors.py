@@ -225,7 +225,7 @@ class Waiting(Executor):
         return future
 
     def finish(self, *_: Any) -> bool:
-        """Make the first unfinished call; this replaces `Distribution._wait`."""
+        """Make the first unfinished call; this replaces `Distribution._wait_for_any`."""
         future, call = self.unfinished.pop(0)
         future.set_result(call())
         return True

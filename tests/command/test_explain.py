@@ -234,20 +234,20 @@ def test_scenes_that_do_not_warn(scene):
 
 def test_exposure_of_a_large_picture_is_estimated():
     image = np.zeros((200, 300, 3))
-    assert Exposure.of_pixels(image) == Exposure(is_black=True, lit=0, clipped=0)
+    assert Exposure.from_radiance(image) == Exposure(is_black=True, lit_count=0, clipped_count=0)
     image[:100, :, 1] = 0.5
     image[:20, :, 2] = 1.5
-    is_black, lit, clipped = Exposure.of_pixels(image)
+    is_black, lit, clipped = Exposure.from_radiance(image)
     assert (is_black, lit / 30_000, clipped / 6_000) == (False, pytest.approx(1, abs=0.01),
                                                          pytest.approx(1, abs=0.01))  # fmt: skip
-    part = Exposure.of_pixels(image)
-    assert Exposure().including(part) == part.including(Exposure()) == (False, lit, clipped)
+    part = Exposure.from_radiance(image)
+    assert Exposure().merged(part) == part.merged(Exposure()) == (False, lit, clipped)
     image[:, :150] = 2
-    _, _, clipped = Exposure.of_pixels(image)
+    _, _, clipped = Exposure.from_radiance(image)
     assert clipped == pytest.approx(30_000 + 3_000, rel=0.01)
     narrow = np.zeros((20_000, 4, 3))
     narrow[:, 1] = 2
-    assert Exposure.of_pixels(narrow).clipped == pytest.approx(20_000, rel=0.01)
+    assert Exposure.from_radiance(narrow).clipped_count == pytest.approx(20_000, rel=0.01)
 
 
 def test_a_notebook_shows_an_explanation_as_text():

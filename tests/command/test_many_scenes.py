@@ -73,8 +73,9 @@ def counted_pool(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (1, (300, 200), set()),  # one small scene starts no process
         (3, (30, 20), set()),  # and neither do a few that take less time than starting it
-        (1, (4000, 3000), {"encoded_tile"}),
-        (3, (4000, 3000), {"encoded_tile", "_render_whole"}),  # two whole scenes, the third shared
+        (1, (4000, 3000), {"render_encoded_tile"}),
+        # Two whole scenes, and the third is shared.
+        (3, (4000, 3000), {"render_encoded_tile", "_render_whole"}),
         (40, (400, 400), {"_render_whole"}),
     ],
 )
@@ -99,7 +100,7 @@ def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
     batch_of_two = Batch(SETTINGS, 2)
     assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
     batch_of_two.close()
-    assert {*submitted} == {"encoded_tile", "_render_whole"}
+    assert {*submitted} == {"render_encoded_tile", "_render_whole"}
     assert codes(scenes[30])[0] == (4000, 2000)
 
 

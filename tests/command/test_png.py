@@ -12,7 +12,7 @@ from PIL import Image
 
 from tracer import to_codes, write_png
 from tracer.picture import png
-from tracer.picture.png import compressed, write_tiles
+from tracer.picture.png import compress_tile, write_tiles
 
 
 def codes_of(values) -> np.ndarray:
@@ -32,7 +32,7 @@ def exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
 def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
     """At each threshold, the code changes at the right float64.  Only one constant has gamma."""
     monkeypatch.setattr(png, "_GAMMA", gamma)
-    png._code_tables.cache_clear()
+    png._make_code_tables.cache_clear()
     try:
         thresholds = ((np.arange(1, 256) - 0.5) / 255) ** (gamma[0] / gamma[1])
         x = np.concatenate(
@@ -44,7 +44,7 @@ def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
         )
         assert codes_of(x).tolist() == [exact_code(value, gamma) for value in x]
     finally:
-        png._code_tables.cache_clear()
+        png._make_code_tables.cache_clear()
 
 
 def test_the_power_function_agrees_away_from_the_thresholds():
@@ -132,7 +132,7 @@ def test_tiles_make_the_picture(rows, columns):
     """Tiles are whole rows, or parts of one row if they are narrower than the picture."""
     image = np.random.default_rng(rows).uniform(size=(300, 50, 3))
     tiles = (
-        compressed(image[row : row + rows, column : column + columns], from_left=column == 0)
+        compress_tile(image[row : row + rows, column : column + columns], from_left=column == 0)
         for row in range(0, 300, rows)
         for column in range(0, 50, columns)
     )
@@ -143,4 +143,4 @@ def test_tiles_make_the_picture(rows, columns):
 @pytest.mark.parametrize("size", [(2, 4), (4, 4), (3, 5)])
 def test_tiles_that_do_not_make_the_picture(size):
     with pytest.raises(ValueError, match="tiles do not make up a picture of 4 x 3 pixels"):
-        write_tiles(io.BytesIO(), 4, 3, [compressed(np.zeros((*size, 3)))])
+        write_tiles(io.BytesIO(), 4, 3, [compress_tile(np.zeros((*size, 3)))])

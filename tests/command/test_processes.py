@@ -86,7 +86,7 @@ def test_the_estimated_time_grows_with_samples_and_lights():
     assert RenderJob(more_light, 4).seconds == pytest.approx(3 * seconds)
 
 
-def test_a_worker_remembers_the_jobs_of_several_pictures():
+def test_a_worker_caches_the_jobs_of_several_pictures():
     """Each of four pictures that are rendered alternately is prepared once."""
     jobs = [RenderJob(picture(), samples) for samples in (1, 4, 9, 16)]
     first, second = ([pickle.loads(pickle.dumps(job)) for job in jobs] for _ in range(2))

@@ -29,19 +29,19 @@ from tracer.command.process import end_on_signals, print_line
 from tracer.command.progress import Progress
 from tracer.files import atomic_file
 from tracer.messages import printable
-from tracer.picture.linear import EXR, NPY, raw, write_exr, write_npy
+from tracer.picture.linear import EXR, NPY, encode_raw, write_exr, write_npy
 from tracer.picture.lint import Exposure, scene_warnings
 from tracer.picture.parallel import Distribution, WorkerPool, in_order
-from tracer.picture.png import PNG, compressed, write_tiles
+from tracer.picture.png import PNG, compress_tile, write_tiles
 from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, render_tiles
 from tracer.scene.model import Scene
 from tracer.scene.reader import load_scene
 from tracer.scene.schema import SceneError
 
 FORMATS: dict[str, tuple[bytes, Callable[..., Any], Callable[..., None]]] = {
-    "png": (PNG, compressed, write_tiles),
-    "npy": (NPY, raw, write_npy),
-    "exr": (EXR, raw, write_exr),
+    "png": (PNG, compress_tile, write_tiles),
+    "npy": (NPY, encode_raw, write_npy),
+    "exr": (EXR, encode_raw, write_exr),
 }
 """Formats of pictures.  For each: the first bytes of a file, the function that encodes a tile, and
 the function that writes a file from encoded tiles."""
@@ -221,8 +221,8 @@ class Batch:
             pixels = 0
             for tile in render_tiles(picture, pool, encode):
                 yield tile.data
-                exposure = exposure.including(tile.exposure)
-                pixels += tile.pixels
+                exposure = exposure.merged(tile.exposure)
+                pixels += tile.pixel_count
                 self._after_tile(pixels, scene.width * scene.height)
 
         with errors_as_failure(

@@ -1,7 +1,7 @@
-"""Explanations of pixels: all numbers that lead to the colour of a pixel.
+"""Explain a pixel: list the numbers from which its colour is computed.
 
-The numbers come from the functions that render pictures.  A pixel is traced once, and its hit is
-then shaded twice: by all lights together, as in a picture, and by each light alone.
+The numbers come from the functions that render pictures.  A single ray is traced, and its hit is
+shaded twice: by all lights together, as in a picture, and by each light alone.
 """
 
 from __future__ import annotations
@@ -30,16 +30,18 @@ __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
 
 @dataclass(frozen=True)
 class SurfaceRef:
-    """A surface of the scene, given by its place in the file.
+    """A reference to a surface of a scene, which shows where the surface is in the file.
+
+    ``str(ref)`` is, for example, "Sphere 0 (line 12)".
 
     Attributes
     ----------
     index : int
-        Index of the surface among the surfaces of the scene, in the order of the file.
+        Index of the surface in ``scene.surfaces``, which has the order of the file.
     kind : str
         "Sphere" or "Box".
     line : int or None
-        Line of the surface in its file; None if it does not come from a file.
+        Line of the file where the surface begins; None if the surface does not come from a file.
     """
 
     index: int
@@ -48,33 +50,35 @@ class SurfaceRef:
 
     @classmethod
     def from_index(cls, scene: Scene, index: int) -> SurfaceRef:
-        """Return the reference to a surface of a scene, given by its index."""
+        """Create the reference to ``scene.surfaces[index]``."""
         surface = scene.surfaces[index]
         return cls(index, type(surface).__name__, surface.line)
 
     def __str__(self) -> str:
-        return f"{self.kind} {self.index}{_line(self.line)}"
+        return f"{self.kind} {self.index}{_line_suffix(self.line)}"
 
 
 @dataclass(frozen=True)
 class LightPart:
-    """The contribution of one light to a pixel.
+    """The contribution of one light to the colour of a pixel.
 
     Attributes
     ----------
     line : int or None
-        Line of the light in its file; None if it does not come from a file.
+        Line of the file where the light begins; None if the light does not come from a file.
     intensity : (float, float, float)
         Linear RGB intensity of the light.
     n_dot_l, n_dot_h : float
-        Cosines of the angles between the normal and the direction to the light, and between the
-        normal and the half vector.
+        Cosines of the angle between the normal n and the direction l to the light, and of the angle
+        between n and the half vector h.  The half vector is the unit vector halfway between l and
+        the direction to the eye.
     occluders : tuple of SurfaceRef
-        The surfaces that block the light: other surfaces, or the surface itself if it faces away
-        from the light, or if the eye is inside it and the light is not.
+        The surfaces that block the light; empty if the hit is lit.  They are other surfaces, or the
+        surface itself if it faces away from the light, or if the eye is inside it and the light is
+        not.
     diffuse, specular : (float, float, float)
         Linear RGB radiance that the light adds: intensity kd n.l, and intensity ks (n.h)^exponent.
-        0 if the light is blocked.
+        Both are 0 if the light is blocked.
     """
 
     line: int | None
@@ -88,7 +92,9 @@ class LightPart:
 
 @dataclass(frozen=True)
 class Explanation:
-    """All numbers that lead to the colour of a pixel; as text, one line for each number.
+    """The numbers from which the colour of a pixel is computed, from the ray to the codes.
+
+    ``str(explanation)`` shows all of them as text, one step of the computation in each line.
 
     Attributes
     ----------
@@ -98,21 +104,22 @@ class Explanation:
         Start and unit direction of the ray through the centre of the pixel, in the axes of the
         scene.
     surface : SurfaceRef or None
-        The surface that the ray meets first; None if it meets no surface.
+        The surface that the ray meets first; None if the ray meets no surface.
     distance : float
         Distance of the hit from the eye; infinite if the ray meets no surface.
     point, normal : (float, float, float)
-        Position of the hit, and the unit normal on the side of the eye; NaN if the ray meets no
-        surface.
+        Position of the hit, and unit normal of the surface there, on the side of the eye.  Both are
+        NaN if the ray meets no surface.
     kd, ks : (float, float, float)
         Diffuse and specular colour of the surface, linear RGB.  `ks` is 0 if the surface is
         Lambertian, and both are 0 if the ray meets no surface.
     exponent : float
         Exponent of the surface's highlights; 1 if it has none.
     lights : tuple of LightPart
-        The contribution of each light of the scene; empty if the ray meets no surface.
+        The contribution of each light, in the order of ``scene.lights``; empty if the ray meets no
+        surface.
     radiance : (float, float, float)
-        Linear RGB radiance of the pixel, in a picture with one sample per pixel.
+        Linear RGB radiance of the pixel in a picture with one sample per pixel.
     codes : (int, int, int)
         The colour of the pixel in a PNG file, from 0 to 255.
     """
@@ -136,71 +143,104 @@ class Explanation:
         return "\n".join(self._lines())
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """Show the text in IPython and in notebooks."""
+        """Show the explanation as text in IPython and in notebooks, which call this method.
+
+        Parameters
+        ----------
+        printer : IPython.lib.pretty.PrettyPrinter
+            Receives the text.
+        cycle : bool
+            Ignored: an explanation does not contain itself.
+        """
         printer.text(str(self))
 
     def _lines(self) -> Iterator[str]:
-        """Yield the lines of the text."""
+        """Yield the lines of the explanation as text, without line breaks."""
         yield f"pixel     {self.x},{self.y}"
-        yield f"ray       from {_text(self.eye)} towards {_text(self.direction)}"
+        yield f"ray       from {_vector_text(self.eye)} towards {_vector_text(self.direction)}"
         yield f"surface   {self.surface or 'none: the ray meets nothing'}"
         if self.surface:
             yield f"distance  {self.distance:.9g}"
-            yield f"point     {_text(self.point)}"
-            yield f"normal    {_text(self.normal)}"
-            yield f"shader    kd {_text(self.kd)}, ks {_text(self.ks)}, exponent {self.exponent:g}"
-        for number, light in enumerate(self.lights):
-            yield from self._light_lines(number, light)
-        yield f"radiance  {_text(self.radiance)}"
+            yield f"point     {_vector_text(self.point)}"
+            yield f"normal    {_vector_text(self.normal)}"
+            kd, ks = _vector_text(self.kd), _vector_text(self.ks)
+            yield f"shader    kd {kd}, ks {ks}, exponent {self.exponent:g}"
+        for index, light in enumerate(self.lights):
+            yield from self._light_lines(index, light)
+        yield f"radiance  {_vector_text(self.radiance)}"
         yield f"codes     {' '.join(map(str, self.codes))}"
 
-    def _light_lines(self, number: int, light: LightPart) -> Iterator[str]:
-        """Yield the lines about one light, given by its index and its contribution."""
-        names = [str(ref) for ref in light.occluders if ref != self.surface]
-        names = names or ["the surface itself"] * len(light.occluders)
-        how = f"blocked by {', '.join(names)}" if names else "reaches the point"
+    def _light_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
+        """Yield the lines about one light, without line breaks.
+
+        Parameters
+        ----------
+        light_index : int
+            Index of the light in the scene.
+        light : LightPart
+            The contribution of this light to the pixel.
+
+        Yields
+        ------
+        line : str
+            First the cosines, and what blocks the light; then, if nothing does, a line with the
+            diffuse term and a line with the specular term.
+        """
+        occluders = [str(ref) for ref in light.occluders if ref != self.surface]
+        occluders = occluders or ["the surface itself"] * len(light.occluders)
+        outcome = f"blocked by {', '.join(occluders)}" if occluders else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
-        yield f"light {number}{_line(light.line)}: n.l = {n_dot_l}, n.h = {n_dot_h}, {how}"
-        if not names:
-            intensity, kd, ks = map(_text, (light.intensity, self.kd, self.ks))
+        name = f"light {light_index}{_line_suffix(light.line)}"
+        yield f"{name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
+        if not occluders:
+            intensity, kd, ks = map(_vector_text, (light.intensity, self.kd, self.ks))
             power = f"{n_dot_h}^{self.exponent:g}"
-            yield f"  diffuse   {_text(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
-            yield f"  specular  {_text(light.specular)} = {intensity} * {ks} * {power}"
+            yield f"  diffuse   {_vector_text(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
+            yield f"  specular  {_vector_text(light.specular)} = {intensity} * {ks} * {power}"
 
 
-def _line(line: int | None) -> str:
-    """Return a line of a file as text to append to a name."""
+def _line_suffix(line: int | None) -> str:
+    """Return " (line N)", to append to the name of an element; "" if the line is None."""
     return "" if line is None else f" (line {line})"
 
 
-def _vector(values: ArrayLike) -> Vector:
-    """Convert three numbers to a tuple of floats."""
+def _to_vector(values: ArrayLike) -> Vector:
+    """Convert an array-like of three numbers to a tuple of three floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return x, y, z
 
 
-def _text(vector: Vector) -> str:
-    """Return the components of a vector as text; the sum turns -0 into 0."""
-    return " ".join(f"{value + 0.0:.9g}" for value in vector)
+def _vector_text(vector: Vector) -> str:
+    """Return the three components of a vector as text: up to nine digits each, and spaces between.
+
+    The component -0 is written as 0.
+    """
+    return " ".join(f"{component + 0.0:.9g}" for component in vector)
 
 
 @np.errstate(all="ignore")
 def explain(scene: Scene, x: int, y: int) -> Explanation:
-    """Explain the colour of a pixel, in a picture with one sample per pixel.
+    """Explain the colour of a pixel in a picture with one sample per pixel.
 
     Parameters
     ----------
     scene : Scene
-        The scene.
+        The scene that the picture shows.
     x, y : int
         Column and row of the pixel; the top left pixel is 0, 0.
+
+    Returns
+    -------
+    explanation : Explanation
+        The ray through the centre of the pixel, the hit, the contribution of each light, the
+        radiance and the codes.  ``print(explanation)`` shows them as text.
 
     Raises
     ------
     TypeError
         If `x` or `y` is not an integer.
     ValueError
-        If the pixel is outside of the picture.
+        If the pixel is outside the picture.
     """
     x, y = operator.index(x), operator.index(y)
     width, height = scene.width, scene.height
@@ -212,51 +252,56 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     index = first_hit.surface.item()
-    s, g, depth = samples.ray_s(frame), frame.ray_g(samples.y), np.array([frame.depth])
+    ray = samples.ray_s(frame), frame.ray_g(samples.y), np.array([frame.depth])
     shader = scene.surfaces[index].shader if index >= 0 else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
         x=x,
         y=y,
-        eye=_vector(frame.eye),
-        direction=_vector(unit(np.ravel(frame.vector_to_scene((s, g, depth))))),
+        eye=_to_vector(frame.eye),
+        direction=_to_vector(unit(np.ravel(frame.vector_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, index) if index >= 0 else None,
         distance=first_hit.distance.item(),
-        point=_vector(first_hit.point[0]),
-        normal=_vector(first_hit.normal[0]),
-        kd=_vector(shader.diffuse),
-        ks=_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
+        point=_to_vector(first_hit.point[0]),
+        normal=_to_vector(first_hit.normal[0]),
+        kd=_to_vector(shader.diffuse),
+        ks=_to_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
-            _light_part(scene, hits, first_hit, light, prepared.prepare_lights(slice(i, i + 1)))
+            _explain_light(scene, hits, first_hit, light, prepared.prepare_lights(slice(i, i + 1)))
             for i, light in enumerate(scene.lights if index >= 0 else ())
         ),
-        radiance=_vector(radiance),
+        radiance=_to_vector(radiance),
         codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
     )
 
 
-def _light_part(
-    scene: Scene, hits: Hits, first_hit: FirstHits, light: PointLight, lights: Lights
+def _explain_light(
+    scene: Scene, hits: Hits, first_hit: FirstHits, light: PointLight, prepared_light: Lights
 ) -> LightPart:
-    """Compute the contribution of one light to a pixel.
+    """Compute the contribution of one light to the colour of a pixel.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     hits : Hits
-        The one hit of the pixel.
+        The pixel's only hit, in the axes of the camera.
     first_hit : FirstHits
-        The same hit in the axes of the scene: arrays of length 1.
+        The same hit in the axes of the scene, as arrays of length 1.
     light : PointLight
         The light.
-    lights : Lights
-        The batch that contains only this light.
+    prepared_light : Lights
+        The same light in the axes of the camera: a batch that contains no other light.
+
+    Returns
+    -------
+    part : LightPart
+        The cosines, what blocks the light, and the radiance that the light adds.
     """
-    faces_light = light_geometry(hits, lights).n_dot_l.item() > 0
-    occluders = _occluders(hits, lights) if faces_light else hits.hit_object
+    faces_light = light_geometry(hits, prepared_light).n_dot_l.item() > 0
+    occluders = _find_occluders(hits, prepared_light) if faces_light else hits.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for _, channel, diffuse_term, specular_term in shade(hits, [lights]).reflection_terms():
+    for _, channel, diffuse_term, specular_term in shade(hits, [prepared_light]).reflection_terms():
         diffuse[channel] = diffuse_term.item()
         specular[channel] = 0 if specular_term is None else specular_term.item()
     point, normal = first_hit.point[0], first_hit.normal[0]
@@ -265,38 +310,40 @@ def _light_part(
     file_index = scene.surfaces.file_index[occluders].tolist()
     return LightPart(
         line=light.line,
-        intensity=_vector(light.intensity),
+        intensity=_to_vector(light.intensity),
         n_dot_l=float(normal @ to_light),
         n_dot_h=float(normal @ half),
         occluders=tuple(SurfaceRef.from_index(scene, index) for index in file_index),
-        diffuse=_vector(diffuse),
-        specular=_vector(specular),
+        diffuse=_to_vector(diffuse),
+        specular=_to_vector(specular),
     )
 
 
-def _occluders(hits: Hits, lights: Lights) -> Ints:
+def _find_occluders(hit: Hits, light: Lights) -> Ints:
     """Find all objects that block the segment from a hit to a light.
 
     The object on which the hit lies is not tested.
 
     Parameters
     ----------
-    hits : Hits
-        The one hit.
-    lights : Lights
-        The batch that contains only this light.
+    hit : Hits
+        A single hit.
+    light : Lights
+        A single light.
 
     Returns
     -------
     occluders : (k,) int array
-        Indices among all objects of the scene.
+        Indices of the objects that block the segment, in the order of the prepared scene; k may
+        be 0.
     """
     occluders = []
-    for shape in hits.prepared.shapes:
-        others = np.setdiff1d(shape.objects.indices(), hits.hit_object)
-        same_hit = hits.points(np.zeros_like(others))
-        same_light = take3(lights.position.T, np.zeros_like(others))
-        side = lights.side[0, others]
-        blocks = shape.occludes(others, same_hit, same_light, side)
+    for shape in hit.prepared.shapes:
+        others = np.setdiff1d(shape.objects.indices(), hit.hit_object)
+        # The hit and the light are repeated for each object.
+        hit_position = hit.points(np.zeros_like(others))
+        light_position = take3(light.position.T, np.zeros_like(others))
+        side = light.side[0, others]
+        blocks = shape.occludes(others, hit_position, light_position, side)
         occluders.append(others[blocks])
     return np.concatenate(occluders)

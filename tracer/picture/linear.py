@@ -1,4 +1,4 @@
-"""Write linear radiance to a file: exactly to .npy, or as float32 to OpenEXR.
+"""Write linear radiance to a file: as float64 in NumPy's format, or as float32 in OpenEXR.
 
 As in `tracer.picture.png`, a picture is written tile by tile, in the order of its pixels.
 """
@@ -16,37 +16,44 @@ NPY, EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 """The first bytes of files of these formats."""
 
 
-def raw(radiance: Floats, *, from_left: bool = True) -> bytes:
-    """Return the radiance of a tile as bytes.
+def encode_raw(radiance: Floats, *, from_left: bool = True) -> bytes:
+    """Convert the radiance of a tile (a rectangle of pixels) to bytes, without loss.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of the pixels.
     from_left : bool
-        Ignored; present because every function that encodes tiles has this argument.
+        Ignored.  Functions that encode tiles are called with this argument: whether the tile begins
+        at the left side of the picture.
 
     Returns
     -------
     data : bytes
-        The float64 values, in the order of the pixels.
+        The values as float64, row by row; for each pixel red, green and blue.
     """
     return radiance.tobytes()
 
 
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write a picture as a float64 array (height, width, 3) that `numpy.load` reads.
+    """Write a picture as a .npy file, from which `numpy.load` returns the array that was rendered.
 
-    The values are exactly those of `render`.
+    Its shape is (height, width, 3), its type float64.
 
     Parameters
     ----------
     file : binary file
-        The file to write to.
+        Open for writing.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        All pixels of the picture, encoded by `raw`, from top to bottom and from left to right.
+        The pixels of the picture from top to bottom and from left to right, as `encode_raw` encodes
+        them.  Their number is not checked.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
     """
     header = {"descr": "=f8", "fortran_order": False, "shape": (height, width, 3)}
     np.lib.format.write_array_header_1_0(file, header)
@@ -57,21 +64,25 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
     """Write a picture as an OpenEXR file with channels R, G and B.
 
-    Values are rounded to float32; those beyond its range become infinite.
+    Values are rounded to float32; values beyond the range of float32 become infinite.
 
     Parameters
     ----------
     file : binary file
-        An empty file that has a name, by which the package OpenEXR opens it.
+        An open file whose attribute `name` is its path: the package OpenEXR opens that path again,
+        and replaces the content.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        All pixels of the picture, encoded by `raw`, from top to bottom and from left to right.
+        The pixels of the picture from top to bottom and from left to right, as `encode_raw` encodes
+        them.
 
     Raises
     ------
     ModuleNotFoundError
         If the package OpenEXR is not installed.
+    ValueError
+        If the tiles contain more or fewer pixels than the picture has.
     OSError
         If the file cannot be written.
     """

@@ -1,7 +1,7 @@
-"""Warnings for valid scenes that look like mistakes.
+"""Warn of valid scenes that look like mistakes.
 
-Most warnings follow from the scene alone.  Only if a picture is black, rays are traced to find out
-which objects are visible, and why no light reaches them.
+Most warnings follow from the scene alone.  If a picture is black, rays are traced to find out which
+objects are visible, and why no light reaches them.
 """
 
 from __future__ import annotations
@@ -21,63 +21,81 @@ from tracer.trace.samples import pixel_centers
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# A colour of whole numbers counts as one from 0 to 255 if at least one of them is this large.
+# A colour of whole numbers looks like one from 0 to 255 if its largest number is at least this.
 _MIN_CODE = 10
 
-# Pixels count as stretched by mistake if they are more than this many times as wide as high, or as
-# high as wide.
+# Pixels look stretched by mistake if their width and height differ by more than this factor.
 _MAX_ASPECT = 1.05
 
 # Maximum number of pairs of a light and a surface for which a picture that is not black is searched
 # for lights inside surfaces.
 _MAX_PAIRS = BATCH_SIZE
 
-# Maximum number of pixels of one rectangle of the picture that are examined for clipping.
-_MAX_EXAMINED = 1 << 12
+# Maximum number of pixels in one rectangle of the picture that are examined for clipping.
+_MAX_EXAMINED_PIXELS = 1 << 12
 
 
 class SceneWarning(UserWarning):
-    """A valid scene that looks like a mistake: stretched, without light, colours up to 255."""
+    """The warning that a valid scene looks like a mistake.
+
+    For example, its picture is black or stretched, or its colours go up to 255 instead of 1.
+    """
 
 
 class Exposure(NamedTuple):
-    """Numbers of black, lit and clipped pixels in a picture, or in a part of it.
+    """Counts of lit and clipped pixels in a picture, or in a part of it.
 
     Attributes
     ----------
     is_black : bool
         Whether all pixels are black.
-    lit, clipped : int
-        Number of pixels that are not black, and number of pixels with a component larger than 1,
-        which a PNG file cannot represent.  For more than `_MAX_EXAMINED` pixels, these are
-        estimates.
+    lit_count : int
+        Number of pixels that are not black; an estimate if there are many pixels.
+    clipped_count : int
+        Number of pixels with a component larger than 1, which a PNG file cannot represent; an
+        estimate if there are many pixels.
     """
 
     is_black: bool = True
-    lit: int = 0
-    clipped: int = 0
+    lit_count: int = 0
+    clipped_count: int = 0
 
     @classmethod
-    def of_pixels(cls, radiance: Floats) -> Exposure:
-        """Examine pixels, given by their linear RGB radiance (rows, columns, 3)."""
+    def from_radiance(cls, radiance: Floats) -> Exposure:
+        """Count the lit and the clipped pixels in a rectangle of a picture.
+
+        Parameters
+        ----------
+        radiance : (rows, columns, 3) float array
+            Linear RGB radiance of the pixels.
+
+        Returns
+        -------
+        exposure : Exposure
+            Of more than `_MAX_EXAMINED_PIXELS` pixels, only every n-th is examined, and its counts
+            are multiplied by n.
+        """
         height, width, _ = radiance.shape
-        step = max(1, -(-height * width // _MAX_EXAMINED))
-        while gcd(step, width) > 1:  # else only some of the columns would be examined
+        step = max(1, -(-height * width // _MAX_EXAMINED_PIXELS))
+        while gcd(step, width) > 1:  # otherwise only some of the columns would be examined
             step += 1
         red, green, blue = radiance.reshape(-1, 3)[::step].T
         maximum = np.maximum(np.maximum(red, green), blue)
-        lit, clipped = (step * int(np.count_nonzero(maximum > limit)) for limit in (0, 1))
+        lit_count, clipped_count = (step * np.count_nonzero(maximum > limit) for limit in (0, 1))
         # Row by row, because this search ends at the first row that is not black.
-        return cls(not any(row.any() for row in radiance), lit, clipped)
+        return cls(not any(row.any() for row in radiance), int(lit_count), int(clipped_count))
 
-    def including(self, other: Exposure) -> Exposure:
-        """Return the exposure of these pixels together with others."""
-        is_black = self.is_black and other.is_black
-        return Exposure(is_black, self.lit + other.lit, self.clipped + other.clipped)
+    def merged(self, other: Exposure) -> Exposure:
+        """Return the exposure of two parts of a picture together: the sums of their counts."""
+        return Exposure(
+            self.is_black and other.is_black,
+            self.lit_count + other.lit_count,
+            self.clipped_count + other.clipped_count,
+        )
 
 
 def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) -> Iterator[str]:
-    """Yield a warning for each property of a scene, or of its picture, that looks like a mistake.
+    """Yield a warning for each property of a scene or of its picture that looks like a mistake.
 
     Parameters
     ----------
@@ -86,100 +104,131 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     prepared : PreparedScene
         The same scene, prepared for its camera.
     exposure : Exposure
-        Numbers of black, lit and clipped pixels in its picture.
-    """
-    code_warnings = [*islice(_code_warnings(scene), 1)]
-    yield from code_warnings
-    yield from _ineffective_shaders(scene.surfaces)
-    yield from _stretched(scene)
-    if exposure.is_black:
-        reason, remedy = _reason_for_black(scene, prepared)
-        yield f"{reason}: the picture is black; {remedy}"
-        return
-    yield from _ineffective_lights(scene, prepared)
-    if not code_warnings and 2 * exposure.clipped > exposure.lit:
-        brightest = max(range(len(scene.lights)), key=lambda k: max(scene.lights[k].intensity))
-        share = f"{100 * exposure.clipped / exposure.lit:.0f} % of the pixels that are not black"
-        remedy = f"lower the intensities, first that of {_light_name(scene, brightest)}"
-        yield f"{share} are brighter than 1, and clipped at 1 in a PNG file; {remedy}"
-
-
-def _ineffective_lights(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
-    """Yield a warning for the first light of intensity 0, and for the first inside a surface."""
-    lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
-    for light in lights[:1]:
-        yield f"{_light_name(scene, light)} has intensity 0 0 0: it has no effect; remove it"
-    if len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
-        for light, enclosing in islice(_enclosed_lights(scene, prepared), 1):
-            where = f"{_light_name(scene, light)} is inside {_surface_name(scene, enclosing)}"
-            yield f"{where}: it has no effect; move it out"
-
-
-def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[int, Ints]]:
-    """Find lights that reach nothing in view because they are inside objects without the eye.
+        Counts of lit and clipped pixels in the whole picture.
 
     Yields
     ------
-    light : int
-        Index of a light whose intensity is not 0.
+    warning : str
+        One line: what looks wrong, where, and a suggested fix.
+    """
+    code_warnings = [*islice(_code_warnings(scene), 1)]
+    yield from code_warnings
+    yield from _shader_warnings(scene.surfaces)
+    yield from _aspect_warnings(scene)
+    if exposure.is_black:
+        reason, remedy = _explain_black(scene, prepared)
+        yield f"{reason}: the picture is black; {remedy}"
+        return
+    yield from _light_warnings(scene, prepared)
+    if not code_warnings and 2 * exposure.clipped_count > exposure.lit_count:
+        intensities = [max(light.intensity) for light in scene.lights]
+        brightest = intensities.index(max(intensities))
+        percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
+        remedy = f"lower the intensities, first that of {_light_name(scene, brightest)}"
+        yield (
+            f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
+            f"in a PNG file; {remedy}"
+        )
+
+
+def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
+    """Yield a warning for the first light of intensity 0, and for the first inside a surface.
+
+    Lights inside surfaces are searched for only if the scene has at most `_MAX_PAIRS` pairs of a
+    light and a surface.
+    """
+    dark_lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
+    for light_index in dark_lights[:1]:
+        yield f"{_light_name(scene, light_index)} has intensity 0 0 0: it has no effect; remove it"
+    if len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
+        for light_index, enclosing in islice(_enclosed_lights(scene, prepared), 1):
+            light, surface = _light_name(scene, light_index), _surface_name(scene, enclosing)
+            yield f"{light} is inside {surface}: it has no effect; move it out"
+
+
+def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[int, Ints]]:
+    """Find the lights that are inside an object while the eye is outside that object.
+
+    Such a light illuminates nothing that is visible.  Lights of intensity 0 are skipped.
+
+    Yields
+    ------
+    light_index : int
+        Index of the light in the scene.
     enclosing : (k,) int array
-        Indices of the objects that contain the light, but not the eye; at least one.
+        Indices of the objects that contain the light, but not the eye; k is at least 1.
     """
     if not prepared.shapes:
         return
     for batch in batches(np.full(len(scene.lights), prepared.is_eye_inside.size)):
         position = np.array([light.position for light in scene.lights[batch]])
         x, y, z = position.T[:, :, None]
-        # A light at a depth of less than the tolerance counts as on the surface.
+        # A light that is inside by less than the tolerance is treated as on the surface.
         is_inside = [
             shape.signed_distance(shape.objects.indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_size
             for shape in prepared.shapes
         ]
         encloses = np.concatenate(is_inside, axis=1) & ~prepared.is_eye_inside
-        for index in np.flatnonzero(encloses.any(axis=1)).tolist():
-            if any(scene.lights[batch.start + index].intensity):
-                yield batch.start + index, indices(encloses[index])
+        for row in np.flatnonzero(encloses.any(axis=1)).tolist():
+            if any(scene.lights[batch.start + row].intensity):
+                yield batch.start + row, indices(encloses[row])
 
 
 @np.errstate(all="ignore")
-def _reason_for_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
-    """Find out why a picture is black; return the reason and a suggested fix."""
+def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
+    """Find out why the picture of a scene is black.
+
+    Returns
+    -------
+    reason : str
+        Why the picture is black.
+    remedy : str
+        A suggested fix.
+    """
     if not scene.lights:
         return "the scene has no light", "add <light>"
     visible = _visible_objects(prepared)
     if not visible.size:
-        return _reason_for_empty(scene, prepared)
-    shader = f"see the shader of {_surface_name(scene, visible)}"
-    colors = (prepared.diffuse[:, visible] > 0) | (prepared.specular[:, visible] > 0)
-    if not colors.any():
-        return "all surfaces in view are black", shader
-    is_bright = np.array([light.intensity for light in scene.lights]) > 0
-    if not is_bright.any():
+        return _explain_empty(scene, prepared)
+    see_shader = f"see the shader of {_surface_name(scene, visible)}"
+    is_reflected = (prepared.diffuse[:, visible] > 0) | (prepared.specular[:, visible] > 0)
+    if not is_reflected.any():
+        return "all surfaces in view are black", see_shader
+    is_emitted = np.array([light.intensity for light in scene.lights]) > 0
+    if not is_emitted.any():
         return "all lights have intensity 0 0 0", f"increase that of {_light_name(scene, 0)}"
-    if not colors[is_bright.any(axis=0)].any():
-        return "the surfaces in view reflect no colour of the lights", shader
+    if not is_reflected[is_emitted.any(axis=0)].any():
+        return "the surfaces in view reflect no colour of the lights", see_shader
     unlit = "no light reaches anything in view"
-    around = visible[prepared.is_eye_inside[visible]]
-    if around.size:
-        name = _surface_name(scene, around)
+    around_eye = visible[prepared.is_eye_inside[visible]]
+    if around_eye.size:
+        name = _surface_name(scene, around_eye)
         return unlit, f"viewPoint is inside {name}: move it out, or a light in"
     enclosed = [*_enclosed_lights(scene, prepared)]
-    if len(enclosed) < np.count_nonzero(is_bright.any(axis=1)):
+    if len(enclosed) < np.count_nonzero(is_emitted.any(axis=1)):
         return unlit, "see the lights' positions"
-    light, enclosing = enclosed[0]
-    name = _light_name(scene, light)
+    light_index, enclosing = enclosed[0]
+    name = _light_name(scene, light_index)
     return unlit, f"{name} is inside {_surface_name(scene, enclosing)}: move it out"
 
 
-def _reason_for_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
-    """Find out why no pixel's centre sees an object; return the reason and a suggested fix."""
+def _explain_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
+    """Find out why no object is visible at the centre of any pixel.
+
+    Returns
+    -------
+    reason : str
+        Why no object is visible.
+    remedy : str
+        A suggested fix.
+    """
     (top, bottom, left, right), frame = prepared.bounds, prepared.frame
-    is_near = (top < frame.height) & (bottom > 0) & (left < frame.width) & (right > 0)
-    is_near &= (top <= bottom) & (left <= right)
-    if not is_near.any():
+    is_in_view = (top < frame.height) & (bottom > 0) & (left < frame.width) & (right > 0)
+    is_in_view &= (top <= bottom) & (left <= right)
+    if not is_in_view.any():
         return "no object is in view", "see viewPoint, viewDir and the window"
-    narrow = indices(is_near & (np.minimum(bottom - top, right - left) < 1))
+    narrow = indices(is_in_view & (np.minimum(bottom - top, right - left) < 1))
     if not narrow.size:
         remedy = "see viewPoint, viewDir and the window, or try --samples 16"
         return "no pixel's centre sees an object", remedy
@@ -188,83 +237,106 @@ def _reason_for_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
 
 
 def _visible_objects(prepared: PreparedScene) -> Ints:
-    """Return the indices of all objects that are visible at the centre of any pixel."""
-    (rows, columns), visible = prepared.window, [np.zeros(0, dtype=np.intp)]
+    """Find the objects that are visible at the centre of at least one pixel.
+
+    Returns
+    -------
+    visible : (k,) int array
+        Indices of the objects, in ascending order.
+    """
+    (rows, columns), visible_parts = prepared.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
-        step = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
-        for top in range(rows.start, rows.stop, step):
-            samples = pixel_centers(slice(top, min(top + step, rows.stop)), columns)
-            visible.append(np.unique(nearest_hits(prepared, samples).run_object))
-    return np.unique(np.concatenate(visible))
+        row_count = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
+        for top in range(rows.start, rows.stop, row_count):
+            samples = pixel_centers(slice(top, min(top + row_count, rows.stop)), columns)
+            visible_parts.append(np.unique(nearest_hits(prepared, samples).run_object))
+    return np.unique(np.concatenate(visible_parts))
 
 
-def _ineffective_shaders(surfaces: Surfaces) -> Iterator[str]:
-    """Yield warnings for shaders that no surface uses, and for exponents without a highlight.
+def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
+    """Yield a warning for shaders that no surface uses, and one for exponents without effect.
 
-    Only shaders from a file are reported, because only these have line numbers.
+    An exponent has no effect if the specular colour is 0.  Only shaders from a file are reported,
+    because others have no line number by which the warning could name them.
     """
     is_used = np.zeros(len(surfaces.shaders), dtype=np.bool_)
     is_used[surfaces.shader_index] = True
-    unused: list[int] = []
-    matte: list[int] = []
+    unused_lines: list[int] = []
+    matte_lines: list[int] = []
     for shader, used in zip(surfaces.shaders, is_used.tolist(), strict=True):
         if shader.line is None:
             continue
         if not used:
-            unused.append(shader.line)
+            unused_lines.append(shader.line)
         elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
-            matte.append(shader.line)
-    if unused:
-        remedy = 'write <shader ref="..."/> with the name in a surface'
-        yield f"no surface refers to the {_shaders_of(unused)}; {remedy}, or remove the definition"
-    if matte:
-        reason = "because specularColor is 0 0 0"
-        yield f"exponent has no effect in the {_shaders_of(matte)}, {reason}; add <specularColor>"
+            matte_lines.append(shader.line)
+    if unused_lines:
+        names, remedy = _shader_names(unused_lines), 'write <shader ref="..."/> with the name in a'
+        yield f"no surface refers to the {names}; {remedy} surface, or remove the definition"
+    if matte_lines:
+        names, reason = _shader_names(matte_lines), "because specularColor is 0 0 0"
+        yield f"exponent has no effect in the {names}, {reason}; add <specularColor>"
 
 
-def _shaders_of(lines: list[int]) -> str:
-    """Name shaders by the lines that define them, of which at most nine are listed."""
+def _shader_names(lines: list[int]) -> str:
+    """Name one or more shaders by the lines that define them; list at most nine lines."""
     numbers = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
     return f"shader of line {numbers}" if len(lines) == 1 else f"shaders of lines {numbers}"
 
 
-def _stretched(scene: Scene) -> Iterator[str]:
-    """Yield a warning if pixels are far from square."""
+def _aspect_warnings(scene: Scene) -> Iterator[str]:
+    """Yield a warning if pixels are wider than high, or higher than wide, beyond a tolerance."""
     width, height, camera = scene.width, scene.height, scene.camera
-    across, down = camera.view_width, camera.view_height
-    if not 1 / _MAX_ASPECT <= across * height / (down * width) <= _MAX_ASPECT:
-        size = f"{number_text(across)} x {number_text(down)}"
-        window = f"{width} x {height} pixels show a window of {size}"
-        columns = max(1, round(height * across / down))
-        remedy = f"viewWidth {down * width / height:.6g}, or {columns} columns,"
-        yield f"{window}, stretched; {remedy} would make them square"
+    view_width, view_height = camera.view_width, camera.view_height
+    if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
+        window = f"{number_text(view_width)} x {number_text(view_height)}"
+        picture = f"{width} x {height} pixels show a window of {window}, stretched"
+        columns = max(1, round(height * view_width / view_height))
+        remedy = f"viewWidth {view_height * width / height:.6g}, or {columns} columns,"
+        yield f"{picture}; {remedy} would make them square"
 
 
-def _name(what: str, index: int, line: int | None) -> str:
-    """Name a light or a surface by its index in the file, and by its line if it has one."""
-    return f"{what} {index}" if line is None else f"{what} {index} (line {line})"
+def _name(kind: str, index: int, line: int | None) -> str:
+    """Name a light or a surface by its index in the scene, and by its line if it is from a file.
+
+    For example, the name of a light is "light 0", or "light 0 (line 12)".
+    """
+    return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 
 def _light_name(scene: Scene, index: int) -> str:
-    """Name a light, given by its index."""
+    """Name the light `scene.lights[index]` by its index, and by its line if it is from a file."""
     return _name("light", index, scene.lights[index].line)
 
 
 def _surface_name(scene: Scene, object_index: Ints) -> str:
-    """Name the surface that is first in the file, of objects given by their indices (n,)."""
+    """Name one of several surfaces: the one that comes first in the file.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene with the surfaces.
+    object_index : (n,) int array
+        Indices of the surfaces in the order in which the scene stores objects, which is not that of
+        the file; n is at least 1.
+    """
     index = scene.surfaces.file_index[object_index].min().item()
     return _name("surface", index, scene.surfaces[index].line)
 
 
-def _colors(shader: Shader) -> Iterator[tuple[str, VectorLike]]:
-    """Yield the tag and the value of each colour of a shader."""
+def _tagged_colors(shader: Shader) -> Iterator[tuple[str, VectorLike]]:
+    """Yield each colour of a shader as a pair: its XML tag, and its value."""
     yield "diffuseColor", shader.diffuse
     if isinstance(shader, Phong):
         yield "specularColor", shader.specular
 
 
 def _code_warnings(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1."""
+    """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1.
+
+    A colour seems to be given so if its components are whole numbers up to 255, and the largest is
+    at least `_MIN_CODE`.
+    """
     surfaces = scene.surfaces
     colors = [
         ("intensity", light.intensity, _light_name(scene, index))
@@ -273,7 +345,7 @@ def _code_warnings(scene: Scene) -> Iterator[str]:
     # Each shader is named by the first surface in the file that uses it.
     shaders, users = np.unique(surfaces.shader_index[surfaces.file_order], return_index=True)
     for shader, user in zip(shaders.tolist(), users.tolist(), strict=True):
-        for tag, color in _colors(surfaces.shaders[shader]):
+        for tag, color in _tagged_colors(surfaces.shaders[shader]):
             if max(color) >= _MIN_CODE:
                 colors.append((tag, color, _name("surface", user, surfaces[user].line)))
     for tag, color, owner in colors:

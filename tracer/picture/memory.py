@@ -1,6 +1,6 @@
-"""Keep freed memory for the next arrays.
+"""Make the C library keep freed memory for the next arrays.
 
-In many pictures, half of the time would be spent on getting fresh memory from the system.
+Otherwise many pictures would spend half of their time on requesting fresh memory from the system.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ import numpy as np
 # Parameters of mallopt(3), from glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
-# Maximum size of an array that comes from the heap, in bytes: glibc allows no more.
+# Maximum size of an array that is allocated on the heap, in bytes: glibc allows no more.
 _MAX_HEAP_BLOCK_BYTES = 1 << 25
 
-# Size of the heap's part that consists of large pages, in bytes; twice as much is kept when it is
-# free.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
+# Size of the part of the heap that consists of large pages, in bytes.  Of free memory, twice this
+# size is kept.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
 _LARGE_PAGE_BYTES = 1 << 27
 
 
 @cache
 def keep_heap() -> None:
-    """Let the C library keep freed memory for the next array, in large pages.
+    """Make the C library glibc keep freed memory, in large pages, for the next array.
 
-    Getting fresh pages takes longer than the arithmetic on them, and by default glibc returns all
-    memory that is free at the end of the heap to the system.  With another C library, or when it is
-    called again, this function does nothing.
+    By default, glibc returns free memory at the end of the heap to the system, and to get it back
+    takes longer than the arithmetic on it.  The setting applies to this process and to processes
+    forked from it.  With another C library, this function does nothing; a second call does nothing,
+    either.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,12 +1,12 @@
 """Encode linear radiance as 8-bit codes, and write them to a PNG file (ISO/IEC 15948).
 
 A picture is written tile by tile, in the order of its pixels, so only one tile needs to be in
-memory.  Each tile is compressed separately, in any process; the file's checksum is computed from
-those of the tiles.
+memory.  Each tile is compressed separately, in any process.  The checksum of the file is computed
+from those of the tiles.
 
-Codes are those of exact arithmetic.  The power function in float64 has an error of some ulps, so
-it may give a wrong code near a threshold between two codes; tables of exact thresholds do not, and
-take half the time.
+Codes are those of exact arithmetic.  The power function in float64 has an error of a few units in
+the last place, so it may give a wrong code near a threshold between two codes.  Tables of exact
+thresholds give the right code in half the time.
 """
 
 from __future__ import annotations
@@ -28,26 +28,28 @@ from tracer.files import atomic_file
 PNG = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file (5.2)."""
 
-# The code of radiance x is round(_MAX_CODE x^(1 / gamma)).  Gamma is 11 / 5 = 2.2: two integers,
-# because thresholds are computed exactly.
+# The code of radiance x is round(_MAX_CODE x^(1 / gamma)).  Gamma is 11 / 5 = 2.2, given as two
+# integers because thresholds are computed exactly.
 _MAX_CODE = 255
 _GAMMA = 11, 5
 
 # Number of values that are encoded or compressed together: they stay in the CPU cache.
 _VALUES_PER_BATCH = CACHE_SIZE
 
-# The largest prime below 2^16 (RFC 1950).
-_ADLER = 65521
+# Modulus of Adler-32 checksums: the largest prime below 2^16 (RFC 1950).
+_ADLER_MODULUS = 65521
 
 
 def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike) -> None:
-    """Write a picture as an 8-bit RGB PNG file; its codes are those of `to_codes`.
+    """Write a picture as an 8-bit RGB PNG file.
+
+    The radiance is encoded by `to_codes`: clipped to the range from 0 to 1, and gamma-corrected.
 
     Parameters
     ----------
     file : str, bytes, path-like or binary file
-        Name of the file, or an open file.  A PNG file of this name is replaced when the new one is
-        complete.
+        Path of the file, or a file open for writing.  A PNG file that exists at the path is
+        replaced when the new one is complete.
     image : (height, width, 3) array_like
         Linear RGB radiance, as `render` returns it.
 
@@ -56,16 +58,16 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
     TypeError
         If the image has type uint8, is complex, or is a masked array.
     ValueError
-        If the image has another shape, has no pixels, or contains a NaN; or if the name has a
+        If the image has another shape, has no pixels, or contains a NaN; or if the path has a
         suffix other than ".png".
     OSError
-        If the file cannot be written, or a file that is not a PNG has this name.
+        If the file cannot be written, or a file that is not a PNG exists at the path.
     """
-    radiance = _validated_radiance(image)
+    radiance = _validate_radiance(image)
     height, width, _ = radiance.shape
     rows_per_tile = max(1, _VALUES_PER_BATCH // (3 * max(1, width)))
     row_starts = range(0, height, rows_per_tile)
-    tiles = (compressed(radiance[start : start + rows_per_tile]) for start in row_starts)
+    tiles = (compress_tile(radiance[start : start + rows_per_tile]) for start in row_starts)
     if not isinstance(file, (str, bytes, os.PathLike)):
         write_tiles(file, width, height, tiles)
         return
@@ -77,18 +79,18 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
         write_tiles(stream, width, height, tiles)
 
 
-class Compressed(NamedTuple):
+class CompressedTile(NamedTuple):
     """A tile of a picture (a rectangle of pixels), compressed for a PNG file.
 
     Attributes
     ----------
     data : bytes
-        Deflate blocks (RFC 1951).  The last block ends at the end of a byte, and is not marked as
-        the last of the stream.
+        Deflate blocks (RFC 1951).  They end at the end of a byte, and none is marked as the last
+        block of a stream, so the blocks of several tiles can be joined.
     size : int
         Number of bytes before compression.
     checksum : int
-        Adler-32 of the bytes before compression (RFC 1950).
+        Adler-32 checksum (RFC 1950) of the bytes before compression.
     """
 
     data: bytes
@@ -96,92 +98,106 @@ class Compressed(NamedTuple):
     checksum: int
 
 
-def compressed(radiance: Floats, *, from_left: bool = True) -> Compressed:
-    """Encode the radiance of a tile as 8-bit codes, and compress these.
+def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile:
+    """Encode the radiance of a tile as 8-bit codes, and compress the codes for a PNG file.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of whole rows of the picture, or of a part of one row.
     from_left : bool
-        Whether the tile begins at the left side of the picture.  In the file, each row begins there
-        with the number of its filter.  It is always 0, no filter: rendered pictures are full of
-        exact repeats, which filters would disturb.
+        Whether the tile begins at the left side of the picture.  If so, each row is preceded by a
+        byte 0, which means that the row is not filtered (PNG, 9.2).
 
     Returns
     -------
-    tile : Compressed
-        The data for `write_tiles`.
+    tile : CompressedTile
+        The compressed codes, for `write_tiles`.
+
+    Raises
+    ------
+    ValueError
+        If the radiance contains a NaN.
     """
     codes = to_codes(radiance)
-    lines = codes.reshape(len(codes), -1)
+    rows = codes.reshape(len(codes), -1)
     if from_left:
-        lines = np.pad(lines, ((0, 0), (1, 0)))
+        # No filter, because filters would disturb the exact repeats of which pictures are full.
+        rows = np.pad(rows, ((0, 0), (1, 0)))
     # Level 3 takes no longer than level 1.
-    stream = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
-    data = stream.compress(lines.data) + stream.flush(zlib.Z_FULL_FLUSH)
-    return Compressed(data, lines.size, zlib.adler32(lines.data))
+    compressor = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
+    data = compressor.compress(rows.data) + compressor.flush(zlib.Z_FULL_FLUSH)
+    return CompressedTile(data, rows.size, zlib.adler32(rows.data))
 
 
-def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compressed]) -> None:
+def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[CompressedTile]) -> None:
     """Write a PNG file from the compressed tiles of a picture.
 
     Parameters
     ----------
     file : binary file
-        The file to write to.
+        Open for writing.  The PNG file begins at its current position.
     width, height : int
         Size of the picture, in pixels.
-    tiles : iterable of Compressed
-        All pixels of the picture, in order: from top to bottom and from left to right.
+    tiles : iterable of CompressedTile
+        The pixels of the picture, from top to bottom and from left to right.  Each tile is written
+        before the next one is requested.
 
     Raises
     ------
     ValueError
-        If the picture has no pixels, or the tiles contain more or fewer pixels than it has.
+        If `width` or `height` is less than 1, or the tiles contain more or fewer pixels than the
+        picture has.
+    OSError
+        If the file cannot be written.
     """
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
 
-    def write_chunk(kind: bytes, data: bytes) -> None:  # (5.3)
-        file.write(struct.pack(">I", len(data)) + kind)
+    def write_chunk(chunk_type: bytes, data: bytes) -> None:  # (5.3)
+        file.write(struct.pack(">I", len(data)) + chunk_type)
         file.write(data)
-        file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
+        file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(chunk_type))))
 
     file.write(PNG)
     # 8 bits per channel, RGB, the only compression and filter methods that exist, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
     # A zlib stream (RFC 1950): its header (window of 32 KB, fast compression), the blocks of the
     # tiles, an empty last block, and the checksum.
-    header, checksum, remaining = b"\x78\x5e", 1, height * (1 + 3 * width)
+    header, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
     for tile in tiles:
         write_chunk(b"IDAT", header + tile.data)
-        header, checksum = b"", _joined_adler(checksum, tile.checksum, tile.size)
-        remaining -= tile.size
-    if remaining:
+        header, checksum = b"", _combine_adler(checksum, tile.checksum, tile.size)
+        remaining_bytes -= tile.size
+    if remaining_bytes:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
     write_chunk(b"IDAT", b"\x03\x00" + struct.pack(">I", checksum))
     write_chunk(b"IEND", b"")
 
 
-def _joined_adler(first: int, second: int, second_size: int) -> int:
-    """Compute the Adler-32 checksum of two joined pieces of data from the checksums of both.
+def _combine_adler(first: int, second: int, second_size: int) -> int:
+    """Compute the Adler-32 checksum of two joined byte strings from the checksums of both.
+
+    The lower 16 bits of an Adler-32 checksum are a, which is 1 plus the sum of all bytes; the upper
+    16 bits are b, the sum of the values of a after each byte.  Both are modulo 65521 (RFC 1950).
 
     Parameters
     ----------
     first, second : int
-        Checksum of the first piece, and of the second piece.
+        Checksums of the two byte strings.
     second_size : int
-        Number of bytes of the second piece.
+        Number of bytes in the second string.
 
     Returns
     -------
     checksum : int
-        The checksum of the first piece followed by the second.
+        The checksum of the first string followed by the second.
     """
-    a, b = first & 0xFFFF, first >> 16
-    total = (a + (second & 0xFFFF) - 1) % _ADLER
-    return ((b + (second >> 16) + second_size * (a - 1)) % _ADLER) << 16 | total
+    a1, b1 = first & 0xFFFF, first >> 16
+    a2, b2 = second & 0xFFFF, second >> 16
+    a = (a1 + a2 - 1) % _ADLER_MODULUS
+    b = (b1 + b2 + second_size * (a1 - 1)) % _ADLER_MODULUS
+    return b << 16 | a
 
 
 def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
@@ -195,7 +211,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The codes that exact arithmetic would give.
+        The codes, equal to those of exact arithmetic.
 
     Raises
     ------
@@ -204,20 +220,22 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     ValueError
         If the image has another shape, or contains a NaN.
     """
-    radiance = _validated_radiance(image)
+    radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
-    flat, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    min_value, first_cell, cell_code, next_threshold = _code_tables()
-    for start in range(0, flat.size, _VALUES_PER_BATCH):
+    flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
+    min_value, first_cell, cell_code, next_threshold = _make_code_tables()
+    for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        x = np.clip(flat[batch], min_value, 1.0)
-        code = cell_code.take((x.view(np.int64) >> _CELL_BITS) - first_cell)
-        np.add(code, x >= next_threshold.take(code), out=flat_codes[batch])
+        clipped = np.clip(flat_radiance[batch], min_value, 1.0)
+        # A cell is a range of float64 values with common leading bits; at most one threshold of a
+        # code is in it.  So the code of a value is that of its cell's minimum, or one more.
+        code = cell_code.take((clipped.view(np.int64) >> _CELL_BITS) - first_cell)
+        np.add(code, clipped >= next_threshold.take(code), out=flat_codes[batch])
     return codes
 
 
-def _validated_radiance(image: ArrayLike) -> Floats:
-    """Validate an image, and convert it to a contiguous float64 array.
+def _validate_radiance(image: ArrayLike) -> Floats:
+    """Check that an image contains linear radiance, and convert it to a contiguous float64 array.
 
     Parameters
     ----------
@@ -227,12 +245,14 @@ def _validated_radiance(image: ArrayLike) -> Floats:
     Returns
     -------
     radiance : (height, width, 3) float64 array
-        The same values, in C order.
+        The same values in C order: `image` itself, if it is such an array.
 
     Raises
     ------
-    TypeError, ValueError
-        As `to_codes` does.
+    TypeError
+        If the image has type uint8, is complex, or is a masked array.
+    ValueError
+        If the image has another shape, or contains a NaN.
     """
     array = np.asarray(image)
     if array.dtype == np.uint8:
@@ -256,31 +276,38 @@ _CELL_BITS = 52 - 7
 
 
 @cache
-def _code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
-    """Compute tables that give the code of any value from `min_value` to 1.
+def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
+    """Compute tables to look up the 8-bit code of any radiance from `min_value` to 1.
+
+    The values from `min_value` to 1 are divided into cells: a cell is a range of float64 values
+    with the same leading bits, that is, all but the last `_CELL_BITS` bits.
 
     Returns
     -------
     min_value : float
-        A power of two below the first threshold: it has code 0, as all smaller values have.
+        A power of two that is so small that it and all smaller values have code 0.
     first_cell : int
-        The leading bits of `min_value`.
+        The leading bits of `min_value`.  Subtract them from those of a value to get the index of
+        the cell of the value.
     cell_code : (cells,) uint8 array
-        The code of the smallest float64 in each cell.
+        The code of the smallest value in each cell.
     next_threshold : (_MAX_CODE + 1,) float array
-        For each code, the smallest float64 that has a larger code.
+        For each code, the smallest float64 that has a larger code; infinite for the last code.
     """
     codes = range(1, _MAX_CODE + 1)
     next_threshold = np.array([_threshold(code) for code in codes] + [np.inf])
-    min_value = 2.0 ** _min_exponent()
+    min_value = 2.0 ** _exponent_below_thresholds()
     first_cell, last_cell = (np.array([min_value, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
     smallest: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
     cell_code = next_threshold.searchsorted(smallest, side="right").astype(np.uint8)
     return min_value, first_cell, cell_code, next_threshold
 
 
-def _min_exponent() -> int:
-    """Return the exponent of the largest power of two below the first threshold."""
+def _exponent_below_thresholds() -> int:
+    """Return e such that 2^e is the largest power of two with code 0.
+
+    That is the largest power of two below the first threshold, (0.5 / 255)^gamma.
+    """
     p, q = _GAMMA
     return math.frexp((0.5 / _MAX_CODE) ** (p / q))[1] - 1
 
@@ -288,14 +315,26 @@ def _min_exponent() -> int:
 def _threshold(code: int) -> float:
     """Compute the smallest float64 whose code is at least `code`.
 
-    The condition is 255 x^(q/p) >= code - 1/2, where p / q is gamma.  Raised to the power p it has
-    only integers, for a float64 that is at least 2^e is a multiple of 2^(e - 52).
+    A value x has at least this code if 255 x^(q/p) >= code - 1/2, where p / q is gamma.  Both sides
+    times 2, raised to the power p, are compared exactly: x is a multiple of 2^(e - 52), where 2^e
+    is a power of two that is not larger than x, so the comparison is one of integers.
+
+    Parameters
+    ----------
+    code : int
+        From 1 to 255.
+
+    Returns
+    -------
+    threshold : float
+        The smallest x.
     """
     p, q = _GAMMA
-    root = (code - 0.5) / _MAX_CODE
-    # Closer than root**(p / q): the remainder is small, and so is the error of its rounding.
-    near: float = root ** (p // q) * root ** (p % q / q)
-    bits = 52 - _min_exponent()
+    base = (code - 0.5) / _MAX_CODE
+    # An approximation of the threshold.  It is closer than base**(p / q), because the fractional
+    # exponent is small, and so is the error of its rounding.
+    estimate: float = base ** (p // q) * base ** (p % q / q)
+    bits = 52 - _exponent_below_thresholds()
     limit = (2 * code - 1) ** p << q * bits
-    candidates = (near + ulps * math.ulp(near) for ulps in range(-4, 5))
+    candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))
     return next(x for x in candidates if int(x * 2.0**bits) ** q * (2 * _MAX_CODE) ** p >= limit)

@@ -3,17 +3,18 @@
 tile
     A rectangle of pixels: several whole rows of the picture, or a part of one row.  It is so small
     that its arrays stay in the CPU cache, and so large that the overhead of NumPy calls is
-    negligible.  Its pixels depend on the scene only.  So any process may render it, and the picture
-    is the same to the last bit.
+    negligible.  Its pixels depend only on the scene, the samples and the offset, so the picture is
+    the same to the last bit, whichever process renders the tile.
 block
     A part of a tile whose samples fit into memory.
 classified
     A picture is classified if pixels are sampled adaptively: edges are found first, and only pixels
     that edges cross are sampled more than once.  Otherwise all pixels have the same samples.
 
-A `RenderJob` is a picture to render.  It is sent to other processes as its arguments, and each of
-them prepares the scene once.  `render` collects the radiance of its tiles in an array, with any
-executor.  `render_tiles` yields the tiles of a job, encoded for a file, with the pool of a command.
+A `RenderJob` is a picture to render.  Other processes receive only its arguments, and each of them
+prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
+them with any executor.  `render_tiles` yields the tiles encoded for a file, and can share them with
+the worker pool of a command.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import Distribution, Executor, WorkerPool, in_order, processors
-from tracer.picture.png import compressed, write_png
+from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
 from tracer.world.prepared_scene import PreparedScene
@@ -78,9 +79,9 @@ which sharing a picture with an executor that runs already is worth it."""
 # Maximum number of samples per pixel.
 _MAX_SAMPLES = 999_999_999
 
-# Maximum number of jobs that a process remembers: several pictures may be rendered at the same time
-# on one executor, and to prepare a scene for each tile would take longer than to render the tile.
-_MAX_REMEMBERED_JOBS = 4
+# Maximum number of jobs that a process caches: several pictures may be rendered at the same time on
+# one executor, and to prepare a scene for each tile would take longer than to render the tile.
+_MAX_CACHED_JOBS = 4
 
 Rectangle: TypeAlias = tuple[slice, slice]
 """Rows and columns of a picture."""
@@ -105,10 +106,10 @@ def render(
         sample, rays pass through the centres of the pixels.
     executor : concurrent.futures.Executor, optional
         Renders a part of the picture in other processes: a ProcessPoolExecutor, or an executor of
-        Dask or loky.  By default, and if the picture is so small that this is faster, the calling
-        process renders the whole picture.
+        Dask or loky.  By default, and if the picture is so small that sharing it takes longer, the
+        calling process renders the whole picture.
     offset : (float, float)
-        Moves every sample by this number of pixels to the right, and down.
+        Distance, in pixels, by which every sample is moved to the right, and down.
 
     Returns
     -------
@@ -152,15 +153,15 @@ def render(
     for index, radiance in work:
         if radiance is not None:
             image[tiles[index]] = radiance
-    for warning in scene_warnings(scene, job.prepared, Exposure.of_pixels(image)):
+    for warning in scene_warnings(scene, job.prepared, Exposure.from_radiance(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
 
 def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
-    """Render a scene, and return the bytes of a PNG file.
+    """Render a scene, and return the picture as the bytes of a PNG file.
 
-    Many pictures are rendered fastest by several processes, of which each renders whole pictures::
+    To render many pictures, let each process of a pool render whole pictures::
 
         pool.map(partial(tracer.to_png, samples=4), scenes)
 
@@ -191,32 +192,35 @@ class Tile(NamedTuple):
     Attributes
     ----------
     data : object
-        The encoded pixels.
-    pixels : int
+        What the function that encodes tiles returned for this one.
+    pixel_count : int
         Number of pixels in the tile.
     exposure : Exposure
-        Numbers of black, lit and clipped pixels in the tile.
+        Counts of lit and clipped pixels in the tile.
     """
 
     data: Any
-    pixels: int
+    pixel_count: int
     exposure: Exposure
 
 
 def render_tiles(
-    job: RenderJob, pool: WorkerPool | None = None, encode: Callable[..., Any] = compressed
+    job: RenderJob, pool: WorkerPool | None = None, encode: Callable[..., Any] = compress_tile
 ) -> Iterator[Tile]:
-    """Render a picture, and yield its tiles in order, from top to bottom and from left to right.
+    """Render a picture, and yield its encoded tiles from top to bottom and from left to right.
 
     Parameters
     ----------
     job : RenderJob
         The picture to render.
     pool : WorkerPool, optional
-        Worker processes that render tiles, too.  By default this process renders the whole picture.
+        Worker processes, which render a part of the tiles.  By default, this process renders the
+        whole picture.
     encode : callable
-        Encodes the radiance of a tile, where the tile is rendered; called as `compressed` is, which
-        encodes for a PNG file.  Both the function and its results must be picklable.
+        Encodes a tile in the process that has rendered it.  It is called with the radiance of the
+        tile, an array (rows, columns, 3), and `from_left`: whether the tile begins at the left side
+        of the picture.  By default, it encodes for a PNG file.  The function and its results must
+        be picklable.
 
     Yields
     ------
@@ -226,8 +230,8 @@ def render_tiles(
     workers = pool.workers if pool else 0
     if workers:
         _ = [*job.prepared.light_batches]  # prepares the lights once, before the process forks
-        _remember(job)
-    render_tile = partial(job.encoded_tile, encode)
+        _cache_job(job)
+    render_tile = partial(job.render_encoded_tile, encode)
     tiles = Distribution(
         render_tile,
         job.tiles(shared=workers > 0),
@@ -240,11 +244,21 @@ def render_tiles(
         yield from in_order(tiles)
     finally:
         if workers:
-            _remembered_jobs.pop(job.pickled, None)
+            _cached_jobs.pop(job.pickled_arguments, None)
 
 
 def _samples_per_side(samples: SupportsIndex) -> int:
-    """Return the smallest n for which n x n is at least `samples`.
+    """Compute the smallest n for which n x n samples are at least the requested number.
+
+    Parameters
+    ----------
+    samples : int
+        Requested number of samples per pixel; a NumPy integer is accepted.
+
+    Returns
+    -------
+    per_side : int
+        The number n of samples along each side of a pixel.
 
     Raises
     ------
@@ -254,21 +268,21 @@ def _samples_per_side(samples: SupportsIndex) -> int:
         If `samples` is less than 1 or more than `_MAX_SAMPLES`.
     """
     try:
-        number = int(operator.index(samples))  # NumPy integers overflow
+        sample_count = int(operator.index(samples))  # NumPy integers overflow
     except TypeError:
         raise TypeError(f"samples must be an int, is {samples!r}") from None
-    if number < 1:
-        raise ValueError(f"samples must be at least 1, is {number}")
-    if number > _MAX_SAMPLES:
+    if sample_count < 1:
+        raise ValueError(f"samples must be at least 1, is {sample_count}")
+    if sample_count > _MAX_SAMPLES:
         raise ValueError(f"samples must be at most {_MAX_SAMPLES}")
-    return isqrt(number - 1) + 1
+    return isqrt(sample_count - 1) + 1
 
 
 class RenderJob:
     """A picture to render, which can be divided into tiles (rectangles of pixels).
 
-    A pickled job contains only its arguments: the process that unpickles the job prepares the scene
-    again, unless it remembers the job.
+    To pickle a job is to pickle its arguments.  The process that unpickles the job prepares the
+    scene again, unless it has rendered the same job recently.
 
     Parameters
     ----------
@@ -277,19 +291,21 @@ class RenderJob:
     samples : int
         Number of samples per pixel, as in `render`.
     offset : (float, float)
-        Moves every sample by this number of pixels to the right, and down.
+        Distance, in pixels, by which every sample is moved to the right, and down.
 
     Attributes
     ----------
     prepared : PreparedScene
         The scene, prepared for its camera.
     seconds : float
-        Rough estimate of the time that one process would need for the picture.
+        Rough estimate of the time, in seconds, that one process would need for the picture.
 
     Raises
     ------
-    TypeError, ValueError
-        As in `render`.
+    TypeError
+        If `samples` is not an integer.
+    ValueError
+        If `samples` is less than 1 or more than 999,999,999, or `offset` is not two finite numbers.
     """
 
     @_QUIET
@@ -317,16 +333,20 @@ class RenderJob:
 
     @cached_property
     def _seconds_per_pixel(self) -> float:
-        """Rough estimate of the time, in seconds, that one process needs for a pixel."""
-        prepared, samples = self.prepared, float(self._lattice.size)
+        """Rough estimate of the time, in seconds, that one process needs for one pixel.
+
+        It is the estimated number of samples in the pixel, times the number of lights, times the
+        average number of objects that the ray through a sample meets, times a constant.
+        """
+        prepared, sample_count = self.prepared, float(self._lattice.size)
         if self._is_classified:
-            pixels = prepared.frame.width * prepared.frame.height
-            silhouette_pairs = prepared.bounds.silhouette_density(prepared.frame)
-            edges = _EDGES / sqrt(pixels) + _EDGES_PER_SILHOUETTE_PAIR * silhouette_pairs
-            per_edge = self._per_side + self._per_side**2 / _CROWDED_SIDE
-            samples = _CLASSIFIED_SAMPLES + edges * per_edge
+            pixel_count = prepared.frame.width * prepared.frame.height
+            pair_density = prepared.bounds.silhouette_density(prepared.frame)
+            edge_count = _EDGES / sqrt(pixel_count) + _EDGES_PER_SILHOUETTE_PAIR * pair_density
+            samples_per_edge = self._per_side + self._per_side**2 / _CROWDED_SIDE
+            sample_count = _CLASSIFIED_SAMPLES + edge_count * samples_per_edge
         seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared.light_count)
-        return samples * seconds_per_hit * prepared.depth_complexity
+        return sample_count * seconds_per_hit * prepared.depth_complexity
 
     def tiles(self, *, shared: bool) -> list[Rectangle]:
         """Divide the picture into tiles: rectangles of whole rows, or parts of one row.
@@ -334,33 +354,35 @@ class RenderJob:
         Parameters
         ----------
         shared : bool
-            Whether several processes render tiles.  If so, tiles are smaller, so that each
+            Whether several processes render tiles.  If so, tiles may be smaller, so that each
             processor gets several tiles.
 
         Returns
         -------
         tiles : list of (slice, slice)
-            Rows and columns of each tile, from top to bottom and from left to right.
+            Rows and columns of each tile in the picture, from top to bottom and from left to right.
         """
         width, height = self.prepared.frame.width, self.prepared.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
-        pixels = min(self._max_samples / self._lattice.size, _MAX_TILE_SECONDS * pixels_per_second)
+        tile_size = min(
+            self._max_samples / self._lattice.size, _MAX_TILE_SECONDS * pixels_per_second
+        )
         if shared:
-            balanced_pixels = width * height / (_TILES_PER_PROCESSOR * processors())
-            pixels = min(pixels, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_pixels))
-        row_ranges = _divide(slice(0, height), max(1, int(pixels / width)))
-        return list(product(row_ranges, _divide(slice(0, width), max(1, int(pixels)))))
+            balanced_size = width * height / (_TILES_PER_PROCESSOR * processors())
+            tile_size = min(tile_size, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_size))
+        row_ranges = _divide(slice(0, height), max(1, int(tile_size / width)))
+        return list(product(row_ranges, _divide(slice(0, width), max(1, int(tile_size)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments only."""
-        return _job_from_pickle, (self.pickled,)
+        """Define what pickle stores: only the arguments, not the prepared scene."""
+        return _job_from_pickle, (self.pickled_arguments,)
 
     @cached_property
-    def pickled(self) -> bytes:
-        """The pickled arguments, which identify the job in all processes."""
+    def pickled_arguments(self) -> bytes:
+        """The pickled arguments (scene, samples, offset), which identify the job in any process."""
         return pickle.dumps(self._arguments)
 
-    def encoded_tile(self, encode: Callable[..., Any], rectangle: Rectangle) -> Tile:
+    def render_encoded_tile(self, encode: Callable[..., Any], rectangle: Rectangle) -> Tile:
         """Render one tile, and encode it for a file.
 
         Parameters
@@ -378,7 +400,7 @@ class RenderJob:
         """
         radiance = self.render_tile(rectangle)
         data = encode(radiance, from_left=rectangle[1].start == 0)
-        return Tile(data, radiance.size // 3, Exposure.of_pixels(radiance))
+        return Tile(data, radiance.size // 3, Exposure.from_radiance(radiance))
 
     @_QUIET
     def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
@@ -395,7 +417,7 @@ class RenderJob:
         Returns
         -------
         radiance : (rows, columns, 3) float array
-            Linear RGB radiance of each pixel in the tile: `out`, if it is given.
+            Linear RGB radiance of each pixel in the tile.  If `out` is given, this is `out`.
         """
         keep_heap()
         rows, columns = rectangle
@@ -409,7 +431,7 @@ class RenderJob:
         return radiance
 
     def _render_block(self, rows: slice, columns: slice, out: Floats) -> None:
-        """Render a block: a rectangle of pixels whose samples fit into memory.
+        """Render a block: a rectangle of pixels so small that its samples fit into memory.
 
         Parameters
         ----------
@@ -432,66 +454,81 @@ class RenderJob:
             radiance_at(self.prepared, samples, out=out.reshape(-1, 3).T)
 
 
-_remembered_jobs = dict[bytes, RenderJob]()
+_cached_jobs = dict[bytes, RenderJob]()
 """The latest jobs of this process, by their pickled arguments, in order of last use."""
 
-_jobs_lock = threading.Lock()
+_cache_lock = threading.Lock()
 
 
-def _remember(job: RenderJob) -> None:
-    """Keep a render job, so that this process and its forks need not prepare the scene again.
+def _cache_job(job: RenderJob) -> None:
+    """Put a render job into this process's cache of jobs, which is inherited by forked processes.
 
-    At most `_MAX_REMEMBERED_JOBS` are kept: those that were used last.
+    A cached job need not prepare its scene again.  At most `_MAX_CACHED_JOBS` jobs are kept: those
+    that were used last.
     """
-    with _jobs_lock:
-        _remembered_jobs.pop(job.pickled, None)
-        _remembered_jobs[job.pickled] = job
-        if len(_remembered_jobs) > _MAX_REMEMBERED_JOBS:
-            del _remembered_jobs[next(iter(_remembered_jobs))]
+    with _cache_lock:
+        _cached_jobs.pop(job.pickled_arguments, None)
+        _cached_jobs[job.pickled_arguments] = job
+        if len(_cached_jobs) > _MAX_CACHED_JOBS:
+            del _cached_jobs[next(iter(_cached_jobs))]
 
 
-def _job_from_pickle(pickled: bytes) -> RenderJob:
-    """Return the render job that has certain arguments, in the process that unpickles the job.
+def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
+    """Return the render job with the given arguments, from this process's cache if possible.
 
-    A job is returned that this process remembers, if there is one.  Otherwise a new job is created
-    and remembered: that prepares the scene, which may take longer than to render a tile.
+    If the job is not in the cache, it is created and cached.  That prepares the scene, which may
+    take longer than to render a tile.
 
     Parameters
     ----------
-    pickled : bytes
-        The pickled arguments of `RenderJob`.
+    pickled_arguments : bytes
+        The pickled tuple of the arguments of `RenderJob`.
     """
-    job = _remembered_jobs.get(pickled) or RenderJob(*pickle.loads(pickled))
-    _remember(job)
+    job = _cached_jobs.get(pickled_arguments) or RenderJob(*pickle.loads(pickled_arguments))
+    _cache_job(job)
     return job
 
 
-def _overlap(a: slice, b: slice) -> slice:
-    """Return the range that two ranges have in common; it is empty if stop <= start."""
-    return slice(max(a.start, b.start), min(a.stop, b.stop))
+def _overlap(first: slice, second: slice) -> slice:
+    """Intersect two ranges.
+
+    Parameters
+    ----------
+    first, second : slice
+        The ranges, from `start` to `stop`.
+
+    Returns
+    -------
+    overlap : slice
+        The numbers that are in both ranges.  If there are none, its stop is at most its start.
+    """
+    return slice(max(first.start, second.start), min(first.stop, second.stop))
 
 
 def _relative_to_start(inner: slice, outer: slice) -> slice:
-    """Return the range `inner`, counted from the start of the range `outer` instead of from 0."""
+    """Return the range `inner`, counted from the start of the range `outer` instead of from 0.
+
+    For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
+    """
     return slice(inner.start - outer.start, inner.stop - outer.start)
 
 
-def _divide(whole: slice, length: int) -> list[slice]:
-    """Divide a range into consecutive ranges of nearly the same length.
+def _divide(whole: slice, max_length: int) -> list[slice]:
+    """Divide a range into consecutive ranges whose lengths differ by at most 1.
 
     Parameters
     ----------
     whole : slice
         The range to divide, from `start` to `stop`.  It may be empty: stop <= start.
-    length : int
+    max_length : int
         Maximum length of each part.
 
     Returns
     -------
     parts : list of slice
-        The parts, in ascending order; none if the range is empty.
+        As few parts as possible, in ascending order; an empty list if the range is empty.
     """
     size = whole.stop - whole.start
-    count = -(-size // length)
+    count = -(-size // max_length)
     bounds = [whole.start + size * k // max(count, 1) for k in range(count + 1)]
     return [slice(start, stop) for start, stop in pairwise(bounds)]
