@@ -14,7 +14,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from running import ROOT, SCENE, drop_jit, file_names, run, start_process
+from running import ROOT, SCENE, file_names, run, start_process
 
 import tracer
 from converters import to_mitsuba
@@ -70,24 +70,6 @@ def test_a_width_alone_keeps_the_proportions(scene, size, expected):
     scene.write_text(SCENE.format(40, 10))
     resized = read_scene(str(scene), size)
     assert (resized.width, resized.height) == expected
-
-
-@pytest.mark.parametrize(
-    ("module", "missing"),
-    [
-        *(("tracer", m) for m in ("numpy", "numpy._core.gone")),
-        *((f"reference.{m}", "mitsuba") for m in ("benchmark", "check", "regenerate", "report")),
-        *((f"reference.{m}", "PIL") for m in ("compare", "regenerate")),
-        *((f"reference.{m}", "matplotlib") for m in ("speed_accuracy", "stability")),
-    ],
-)
-def test_a_command_without_its_packages_says_what_to_install(tmp_path, module, missing):
-    package, error = missing.partition(".")[0], f"No module named {missing}"
-    stub = f"raise ModuleNotFoundError({error!r}, name={missing!r})"
-    (tmp_path / f"{package}.py").write_text(stub)
-    status, out, err = run(python=("-m", module), env={"PYTHONPATH": f"{tmp_path}:{ROOT}"})
-    error += f"; install it with python -m pip install {package.replace('PIL', 'pillow')}\n"
-    assert (status, out, drop_jit(err)) == (2, "", error)
 
 
 def test_version_and_help():
@@ -326,26 +308,6 @@ def test_watch_waits_until_a_file_is_complete(scene, monkeypatch):
     with pytest.raises(SystemExit):
         cli.main([str(scene), "--watch"])
     assert rendered == [old, new]
-
-
-START = "the command cannot start: not enough memory; give it more memory, or install it again\n"
-# The number of threads is 1, unless the user has chosen another.
-THREADS = "return int(os.environ['OPENBLAS_NUM_THREADS'])"
-
-
-@pytest.mark.parametrize(
-    ("code", "environment", "status", "error"),
-    [
-        ("raise MemoryError", {}, 1, START),
-        (THREADS, {}, 1, ""),
-        (THREADS, {"OPENBLAS_NUM_THREADS": "2"}, 2, ""),
-    ],
-)
-def test_how_any_command_starts(tmp_path, code, environment, status, error):
-    (tmp_path / "other.py").write_text(f"import os\ndef main(): {code}")
-    script = "from tracer.command.process import run\nrun('other')"
-    result = run(python=("-c", script), env=environment, cwd=tmp_path)
-    assert result == (status, "", error)
 
 
 def test_a_small_picture_imports_no_module_that_it_does_not_need(scene):
