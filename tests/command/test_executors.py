@@ -186,7 +186,7 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
 
     never = Unreliable(FAILURES["never ended"], 0)
     never.share = 1
-    for owner, name in ((render_module, "radiance_at"), (parallel.Distribution, "_wait")):
+    for owner, name in ((render_module, "radiance_at"), (parallel.Distribution, "_wait_for_any")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)
             with pytest.raises(error):
@@ -236,7 +236,7 @@ def test_each_processor_has_two_calls_to_make_and_no_more(processors, monkeypatc
     for module in (parallel, render_module):
         monkeypatch.setattr(module, "processors", lambda: processors)
     waiting = Waiting()
-    monkeypatch.setattr(parallel.Distribution, "_wait", waiting.finish)
+    monkeypatch.setattr(parallel.Distribution, "_wait_for_any", waiting.finish)
     assert np.array_equal(render(picture(), executor=waiting), render(picture()))
     tiles = len(RenderJob(picture()).tiles(shared=True))
     share = tiles * processors // (processors + 1)
