@@ -25,12 +25,13 @@ from tracer.arrays import Floats, Ints
 from tracer.trace.samples import Rows
 
 Points2D: TypeAlias = NDArray[np.complex128]
-"""Points x + iy in a cell, relative to its centre, in widths of the cell."""
+"""Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in widths
+of the cell."""
 
 # For each number of points in a rank-1 lattice: by how many columns the point of each row lies to
 # the right of the point in the row above.  The square of this number is -1 modulo the number of
 # points, which makes the lattice equal to itself after a quarter turn.
-_GENERATORS = {5: 2, 13: 5, 25: 7, 65: 18}
+_COLUMN_STEPS = {5: 2, 13: 5, 25: 7, 65: 18}
 
 # Number of points of a lattice that replaces an upright grid, divided by that of the grid.  The
 # mean error of most pictures needs fewer points; this many are needed for the largest error, and
@@ -39,41 +40,51 @@ _POINTS_PER_GRID_POINT = 2.5
 
 
 class Lattice(NamedTuple):
-    """Points of a pixel: an upright grid, a rank-1 lattice, or a rank-1 lattice that is repeated.
+    """Sample points of a pixel: an upright grid, or one or several copies of a rank-1 lattice.
+
+    In a rank-1 lattice, each row contains one point, which lies a fixed number of columns to the
+    right of the point in the row above, modulo the number of rows.
 
     Attributes
     ----------
     columns : int
-        Number of points in each row.
+        Number of points in each row of a pixel.
     rows : int
-        Number of rows.  An upright grid has equal numbers of rows and columns.  A rank-1 lattice of
-        m points (5, 13, 25 or 65) has one column and m rows; repeated k times in both directions,
-        it has k columns and k m rows.
+        Number of rows of points in a pixel.  An upright grid has equal numbers of rows and columns.
+        A rank-1 lattice of m points (5, 13, 25 or 65) has one column and m rows.  If it is repeated
+        k times in both directions, it has k columns and k m rows.
     """
 
     columns: int
     rows: int
 
     @classmethod
-    def at_least(cls, per_side: int, factor: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Return the smallest lattice that has at least `factor` points for each point of a grid.
+    def at_least(
+        cls, per_side: int, points_per_grid_point: float = _POINTS_PER_GRID_POINT
+    ) -> Lattice:
+        """Return the smallest rotated lattice with at least a given number of points.
+
+        The lattice replaces an upright grid of per_side x per_side points.  It has at least
+        per_side^2 points_per_grid_point points.
 
         Parameters
         ----------
         per_side : int
-            The grid has per_side x per_side points.
-        factor : float
-            Minimum number of points of the lattice, divided by that of the grid.  With the default,
-            the error of the lattice is mostly less than that of the grid.
+            Number of points along each side of the grid, at least 1.
+        points_per_grid_point : float
+            Minimum number of points of the lattice, divided by that of the grid; at most 5.  With
+            the default, the error of the lattice is mostly less than that of the grid.
 
         Returns
         -------
         lattice : Lattice
-            A rank-1 lattice of 13, 25 or 65 points, or a repeated lattice of 5 points.
+            A rank-1 lattice of 13, 25 or 65 points, or a rank-1 lattice of 5 points that is
+            repeated in both directions.
         """
         repeated = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
         lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated
-        large_enough = (lattice for lattice in lattices if lattice.size >= factor * per_side**2)
+        min_size = points_per_grid_point * per_side**2
+        large_enough = (lattice for lattice in lattices if lattice.size >= min_size)
         return min(large_enough, key=lambda lattice: lattice.size)
 
     @property
@@ -82,20 +93,38 @@ class Lattice(NamedTuple):
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Rows:
-        """Return the points in all pixels of a rectangle of the picture, as samples.
+        """Place the points of this lattice in all pixels of a rectangle of the picture.
 
         Pixels in every other row have the mirror image of the lattice.  So an edge in a direction
         of the lattice has this direction in only half of its pixels.
+
+        Parameters
+        ----------
+        rows, columns : slice
+            Rows and columns of the rectangle's pixels.
+
+        Returns
+        -------
+        samples : Rows
+            The points, as samples of the picture.  They are ordered by row of points, from the
+            upper row down, and from left to right within a row.
         """
         row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
-        return Rows(y, x, self._shift(row) / self.columns, (self.columns, self.rows))
+        return Rows(y, x, self._row_shift(row) / self.columns, (self.columns, self.rows))
 
     def points(self) -> Points2D:
-        """Return the points (size,) of one pixel, row by row."""
+        """Return the points of one pixel, row by row.
+
+        Returns
+        -------
+        points : (size,) complex array
+            Points x + iy relative to the centre of the pixel, in widths of the pixel: x and y are
+            between -1/2 and 1/2.  The y-axis points down.
+        """
         row, column = np.arange(self.rows), np.arange(self.columns)
-        x = np.add.outer(self._shift(row), column + 0.5) / self.columns - 0.5
+        x = np.add.outer(self._row_shift(row), column + 0.5) / self.columns - 0.5
         y = (row + 0.5) / self.rows - 0.5
         return np.ravel(x + 1j * y[:, None])
 
@@ -105,7 +134,8 @@ class Lattice(NamedTuple):
         Parameters
         ----------
         radiance : (3, n) float array
-            Radiance of all samples in the rectangle, in the order of `samples`.
+            Linear RGB radiance of all samples in the rectangle, ordered by row of points, from the
+            upper row down, and from left to right within a row.
         width : int
             Number of pixels in each row of the rectangle.
 
@@ -121,8 +151,8 @@ class Lattice(NamedTuple):
             total += points[:, :, row]
         return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
 
-    def _shift(self, row: Ints) -> Floats:
-        """Compute how far the points of each row are shifted to the right.
+    def _row_shift(self, row: Ints) -> Floats:
+        """Compute how far the points in rows of a lattice are shifted from those of a grid.
 
         Parameters
         ----------
@@ -132,12 +162,13 @@ class Lattice(NamedTuple):
         Returns
         -------
         shift : (n,) float array
-            Shift in widths of a column, between -1/2 and 1/2.  The central row of a pixel is not
-            shifted.  Shifts in every other row of pixels have the opposite sign.
+            Shift to the right, in distances between the columns of the grid, between -1/2 and 1/2.
+            The central row of a pixel is not shifted.  The shifts in every other row of pixels have
+            the opposite sign.
         """
         points = self.rows // self.columns
         center = points // 2
-        column = (_GENERATORS.get(points, 0) * (row - center) + center) % points
+        column = (_COLUMN_STEPS.get(points, 0) * (row - center) + center) % points
         return np.where(row // self.rows % 2, center - column, column - center) / points
 
 

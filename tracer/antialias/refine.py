@@ -18,7 +18,7 @@ These decide how the mean radiance of the cell is computed:
    nevertheless.
 4. *Crowded* pixels, in which finding all edges would cost more than a lattice of samples, are
    sampled immediately.  So are all pixels of a picture that is full of edges: see
-   `prefers_supersampling`.
+   `is_supersampling_cheaper`.
 
 Whitted, An improved illumination model for shaded display, Communications of the ACM 23, 1980.
 """
@@ -33,7 +33,7 @@ import numpy as np
 from tracer.antialias.classify import Cells, Classification, classify
 from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
-from tracer.antialias.regions import mixed_regions, stratified
+from tracer.antialias.regions import place_weighted_points, samples_in_mixed_regions
 from tracer.antialias.smooth import SmoothMeans, means_of_pixels, means_of_quarters
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
 from tracer.trace.radiance import radiance_and_ids
@@ -61,7 +61,7 @@ _MAX_SAMPLED_SIDE = 3
 _MAX_SILHOUETTE_PAIRS = 0.006
 
 
-def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
+def is_supersampling_cheaper(prepared: PreparedScene, per_side: int) -> bool:
     """Decide whether uniform samples in all pixels cost less than finding the edges in the picture.
 
     Parameters
@@ -69,12 +69,13 @@ def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
     prepared : PreparedScene
         The scene, prepared for the camera.
     per_side : int
-        The alternative is per_side x per_side samples in each pixel.
+        Number of uniform samples along each side of a pixel.
 
     Returns
     -------
-    prefers : bool
-        True if the picture is so full of silhouettes that uniform samples cost less.
+    is_cheaper : bool
+        True if the estimated number of silhouettes in a pixel is so large, compared with
+        per_side x per_side, that uniform samples cost less.
     """
     density = prepared.bounds.silhouette_density(prepared.frame)
     return density > _MAX_SILHOUETTE_PAIRS * per_side**2
@@ -83,44 +84,57 @@ def prefers_supersampling(prepared: PreparedScene, per_side: int) -> bool:
 class _Plan(NamedTuple):
     """Two steps that compute the mean radiance of cells that are not smooth.
 
+    A cell (a pixel, or a square part of a pixel) is smooth if no edge crosses it.
+
     Attributes
     ----------
-    first : Lattice or None
-        Lattice for the first step: cells are sampled, and a cell whose samples show no missed edge
-        is finished.  If it is None, there is no first step.
-    first_in_all : bool
+    first_lattice : Lattice or None
+        Sample points of the first step: cells are sampled, and a cell whose samples show no missed
+        edge is finished.  If this is None, there is no first step.
+    is_first_for_all : bool
         If True, the first step is for all cells that are not smooth.  If False, it is for cells
-        that contain only straight lines.
-    last : Lattice or None
-        Lattice for the second step: all remaining cells are sampled.  If it is None, the remaining
-        cells are divided into quarters instead.
+        that contain only straight edges.
+    second_lattice : Lattice or None
+        Sample points of the second step: all remaining cells are sampled.  If this is None, the
+        remaining cells are divided into quarters instead.
     """
 
-    first: Lattice | None
-    first_in_all: bool
-    last: Lattice | None
+    first_lattice: Lattice | None
+    is_first_for_all: bool
+    second_lattice: Lattice | None
 
     @classmethod
     def for_cells(cls, cells: Cells) -> _Plan:
-        """Choose the steps for cells (pixels, or square parts of pixels) of one width.
+        """Choose how to compute the mean radiance of cells that edges cross.
 
-        The steps depend on whether the cells are pixels, and on the number n of samples that are
-        requested along each side of a cell:
+        A cell is a pixel, or a square part of a pixel.  The choice depends on whether the cells are
+        pixels, and on the number n of samples that are requested along each side of a cell:
 
         ==============  =======================================  ===========================
         cells           first step                               second step
         ==============  =======================================  ===========================
         n > 6           none                                     division into quarters
-        3 < n <= 6      25 samples in cells with straight lines  division into quarters
-        n <= 3, pixels  5 samples in cells with straight lines   lattice for a grid of n x n
+        3 < n <= 6      25 samples in cells with straight edges  division into quarters
+        n <= 3, pixels  5 samples in cells with straight edges   lattice for a grid of n x n
         n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
         ==============  =======================================  ===========================
 
-        Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1 times
-        as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with n <= 3
-        take 1.6 to 2.2 times as long.  Without the second step, these parts have up to 1.5 times
-        the error.
+        The second step is for cells that the first step does not finish.
+
+        Parameters
+        ----------
+        cells : Cells
+            The cells, which all have the same width.
+
+        Returns
+        -------
+        plan : _Plan
+            The two steps, which are the same for all cells.
         """
+        # Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1
+        # times as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with
+        # n <= 3 take 1.6 to 2.2 times as long.  Without the second step, these parts have up to 1.5
+        # times the error.
         if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
             return cls(None, False, None)
         if cells.samples_per_side > _MAX_SAMPLED_SIDE:
@@ -130,19 +144,22 @@ class _Plan(NamedTuple):
         return cls(Lattice(1, 13), True, Lattice.at_least(5))
 
 
-def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
+def antialiased_means(
+    prepared: PreparedScene, rows: slice, columns: slice, per_side: int
+) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    The error (RMSE) should be at most that of per_side x per_side samples in each pixel.
+    Pixels that edges cross are divided or sampled.  The error (RMSE) should be at most that of
+    per_side x per_side uniform samples in each pixel.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
     rows, columns : slice
-        Rows and columns of the rectangle's pixels; neither is empty.
+        Rows and columns of the rectangle's pixels.  Neither range is empty.
     per_side : int
-        Number of samples requested along each side of a pixel.
+        Number of samples requested along each side of a pixel, at least 2.
 
     Returns
     -------
@@ -154,17 +171,18 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
     samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
     row, column, object_index = silhouette_pixels(prepared, rows, columns)
-    pixel = (row - top) * width + column - first_column
+    pair_pixel = (row - top) * width + column - first_column
     every_pixel = np.arange(samples.size)
     tolerance = _TOLERANCE / per_side**1.5
-    pixels = Cells(1.0, per_side, tolerance, *samples.positions(every_pixel), pixel, object_index)
+    center_x, center_y = samples.positions(every_pixel)
+    pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
     classified = classify(prepared, pixels, samples, every_pixel)
     smooth = means_of_pixels(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     crowded = indices(is_inner & classified.is_crowded)
     refinable = _treat_as_smooth(classified, smooth, ~is_inner | classified.is_crowded)
     mean = _mean_of_cells(prepared, *refinable)
-    lattice = Lattice.at_least(per_side, factor=1)
+    lattice = Lattice.at_least(per_side, points_per_grid_point=1)
     mean[:, crowded], _ = _mean_of_samples(prepared, classified, crowded, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
@@ -173,51 +191,57 @@ def antialiased(prepared: PreparedScene, rows: slice, columns: slice, per_side: 
 def _treat_as_smooth(
     classified: Classification, smooth: SmoothMeans, is_treated: Bools
 ) -> tuple[Classification, SmoothMeans]:
-    """Return copies in which some cells are smooth, whatever edges cross them.
+    """Return copies of two descriptions of cells in which selected cells are smooth.
+
+    A cell (a pixel, or a square part of a pixel) is smooth if no edge crosses it.  The selected
+    cells need no more samples, whichever edges were found in them.
 
     Parameters
     ----------
     classified : Classification
-        The n cells (pixels, or square parts of pixels), and the edges that may cross them.
+        The n cells, and the edges that may cross them.
     smooth : SmoothMeans
-        Mean radiance of each cell, valid if no edge crosses the cell.
+        Estimated mean radiance of each cell, valid if no edge crosses the cell.
     is_treated : (n,) bool array
-        Whether the cell is smooth in the results.
+        Whether the cell is selected.
 
     Returns
     -------
     classified : Classification
-        The same cells; those that are treated as smooth have no lines, and are not unresolved.
+        A copy in which the selected cells have no lines, and are not unresolved (possibly crossed
+        by something other than straight edges).
     smooth : SmoothMeans
-        The same means; the error of cells that are treated as smooth is 0.
+        A copy in which the error of the selected cells is 0.
     """
     lines = classified.lines.take(indices(~is_treated[classified.lines.cell]))
-    unresolved = classified.is_unresolved & ~is_treated
+    is_unresolved = classified.is_unresolved & ~is_treated
     error = np.where(is_treated, 0, smooth.error)
-    return classified._replace(lines=lines, is_unresolved=unresolved), smooth._replace(error=error)
+    classified = classified._replace(lines=lines, is_unresolved=is_unresolved)
+    return classified, smooth._replace(error=error)
 
 
 def _mean_of_cells(
     prepared: PreparedScene, classified: Classification, smooth: SmoothMeans
 ) -> Floats:
-    """Compute the mean radiance of classified cells, with more samples where edges cross them.
+    """Compute the mean radiance of cells, with more samples in those that edges may cross.
 
-    Smooth cells keep their smooth mean.  Other cells are sampled on a lattice, or divided into
-    quarters, whichever costs less.
+    A cell is a pixel, or a square part of a pixel.  Its mean is that in `smooth` if (1) no edge was
+    found in the cell, and (2) the estimated error is at most the tolerance.  All other cells are
+    sampled on a lattice or divided into quarters, whichever costs less (see `_Plan`).
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
     classified : Classification
-        The n cells (pixels, or square parts of pixels), and the edges that may cross them.
+        The n cells, and the edges that may cross them.
     smooth : SmoothMeans
-        Mean radiance of each cell, valid if no edge crosses the cell.
+        Estimated mean radiance of each cell, valid if no edge crosses the cell.
 
     Returns
     -------
     mean : (3, n) float array
-        Mean radiance of each cell.
+        Mean linear RGB radiance of each cell.
     """
     cells, mean, plan = classified.cells, smooth.radiance.copy(), _Plan.for_cells(classified.cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
@@ -225,37 +249,39 @@ def _mean_of_cells(
     # An unknown error (NaN) is neither within the tolerance nor above it.
     is_accurate, is_inaccurate = smooth.error <= cells.tolerance, smooth.error > cells.tolerance
     is_pending = has_lines | classified.is_unresolved | ~is_accurate
-    if plan.first is not None:
+    if plan.first_lattice is not None:
         has_only_lines = has_lines & ~(classified.is_unresolved | is_inaccurate)
-        index = indices(is_pending if plan.first_in_all else has_only_lines)
-        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, plan.first)
-        index = index[~missed_edge]
-        mean[:, index], is_pending[index] = sampled_mean[:, ~missed_edge], False
-    index = indices(is_pending)
-    if plan.last is not None:
-        mean[:, index], _ = _mean_of_samples(prepared, classified, index, plan.last)
+        index = indices(is_pending if plan.is_first_for_all else has_only_lines)
+        sampled_mean, missed_edge = _mean_of_samples(
+            prepared, classified, index, plan.first_lattice
+        )
+        finished = index[~missed_edge]
+        mean[:, finished], is_pending[finished] = sampled_mean[:, ~missed_edge], False
+    pending = indices(is_pending)
+    if plan.second_lattice is not None:
+        mean[:, pending], _ = _mean_of_samples(prepared, classified, pending, plan.second_lattice)
         return mean
-    for batch in _batches(prepared, index, samples_per_cell=4):
+    for batch in _batches(prepared, pending, samples_per_cell=4):
         mean[:, batch] = _mean_of_quarters(prepared, classified, smooth.error, batch)
     return mean
 
 
 def _batches(prepared: PreparedScene, index: Ints, samples_per_cell: int) -> Iterator[Ints]:
-    """Divide the indices of cells into batches whose samples fit into memory.
+    """Divide indices of cells into batches whose samples fit into memory.
 
     Parameters
     ----------
     prepared : PreparedScene
-        The scene, which limits the number of samples that are traced together.
+        The scene.  The more objects overlap in the picture, the fewer samples are traced together.
     index : (n,) int array
-        Indices of cells that are to be sampled.
+        Indices of the cells (pixels, or square parts of pixels) that are to be sampled.
     samples_per_cell : int
         Number of samples in each cell.
 
     Yields
     ------
     batch : (k,) int array
-        Consecutive elements of `index`.
+        The next k elements of `index`, at least one.  Nothing is yielded if `index` is empty.
     """
     length = max(1, prepared.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
     for start in range(0, index.size, length):
@@ -265,29 +291,29 @@ def _batches(prepared: PreparedScene, index: Ints, samples_per_cell: int) -> Ite
 def _mean_of_samples(
     prepared: PreparedScene, classified: Classification, index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
-    """Estimate the mean radiance of cells from a lattice of samples in each.
+    """Estimate the mean radiance of cells from a lattice of samples in each cell.
 
-    The lines of a cell divide it into regions.  The samples in a region together represent its
-    exact area.
+    A cell is a pixel, or a square part of a pixel.  Its lines divide it into regions.  The weights
+    of the samples in a region add up to the exact area of the region.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
     classified : Classification
-        All cells (pixels, or square parts of pixels), and the lines that cross them.
+        All cells, and the lines that cross them.
     index : (m,) int array
         Indices of the cells to sample.
     lattice : Lattice
-        The points of the samples in each cell.
+        The sample points, which are the same in all cells.
 
     Returns
     -------
     mean : (3, m) float array
-        Mean radiance of each indexed cell.
+        Mean linear RGB radiance of each sampled cell.
     missed_edge : (m,) bool array
-        Whether samples in the same region of the cell have different ids: they hit different faces
-        or objects, or different lights reach the hits.  So the cell has another edge.
+        Whether an edge crosses the cell that is not among its lines.  This is True if two samples
+        in the same region hit different faces or objects, or the same face under different lights.
     """
     cells, lines = classified.cells, classified.lines
     mean, missed_edge = np.empty((3, index.size)), np.zeros(index.size, dtype=np.bool_)
@@ -296,14 +322,14 @@ def _mean_of_samples(
         position[index[batch]] = np.arange(batch.size)
         batch_lines = lines.take(indices(position[lines.cell] >= 0))
         batch_lines = batch_lines._replace(cell=position[batch_lines.cell])
-        points = stratified(batch_lines, batch.size, lattice.points())
-        x, y = cells.positions(index[batch][points.cell], points.point)
+        points = place_weighted_points(batch_lines, batch.size, lattice.points())
+        x, y = cells.positions(index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
         radiance, sample_id = radiance_and_ids(prepared, samples)
         for mean_channel, channel in zip(mean, radiance, strict=True):
             mean_channel[batch] = np.bincount(cell, weight * channel, batch.size)
-        missed_edge[batch[cell[mixed_regions(region, sample_id)]]] = True
+        missed_edge[batch[cell[samples_in_mixed_regions(region, sample_id)]]] = True
     return mean, missed_edge
 
 
@@ -312,36 +338,37 @@ def _mean_of_quarters(
 ) -> Floats:
     """Compute the mean radiance of cells from the means of their quarters.
 
-    If all quarters of a cell are unresolved (they may contain something other than straight edges),
-    and no line crosses any of them, then the cell may still be smooth.  A lattice of samples tests
-    this: if the mean of the samples agrees with the mean of the quarters' center samples, the cell
-    is smooth, and its quarters are not refined further.
+    A cell is a pixel, or a square part of a pixel.  It is *unresolved* if it may contain something
+    other than straight edges.  If all quarters of a cell are unresolved, and no line crosses any of
+    them, then the cell may still have no edge.  A lattice of samples tests this.  If (1) the
+    samples show no edge, and (2) their mean agrees with the mean of the quarters' center samples,
+    then the mean of the lattice is the result, and the quarters are not refined further.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
     classified : Classification
-        All cells (pixels, or square parts of pixels), and the edges that may cross them.
+        All n cells, and the edges that may cross them.
     error : (n,) float array
-        Estimated error of each cell's mean radiance, if the cell is smooth; NaN if unknown.
+        Estimated error of each cell's mean radiance, if no edge crosses the cell; NaN if unknown.
     index : (m,) int array
         Indices of the cells to divide.
 
     Returns
     -------
     mean : (3, m) float array
-        Mean radiance of each indexed cell.
+        Mean linear RGB radiance of each divided cell.
     """
     quarters, tolerance = classified.cells.quarters(index), classified.cells.tolerance
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
     center, quarter_center = classified.center.take(index), classified_quarters.center
     smooth = means_of_quarters(center, error[index], quarter_center, tolerance)
-    all_unresolved = classified_quarters.is_unresolved.reshape(-1, 4).all(axis=1)
-    lines_per_cell = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
-    tested = indices(all_unresolved & (lines_per_cell == 0))
-    lattice = Lattice.at_least(classified.cells.samples_per_side, factor=1)
+    has_all_unresolved = classified_quarters.is_unresolved.reshape(-1, 4).all(axis=1)
+    line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
+    tested = indices(has_all_unresolved & (line_count == 0))
+    lattice = Lattice.at_least(classified.cells.samples_per_side, points_per_grid_point=1)
     sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index[tested], lattice)
     expected_mean = smooth.radiance.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
     agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)

@@ -29,101 +29,117 @@ _MIN_AREA = 1e-9
 _MIN_DETERMINANT = 1e-6
 
 
-class Points(NamedTuple):
-    """Weighted points in regions of cells.
+class WeightedPoints(NamedTuple):
+    """Points in cells (pixels, or square parts of pixels), with weights and regions.
+
+    Straight lines divide a cell into regions.
 
     Attributes
     ----------
     cell : (n,) int array
-        The cell of each point.
-    point : (n,) complex array
+        Index of the cell that contains each point.
+    position : (n,) complex array
         Position x + iy of each point relative to the centre of its cell, in widths of the cell: x
         and y are between -1/2 and 1/2.
     weight : (n,) float array
-        The part of the cell's area that each point represents; negative for a few points.
+        Weight of each point in the mean over its cell.  The weights of the points in a region add
+        up to the region's part of the cell's area.  A few weights are negative.
     region : (n,) int array
-        Number of the region that contains each point; different for regions of different cells.
+        Number of the region that contains each point.  Regions of different cells have different
+        numbers.
     """
 
     cell: Ints
-    point: Points2D
+    position: Points2D
     weight: Floats
     region: Ints
 
 
-def stratified(lines: Lines, cell_count: int, points: Points2D) -> Points:
-    """Place points in cells, and weight them so that they represent the regions of the cells.
+def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
+    """Place points in cells, weighted such that they represent the regions between lines.
+
+    A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  The
+    weights of the points in a region add up to its exact area, and the weighted mean of the points
+    is the centroid of the region.
 
     Parameters
     ----------
     lines : Lines
-        Lines that divide the cells into regions, sorted by cell.
+        Lines that divide the cells into regions, sorted by cell.  Cells are numbered from 0.
     cell_count : int
         Number of cells.
     points : (m,) complex array
-        Positions of the points, the same in all cells.
+        Positions x + iy of the points relative to the centre of the cell, in widths of the cell.
+        They are the same in all cells.
 
     Returns
     -------
-    weighted : Points
-        The m points of the first cell, then those of the second cell, and so on.  At the end follow
-        points for regions that contain too few of these points: the centroids of triangles into
-        which the region is divided.
+    weighted : WeightedPoints
+        The m points of the first cell, then those of the second cell, and so on.  More points
+        follow for each region that contains too few of these points: the region is divided into
+        triangles, and their centroids represent it.
     """
     cell, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
     # The number of a region has one bit for each line of its cell: 1 on the line's positive side.
-    point: Points2D = np.repeat(points[:, None], cell_count, axis=1)
+    position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
     region = np.repeat(cell[None] << max_lines, points.size, axis=0)
     for bit in range(max_lines):
-        index, values = _line_values(lines, line_start, bit, cell, point)
+        index, values = _evaluate_lines(lines, line_start, bit, cell, position)
         region[:, index] |= (values > 0) << bit
-    point, region = point.T.ravel(), region.T.ravel()
-    triangles = _triangles(lines, line_start, max_lines)
-    weight, is_represented = _weights(point, region, triangles, cell_count << max_lines)
+    position, region = position.T.ravel(), region.T.ravel()
+    triangles = _divide_into_triangles(lines, line_start, max_lines)
+    weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
     needed = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
-    spread = Points(cell.repeat(points.size), point, weight, region)
-    return Points(*(np.append(a, b[needed]) for a, b in zip(spread, triangles, strict=True)))
+    placed = WeightedPoints(cell.repeat(points.size), position, weight, region)
+    pairs = zip(placed, triangles, strict=True)
+    return WeightedPoints(*(np.append(field, extra[needed]) for field, extra in pairs))
 
 
-def mixed_regions(region: Ints, sample_id: Ints) -> Ints:
-    """Find regions that contain different ids, which shows that an edge was missed.
+def samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
+    """Find samples whose ids differ within a region, which shows that an edge was missed.
+
+    Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Two samples
+    have the same id if they hit the same face of the same object, and the same lights reach both
+    hits.  So samples with different ids lie on different sides of an edge.
 
     Parameters
     ----------
     region : (n,) int array
-        Number of the region of each sample.
+        Number of the region that contains each sample.
     sample_id : (n,) int array
-        Id of each sample.  Two samples have the same id if they hit the same face of the same
-        object, and the same lights reach both hits.
+        Id of each sample.
 
     Returns
     -------
     index : (k,) int array
-        Indices of samples, at least one for each region with different ids.
+        Indices of samples: at least one sample of each region whose samples have different ids, and
+        no sample of any other region.
     """
-    any_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
-    any_id[region] = sample_id
-    return indices(any_id[region] != sample_id)
+    reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
+    reference_id[region] = sample_id  # that of any sample in the region
+    return indices(reference_id[region] != sample_id)
 
 
-def _line_values(
-    lines: Lines, line_start: Ints, bit: int, cell: Ints, point: Points2D
+def _evaluate_lines(
+    lines: Lines, line_start: Ints, bit: int, cell: Ints, position: Points2D
 ) -> tuple[Ints, Floats]:
-    """Evaluate one line of each cell at points in the cell.
+    """Evaluate one line in each of several cells, at points in the cell.
+
+    A cell is a pixel or a square part of a pixel.
 
     Parameters
     ----------
     lines : Lines
-        All lines, sorted by cell.
+        The lines c + a x + b y = 0 of all cells, sorted by cell.
     line_start : (cells + 1,) int array
-        Index of the first line of each cell.
+        The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     bit : int
-        Number of the line among the lines of its cell.
+        Number of the line to evaluate among the lines of its cell, from 0 on.
     cell : (n,) int array
-        Cells; cells with at most `bit` lines are skipped.
-    point : (m, n) complex array
-        m points in each of these cells.
+        Indices of cells.  Cells with at most `bit` lines are skipped.
+    position : (m, n) complex array
+        For each element of `cell`, a column of m points x + iy.
 
     Returns
     -------
@@ -134,100 +150,113 @@ def _line_values(
     """
     line = line_start[cell] + bit
     index = indices(line < line_start[cell + 1])
-    cell_line, cell_point = lines.take(line[index]), point[:, index]
-    return index, cell_line.a * cell_point.real + cell_line.b * cell_point.imag + cell_line.c
+    cell_lines, point = lines.take(line[index]), position[:, index]
+    return index, cell_lines.a * point.real + cell_lines.b * point.imag + cell_lines.c
 
 
-def _triangles(lines: Lines, line_start: Ints, max_lines: int) -> Points:
-    """Divide cells into triangles along their lines.
+def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> WeightedPoints:
+    """Divide cells into triangles such that no line crosses a triangle.
+
+    A cell is a pixel or a square part of a pixel.  It is divided into two triangles along a
+    diagonal.  Then each line of the cell divides every triangle that it crosses into three.
 
     Parameters
     ----------
     lines : Lines
-        All lines, sorted by cell.
+        The lines of all cells, sorted by cell.
     line_start : (cells + 1,) int array
-        Index of the first line of each cell.
+        The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     max_lines : int
         Maximum number of lines in a cell.
 
     Returns
     -------
-    triangles : Points
-        The centroids of the triangles, each weighted by the area of its triangle.
+    triangles : WeightedPoints
+        The centroid of each triangle.  Its weight is the area of the triangle, in areas of the
+        cell.  Its region has the number cell * 2^max_lines + sum of 2^k, where the sum is over all
+        lines of the cell (k = 0, 1, ...) that are positive in the triangle.
     """
     cell = np.arange(line_start.size - 1).repeat(2)
     region = cell << max_lines
     square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corner: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for bit in range(max_lines):
-        index, values = _line_values(lines, line_start, bit, cell, corner)
-        is_above = values > 0
-        above_count = is_above.sum(axis=0)
-        region[index[above_count == 3]] |= 1 << bit
-        cut = indices((above_count == 1) | (above_count == 2))
+        index, values = _evaluate_lines(lines, line_start, bit, cell, corner)
+        is_positive = values > 0
+        positive_count = is_positive.sum(axis=0)
+        region[index[positive_count == 3]] |= 1 << bit
+        crossed = indices((positive_count == 1) | (positive_count == 2))
         # Rotate the corners so that the first corner is the one that is alone on its side.
-        is_first_above, index = above_count[cut] == 1, index[cut]
-        first = np.argmax(is_above[:, cut] == is_first_above, axis=0)
+        is_first_positive, index = positive_count[crossed] == 1, index[crossed]
+        first = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
         order = (first + np.arange(3)[:, None]) % 3
-        (a, b, c), (a_value, b_value, c_value) = corner[order, index], values[order, cut]
-        # The line cuts the sides from a to b and from a to c in these points.
-        p = a + a_value / (a_value - b_value) * (b - a)
-        q = a + a_value / (a_value - c_value) * (c - a)
-        corner[:, index] = a, p, q
-        corner = np.concatenate([corner, (p, b, c), (p, c, q)], axis=1)
+        (a, b, c), (a_value, b_value, c_value) = corner[order, index], values[order, crossed]
+        # The line crosses the sides ab and ac in these points.
+        on_ab = a + a_value / (a_value - b_value) * (b - a)
+        on_ac = a + a_value / (a_value - c_value) * (c - a)
+        corner[:, index] = a, on_ab, on_ac
+        corner = np.concatenate([corner, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         parent = region[index]
-        region[index] = parent | is_first_above << bit
-        region = np.concatenate([region, *[parent | ~is_first_above << bit] * 2])
+        region[index] = parent | is_first_positive << bit
+        region = np.concatenate([region, *[parent | ~is_first_positive << bit] * 2])
         cell = np.concatenate([cell, cell[index], cell[index]])
-    u, v = corner[1] - corner[0], corner[2] - corner[0]
+    side, other_side = corner[1] - corner[0], corner[2] - corner[0]
     # No product of complex numbers: NumPy rounds it differently at the end of an array.
-    area = np.abs(u.real * v.imag - u.imag * v.real) / 2
-    return Points(cell, corner.sum(axis=0) / 3, area, region)
+    area = np.abs(side.real * other_side.imag - side.imag * other_side.real) / 2
+    return WeightedPoints(cell, corner.sum(axis=0) / 3, area, region)
 
 
-def _weights(
-    point: Points2D, region: Ints, triangles: Points, region_count: int
+def _compute_weights(
+    position: Points2D, region: Ints, triangles: WeightedPoints, region_count: int
 ) -> tuple[Floats, Bools]:
-    """Compute weights for points so that the points in each region represent it.
+    """Compute weights for points such that the points in each region represent the region.
 
-    Let p be a point, q the mean of all points in its region, and S their covariance.  The weights
-    w (1 + t . (p - q)) have the weighted mean q + S t if w is the area of the region divided by the
-    number of points.  With t = S^-1 (centroid - q), this mean is the centroid of the region.
+    The weights of the points in a region add up to its area, and their weighted mean is the
+    centroid of the region.  Let p be a point, q the mean of all points in its region, and S the
+    covariance matrix of these points.  Let w be the area of the region divided by the number of
+    points.  With the weights w (1 + t . (p - q)), the weighted mean of the points is q + S t.  For
+    t = S^-1 (centroid - q), it is the centroid of the region.
 
     Parameters
     ----------
-    point : (n,) complex array
-        Positions of the points in their cells.
+    position : (n,) complex array
+        Positions p = x + iy of the points, relative to the centres of their cells (pixels, or
+        square parts of pixels), in widths of the cell.
     region : (n,) int array
-        Number of the region of each point.
-    triangles : Points
-        Triangles that together cover all regions.
+        Number of the region that contains each point.
+    triangles : WeightedPoints
+        Centroids and areas of triangles that together cover all regions.
     region_count : int
         All numbers of regions are less than this.
 
     Returns
     -------
     weight : (n,) float array
-        Weight of each point; 0 in regions that the points cannot represent.
+        Weight of each point, in areas of the cell.  It is 0 in regions that the points cannot
+        represent, because there are fewer than three, or they lie almost on a straight line.
     is_represented : (region_count,) bool array
-        Whether the points in the region represent it: at least three, not in a row.
+        Whether the points in each region can represent it.
     """
 
-    def total(regions: Ints, values: Floats) -> Floats:
-        """Sum values (n,) by region."""
-        return np.bincount(regions, values, minlength=region_count).astype(np.float64, copy=False)
+    def sum_by_region(number: Ints, values: Floats) -> Floats:
+        """Return the sum of the values (n,) in each region, given their regions' numbers (n,)."""
+        return np.bincount(number, values, minlength=region_count).astype(np.float64, copy=False)
 
-    points = np.maximum(np.bincount(region, minlength=region_count), 1)
-    area = total(triangles.region, triangles.weight)
-    q_x, q_y = total(region, point.real) / points, total(region, point.imag) / points
-    x, y = point.real - q_x[region], point.imag - q_y[region]
-    xx, xy, yy = (total(region, product) / points for product in (x * x, x * y, y * y))
-    determinant = xx * yy - xy * xy
+    point_count = np.maximum(np.bincount(region, minlength=region_count), 1)
+    area = sum_by_region(triangles.region, triangles.weight)
+    q_x = sum_by_region(region, position.real) / point_count
+    q_y = sum_by_region(region, position.imag) / point_count
+    x, y = position.real - q_x[region], position.imag - q_y[region]
+    products = x * x, x * y, y * y
+    s_xx, s_xy, s_yy = (sum_by_region(region, product) / point_count for product in products)
+    determinant = s_xx * s_yy - s_xy * s_xy
     is_represented: Bools = determinant > _MIN_DETERMINANT
     # The vector from q to the centroid, multiplied by the area.
-    to_x = total(triangles.region, triangles.weight * triangles.point.real) - area * q_x
-    to_y = total(triangles.region, triangles.weight * triangles.point.imag) - area * q_y
-    divisor = np.where(is_represented, points * determinant, np.inf)
-    t_x, t_y = (yy * to_x - xy * to_y) / divisor, (xx * to_y - xy * to_x) / divisor
-    weight = np.where(is_represented, area / points, 0)[region]
+    moment = triangles.weight * triangles.position.real, triangles.weight * triangles.position.imag
+    to_x = sum_by_region(triangles.region, moment[0]) - area * q_x
+    to_y = sum_by_region(triangles.region, moment[1]) - area * q_y
+    divisor = np.where(is_represented, point_count * determinant, np.inf)
+    # The vector t, multiplied by w.
+    t_x, t_y = (s_yy * to_x - s_xy * to_y) / divisor, (s_xx * to_y - s_xy * to_x) / divisor
+    weight = np.where(is_represented, area / point_count, 0)[region]
     return weight + t_x[region] * x + t_y[region] * y, is_represented

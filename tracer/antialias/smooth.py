@@ -16,7 +16,7 @@ from tracer.arrays import Floats, Ints
 
 
 class CenterSamples(NamedTuple):
-    """The samples through the centres of n cells.
+    """The samples through the centres of n cells (pixels, or square parts of pixels).
 
     Attributes
     ----------
@@ -24,27 +24,28 @@ class CenterSamples(NamedTuple):
         Linear RGB radiance of each sample.
     id : (n,) int array
         Id of each sample.  Two samples have the same id if they hit the same face of the same
-        object, and the same lights reach both hits; -1 for the background.
+        object, and the same lights reach both hits.  The id of the background is -1.
     """
 
     radiance: Floats
     id: Ints
 
     def take(self, index: Ints) -> CenterSamples:
-        """Select samples by index."""
+        """Return the samples with the given indices (k,), in their order."""
         return CenterSamples(self.radiance[:, index], self.id[index])
 
 
 class SmoothMeans(NamedTuple):
-    """Mean radiance of n cells, valid if no edge crosses them.
+    """Mean radiance of n cells (pixels, or square parts of pixels), valid if no edge crosses them.
 
     Attributes
     ----------
     radiance : (3, n) float array
         Estimated mean linear RGB radiance of each cell.
     error : (n,) float array
-        Estimated error of `radiance`, in the colour channel where it is largest.  It is NaN, for
-        unknown, if too few neighbouring samples have the id of the cell's own sample.
+        Estimated error of `radiance`, in the colour channel where it is largest.  NaN means that
+        the error is unknown, because too few neighbouring samples hit the same face under the same
+        lights as the cell's own sample.
     """
 
     radiance: Floats
@@ -52,86 +53,95 @@ class SmoothMeans(NamedTuple):
 
 
 def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
-    """Estimate the mean radiance of smooth pixels from samples at the centres of pixels.
+    """Estimate the mean radiance of pixels without edges from samples at the pixels' centres.
 
-    The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, with the value and the
-    second derivatives at the centre, plus terms of higher order.  Second differences between the
-    pixel and its two neighbours, in the row and in the column, replace the second derivatives.
-    They are added where both neighbours have the same id as the pixel.
+    The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, plus terms of higher
+    order.  Here f, f_xx and f_yy are the value and the second derivatives at the centre.  The
+    second derivative along a row is replaced by the second difference between the pixel and its two
+    neighbours in the row; that along a column by the second difference in the column.  Each second
+    difference is added only if both neighbours have the same id as the pixel.  Two samples have the
+    same id if they hit the same face of the same object, and the same lights reach both hits.
 
     Parameters
     ----------
     center : CenterSamples
-        The n samples at the centres of a rectangle of pixels, row by row.
+        Radiance and id of the samples at the centres of a rectangle of pixels, row by row.
     width : int
         Number of pixels in each row of the rectangle.
 
     Returns
     -------
     means : SmoothMeans
-        Mean radiance of each pixel, meaningless for the pixels at the border of the rectangle.  The
-        error is the larger of the absolute second differences in the row and in the column, divided
-        by 24.  If only one of the two neighbours has the pixel's id, the difference to it
-        replaces the second difference.  If neither has it, in the row or in the column, the error
-        is NaN.
+        Estimated mean radiance of each pixel, with an estimate of its error.  Both are meaningless
+        for the pixels at the border of the rectangle.  The error is the maximum of two numbers, one
+        from the row and one from the column:
+
+        1. If both neighbours have the pixel's id, the number is the absolute second difference,
+           divided by 24.
+        2. If only one of them has the id, the number is the absolute difference between this
+           neighbour and the pixel, divided by 24.
+        3. If neither has the id, the number is NaN, and so is the error.
     """
     radiance, center_id = center
     correction, error = np.zeros(radiance.shape), np.zeros(center_id.size)
     for stride in (1, width):
         inner = slice(stride, -stride)
-        is_same = center_id[stride:] == center_id[:-stride]
-        difference = (radiance[:, stride:] - radiance[:, :-stride]) * is_same
+        has_same_id = center_id[stride:] == center_id[:-stride]
+        difference = (radiance[:, stride:] - radiance[:, :-stride]) * has_same_id
         second_difference = (difference[:, stride:] - difference[:, :-stride]) / 24
-        same_before, same_after = is_same[:-stride], is_same[stride:]
+        same_id_before, same_id_after = has_same_id[:-stride], has_same_id[stride:]
         largest = np.abs(second_difference).max(axis=0)
-        line_error = np.where(same_before | same_after, largest, np.nan)
-        error[inner] = np.maximum(error[inner], line_error)
-        correction[:, inner] += second_difference * (same_before & same_after)
+        direction_error = np.where(same_id_before | same_id_after, largest, np.nan)
+        error[inner] = np.maximum(error[inner], direction_error)
+        correction[:, inner] += second_difference * (same_id_before & same_id_after)
     return SmoothMeans(radiance + correction, error)
 
 
 def means_of_quarters(
     center: CenterSamples, error: Floats, quarter_center: CenterSamples, tolerance: float
 ) -> SmoothMeans:
-    """Estimate the mean radiance of smooth quarters of cells from samples at their centres.
+    """Estimate the mean radiance of the quarters of cells from samples at the quarters' centres.
 
-    This is Richardson extrapolation: the difference between the mean of the four quarter samples
-    and the cell's own sample, divided by 3, is added to the sample of each quarter.  It is valid if
-    the five samples have the same id, that is, if they hit the same face of the same object,
-    and the same lights reach all hits.
+    A cell is a pixel or a square part of a pixel.  This is Richardson extrapolation: the difference
+    between the mean of the four quarter samples and the cell's own sample is divided by 3, and
+    added to the sample of each quarter.  This correction is made only if the five samples have the
+    same id, that is, if they hit the same face of the same object, and the same lights reach all
+    five hits.
 
     Parameters
     ----------
     center : CenterSamples
-        The samples at the centres of m cells.
+        Radiance and id of the samples at the centres of m cells.
     error : (m,) float array
-        Estimated error of the mean radiance of each cell, if the cell is smooth; NaN if unknown.
+        Estimated error of the mean radiance of each cell, if no edge crosses it; NaN if unknown.
     quarter_center : CenterSamples
-        The samples at the centres of the 4 m quarters, in the order of their cells.
+        Radiance and id of the samples at the centres of the 4 m quarters: the four of the first
+        cell, then the four of the second cell, and so on.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
     Returns
     -------
     means : SmoothMeans
-        Mean radiance of each of the 4 m quarters.  Its error is the larger of two estimates, or the
-        one that is known, or NaN:
+        Estimated mean radiance of each of the 4 m quarters, valid if no edge crosses the quarter,
+        and an estimate of its error.  The error is the larger of two estimates.  If one of them is
+        unknown, the error is the other; if both are unknown, it is NaN.
 
-        1. Half of the correction, because the remaining error is of higher order in the width of
-           the cell.  This estimate is unknown if the five samples do not have the same id.
-        2. The error of the cell, divided by 4, because the error decreases with the square of the
-           width.  If the first estimate is unknown, an edge may be near.  Towards an edge, light
-           may decrease like a square root, so the error of the cell is divided by 2 only.  This
-           estimate is ignored if it is within the tolerance although the sample of the quarter hits
-           a different surface than that of the cell, or the same surface under different lights.
+        1. The *own* error is half of the correction, because the remaining error is of higher order
+           in the width of the cell.  It is unknown if the five samples do not have the same id.
+        2. The *inherited* error is the error of the cell, divided by 4, because errors decrease
+           with the square of the width.  If the own error is unknown, an edge may be near.  Towards
+           an edge, light may decrease like a square root, so the error of the cell is then divided
+           by 2 only.  The inherited error is treated as unknown if it is at most the tolerance and
+           the sample of the quarter hits a surface but has another id than the sample of the cell.
     """
     cell_id, quarter_id = center.id.repeat(4), quarter_center.id
     quarter_mean = quarter_center.radiance.reshape(3, -1, 4).mean(axis=2)
-    is_same = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
-    correction = np.where(is_same, (quarter_mean - center.radiance) / 3, 0)
-    own_error = np.where(is_same, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
+    has_one_id = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
+    correction = np.where(has_one_id, (quarter_mean - center.radiance) / 3, 0)
+    own_error = np.where(has_one_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
     inherited_error = error.repeat(4) / np.where(np.isnan(own_error), 2, 4)
-    hits_other = (quarter_id != cell_id) & (quarter_id >= 0)
-    inherited_error[hits_other & (inherited_error <= tolerance)] = np.nan
+    hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)
+    inherited_error[hits_other_surface & (inherited_error <= tolerance)] = np.nan
     radiance = quarter_center.radiance + correction.repeat(4, axis=1)
     return SmoothMeans(radiance, np.fmax(inherited_error, own_error))

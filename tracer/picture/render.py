@@ -33,7 +33,7 @@ from typing import Any, NamedTuple, SupportsFloat, SupportsIndex, TypeAlias
 import numpy as np
 
 from tracer.antialias.lattice import CENTERS, Lattice
-from tracer.antialias.refine import antialiased, prefers_supersampling
+from tracer.antialias.refine import antialiased_means, is_supersampling_cheaper
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
@@ -323,7 +323,7 @@ class RenderJob:
         right, down = shift.tolist()
         self.prepared = PreparedScene(scene, (right, down))
         is_antialiased = self._per_side > 1
-        has_lattice = is_antialiased and prefers_supersampling(self.prepared, self._per_side)
+        has_lattice = is_antialiased and is_supersampling_cheaper(self.prepared, self._per_side)
         self._is_classified = is_antialiased and not has_lattice
         self._lattice = Lattice.at_least(self._per_side) if has_lattice else CENTERS
         self._max_samples = _MAX_TILE_SAMPLES * (_CLASSIFIED_FACTOR if self._is_classified else 1)
@@ -444,7 +444,7 @@ class RenderJob:
         if self._is_classified:
             visible = _overlap(columns, self.prepared.window[1])
             if visible.start < visible.stop:
-                mean = antialiased(self.prepared, rows, visible, self._per_side)
+                mean = antialiased_means(self.prepared, rows, visible, self._per_side)
                 out[:, _relative_to_start(visible, columns)] = mean
             return
         samples = self._lattice.samples(rows, columns)
