@@ -192,7 +192,7 @@ def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):
     lights = [PointLight(position=p, intensity=(0.03,) * 3) for p in position]
     scene = view(WALL, BALL, light=lights, pixels=24)
     counts = record_calls(
-        monkeypatch, visibility, "_intersections", lambda _, samples: samples.size
+        monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
     )
     render(scene, 16)
     assert sum(counts) < 4 * 16 * 24 * 24
@@ -237,7 +237,7 @@ def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
     truths = [reference_picture(scene) for scene in scenes]
     monkeypatch.setattr(refine, "classify", classify_as_unresolved)
     counts = record_calls(
-        monkeypatch, visibility, "_intersections", lambda _, samples: samples.size
+        monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
     )
     for scene, truth in zip(scenes, truths, strict=True):
         counts.clear()
