@@ -66,125 +66,153 @@ class Boxes:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Prepare all boxes among the surfaces of a scene for the rays of a camera."""
+        """Extract the boxes of a scene, and compute what rays of the camera need of each.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera.
+        surfaces : Surfaces
+            All surfaces of the scene.
+
+        Returns
+        -------
+        boxes : Boxes
+            Corners, silhouette planes, bounding rectangles, and other data of all n boxes.
+        """
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
-        inside = np.all((low <= 0) & (high >= 0), axis=0)
+        is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
         u, v, w = frame.vector_to_camera(silhouette_planes(low, high))
         # If the eye is on a face, the box is seen from inside, and only rays that go into the box
         # meet it.  The plane of the face then bounds the rays.
-        on_face = inside & (np.concatenate([low, high]) == 0)
+        is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
         for component, axis in zip((u, v, w), frame.axes, strict=True):
-            np.copyto(component, np.append(axis, -axis)[:, None], where=on_face)
-        size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
-        objects, planes = box_range(surfaces), (u, v, w * frame.depth)
-        bounds, curvature = _screen_bounds(frame, low, high), np.zeros(inside.size)
-        return cls(frame, objects, min_pt, max_pt, planes, bounds, inside, curvature, size)
+            np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
+        return cls(
+            frame=frame,
+            objects=box_range(surfaces),
+            min_pt=min_pt,
+            max_pt=max_pt,
+            planes=(u, v, w * frame.depth),
+            bounds=_screen_bounds(frame, low, high),
+            is_eye_inside=is_eye_inside,
+            curvature=np.zeros(is_eye_inside.size),
+            coordinate_size=np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0),
+        )
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Return the corners of the boxes, in the axes of the scene.
+        """Return opposite corners of all n boxes, in scene axes.
 
         Returns
         -------
         low, high : (3, n) float arrays
-            For each box, the corners with the smallest and with the largest coordinates.
+            For each box, the corners with the smallest and with the largest coordinates.  They are
+            the arrays of this object, not copies.
         """
         return self.min_pt, self.max_pt
 
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute where boxes begin and end in rows of the picture, for pairs of both.
+        """Compute the interval of columns that a box covers in a row, for n pairs of both.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The box of each pair, as an index among all objects of the scene.
+            Index of each pair's box, among all objects of the scene.
         rows : (n,) float array
-            The upper border of each row, in pixels from the top of the picture.
+            Upper border of each pair's row, in pixels from the top of the picture.
         height : float
             Height of the rows, in pixels; 0 if each row is a line.
 
         Returns
         -------
         left, right : (n,) float arrays
-            Both ends, in pixels from the left border of the picture; left > right if the box does
-            not reach the row.  They contain all positions at which a ray in the row meets the box.
+            Ends of each interval, in pixels from the left border of the picture.  The interval
+            contains all positions at which a ray in the row meets the box; left > right if there
+            are no such positions.
         """
         frame, box = self.frame, self.objects.positions(object_index)
         g = frame.ray_g(rows + height / 2)
-        low, high = np.full(g.size, -np.inf), np.full(g.size, np.inf)
-        # Rounding errors may turn rays; the margin contains the turned rays, too.
+        min_s, max_s = np.full(g.size, -np.inf), np.full(g.size, np.inf)
+        # The margin contains the rounding errors of ray directions, too.
         margin = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.max_ray_size
-        for k in range(6):
-            slope, tilt, level = (component[k].take(box) for component in self.planes)
-            # Within the row, take the g for which the plane bounds least.
-            at_row = tilt * g + np.abs(tilt) * margin + level
+        for plane in range(6):
+            slope, tilt, level = (component[plane].take(box) for component in self.planes)
+            # Take the g within the row for which the plane's bound on s is loosest.
+            max_rest = tilt * g + np.abs(tilt) * margin + level
             # If the slope is 0, the bound is infinite: the plane admits all rays of the row, or
             # none.  The sum turns a slope of -0 into 0.
-            bound = -at_row / (slope + 0.0)
-            np.fmax(low, bound, out=low, where=slope >= 0)
-            np.fmin(high, bound, out=high, where=slope < 0)
-        return frame.column_of(low), frame.column_of(high)
+            bound = -max_rest / (slope + 0.0)
+            np.fmax(min_s, bound, out=min_s, where=slope >= 0)
+            np.fmin(max_s, bound, out=max_s, where=slope < 0)
+        return frame.column_of(min_s), frame.column_of(max_s)
 
     def intersect(
         self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
-        """Compute the distances at which rays meet boxes, and the faces that they meet.
+        """Compute the distances at which rays from the eye meet boxes, and the faces they meet.
 
         The method is that of slabs (Kay and Kajiya, Ray tracing complex scenes, 1986).  A slab is
         the space between two opposite faces.  Slabs are closed: a ray that lies in the plane of a
-        face meets the box.  The face is that through which the ray enters the box; if the eye is
-        inside the box or on it, the face is that through which the ray leaves the box.
+        face meets the box.  A ray has the direction (s, g, depth) in camera axes.  Rays are given
+        in spans: consecutive rays in one row, with the same g, that are tested with the same box.
 
         Parameters
         ----------
         object_index : (spans,) int array
-            A span consists of consecutive rays in one row that are tested with the same box: the
-            index of this box among all objects of the scene.
+            Index of each span's box, among all objects of the scene.
         g : (spans,) float array
-            Second component of the rays in each span.
+            Second direction component of the rays in each span.
         s : (n,) float array
-            First component of each ray.
+            First direction component of each ray, span by span.
         ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
 
         Returns
         -------
         t : (n,) float array
-            Distance from the eye, in units of the length of the ray's direction (s, g, depth);
-            infinity if the ray misses the box.
+            Distance from the eye, in units of the length of (s, g, depth), at which the ray enters
+            the box; infinity if the ray misses the box.  If the eye is inside the box or on its
+            surface, this is the distance at which the ray leaves the box.
         detail : (n,) int8 array
-            Twice the axis (0, 1 or 2) to which the face is perpendicular, plus 1 if the normal of
-            the face points up this axis.
+            The face at this distance: twice the axis (0, 1 or 2) to which the face is
+            perpendicular, plus 1 if the normal on the eye's side points up this axis.
         """
         frame, box = self.frame, self.objects.positions(object_index)
-        eye, (u, v, w), near, far, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
-        for k in range(3):
-            d = s * u[k] + repeat_runs(g * v[k] + frame.depth * w[k], ray_count)
-            low, high = self.min_pt[k, box] - eye[k], self.max_pt[k, box] - eye[k]
-            is_above = high < 0
-            if np.all(is_above | (low > 0)):
+        eye, (u, v, w), enters, leaves, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
+        for axis in range(3):
+            direction = s * u[axis] + repeat_runs(g * v[axis] + frame.depth * w[axis], ray_count)
+            low, high = self.min_pt[axis, box] - eye[axis], self.max_pt[axis, box] - eye[axis]
+            is_eye_above = high < 0
+            if np.all(is_eye_above | (low > 0)):
                 # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
                 # from the slab gets an exit before its entry, and so misses the box.
-                planes = np.where(is_above, high, low), np.where(is_above, low, high)
-                enter, leave = (repeat_runs(plane, ray_count) / d for plane in planes)
+                planes = np.where(is_eye_above, high, low), np.where(is_eye_above, low, high)
+                enter, leave = (repeat_runs(plane, ray_count) / direction for plane in planes)
             else:
                 enter, leave = _intersect_slab(
-                    repeat_runs(low, ray_count), repeat_runs(high, ray_count), d, closed=True
+                    repeat_runs(low, ray_count),
+                    repeat_runs(high, ray_count),
+                    direction,
+                    closed=True,
                 )
-            near.append(enter)
-            far.append(leave)
+            enters.append(enter)
+            leaves.append(leave)
             # The normal of a visible face points against the ray.
-            faces.append((d < 0).view(np.int8) + np.int8(2 * k))
-        enter, leave = np.maximum(*near[:2]), np.minimum(*far[:2])
-        enter, leave = np.maximum(enter, near[2]), np.minimum(leave, far[2])
-        t, plane_t, meets = enter, near, enter <= leave
-        inside = self.is_eye_inside[box]
-        if inside.any():
-            inside = repeat_runs(inside, ray_count)
-            t, meets = np.where(inside, leave, t), meets | inside
-            plane_t = [np.where(inside, b, a) for a, b in zip(near, far, strict=True)]
+            faces.append((direction < 0).view(np.int8) + np.int8(2 * axis))
+        enter, leave = np.maximum(*enters[:2]), np.minimum(*leaves[:2])
+        enter, leave = np.maximum(enter, enters[2]), np.minimum(leave, leaves[2])
+        t, plane_t, meets = enter, enters, enter <= leave
+        is_eye_inside = self.is_eye_inside[box]
+        if is_eye_inside.any():
+            is_eye_inside = repeat_runs(is_eye_inside, ray_count)
+            t, meets = np.where(is_eye_inside, leave, t), meets | is_eye_inside
+            plane_t = [
+                np.where(is_eye_inside, leave, enter)
+                for enter, leave in zip(enters, leaves, strict=True)
+            ]
         # A ray through an edge or a corner meets the face of the first axis.
         face = np.where(plane_t[1] == t, faces[1], faces[2])
         face = np.where(plane_t[0] == t, faces[0], face)
@@ -193,20 +221,20 @@ class Boxes:
     def tangent_planes(
         self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """Compute the face, the normal and the tangent plane of runs of hits.
+        """Compute the plane of the face on which each run of hits lies.
 
         A run consists of consecutive hits on the same face of the same box.
 
         Parameters
         ----------
         object_index : (runs,) int array
-            The box of each run, as an index among all objects of the scene.
+            Index of each run's box, among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
         local, t : (3, n) and (n,) float arrays
-            Not used: the faces of boxes are planes.
+            Not used: `Spheres.tangent_planes` needs them.
         detail : (n,) int8 array
-            Second result of `intersect` for each hit.
+            Second result of `intersect` for the ray through each hit: the number of the face.
 
         Returns
         -------
@@ -215,9 +243,9 @@ class Boxes:
         sign : (runs,) float array
             1 if the normal of the face points up its axis, and -1 if it points down.
         level : (runs,) float array
-            Coordinate of the face along its axis, in the axes of the scene.
+            Coordinate of the face along its axis, in scene axes.
         normal : tuple of three (runs,) float arrays
-            Unit normals on the side of the eye, in the axes of the camera.
+            Unit normals on the side of the eye, in camera axes.
         eye_height : (runs,) float array
             Distance of the eye from the plane of the face.
         """
@@ -233,57 +261,59 @@ class Boxes:
     # Tests of shadow segments: segments from hits to lights.
 
     def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
-        """Return the corners of boxes, given by index.
+        """Return opposite corners of n boxes that are given by index.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Indices of the boxes among all objects.
+            Index of each box, among all objects of the scene.
 
         Returns
         -------
         low, high : tuples of three (n,) float arrays
-            The corners with the smallest and with the largest coordinates.
+            Coordinates x, y and z of the corners where these are smallest, and of the corners where
+            they are largest, in scene axes.
         """
         box = self.objects.positions(object_index)
         return take3(self.min_pt, box), take3(self.max_pt, box)
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide, for pairs of a box and a light, on which side of the surface the light lies.
+        """Decide whether each light lies inside its box.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The box of each pair, as an index among all objects of the scene.
+            Index of the box of each pair of a box and a light, among all objects of the scene.
         light : tuple of three float arrays
-            Position of the light of each pair, in the axes of the scene.  The arrays may have any
-            shape that broadcasts with (n,).
+            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape, which
+            broadcasts with (n,).
 
         Returns
         -------
         side : int8 array
-            `INSIDE`, or `OUTSIDE` for lights on the surface as well, in the shape to which the
-            arguments broadcast.
+            `INSIDE` if the light is inside the box; `OUTSIDE` if it is outside or on the surface.
+            The shape is that to which (n,) and the shape of the lights broadcast.
         """
         is_inside = self.signed_distance(object_index, light) < 0
         return np.where(is_inside, INSIDE, OUTSIDE).astype(np.int8)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the largest of the signed distances of a point from the planes of a box's faces.
+        """Compute the largest signed distance of each point from the planes of its box's six faces.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The box of each pair of a box and a point, as an index among all objects of the scene.
+            Index of the box of each pair of a box and a point, among all objects of the scene.
         point : tuple of three float arrays
-            The point of each pair, in the axes of the scene.  The arrays may have any shape that
+            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape, which
             broadcasts with (n,).
 
         Returns
         -------
         distance : float array
-            Negative inside the box; outside, at most the distance from the box.  Its shape is that
-            to which the arguments broadcast.
+            Negative for points inside the box.  For points outside, it is positive and at most the
+            distance from the box.  The shape is that to which (n,) and the shape of the points
+            broadcast.
         """
         low, high = self.corners(object_index)
         heights = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
@@ -297,20 +327,21 @@ class Boxes:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test, pair by pair, whether a box blocks the open segment from a hit to a light.
+        """Test whether each box blocks the open segment from a hit to a light, for n pairs.
 
-        A segment is blocked if it crosses the surface strictly between its ends.  A segment that
-        lies in the plane of a face is not blocked, but a flat box blocks segments that cross it.
-        An end that lies within its tolerance of the plane of a face is moved onto this plane.
+        A box blocks a segment if the segment crosses the box's surface strictly between its ends.
+        A segment in the plane of a face is not blocked; a segment that crosses a flat box is
+        blocked.  An end whose distance from the plane of a face is within the rounding error is
+        moved onto the plane.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The box of each pair of a box and a segment, as an index among all objects.
+            Index of the box of each pair of a box and a segment, among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
-            Both ends of each segment, in the axes of the scene.
+            Coordinates x, y and z of both ends of each segment, in scene axes.
         side : (n,) int8 array
-            Not used: the positions of the lights suffice for boxes.
+            Not used: `Spheres.occludes` needs it.
         growth : (n,) float array, optional
             Distance by which the box is grown on all sides before the test; a negative value
             shrinks the box.  A box that shrinks to nothing blocks nothing.
@@ -322,7 +353,7 @@ class Boxes:
         """
         low, high = self.corners(object_index)
         if growth is not None:
-            low, high = map3(lambda c: c - growth, low), map3(lambda c: c + growth, high)
+            low, high = map3(lambda x: x - growth, low), map3(lambda x: x + growth, high)
         size = self.coordinate_size[self.objects.positions(object_index)]
         start = _snap_to_faces(hit, low, high, hit_tolerance(size, hit, self.frame.eye))
         end = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * size)
@@ -334,69 +365,69 @@ class Boxes:
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test, pair by pair, whether a box meets a capsule, and whether it cuts the capsule.
+        """Test whether each box blocks some, and whether it blocks all, segments in a capsule.
 
-        A capsule consists of all points within a certain distance, the thickness, of a segment
-        (Haines and Wallace, Shaft culling, 1991).  It contains all segments from a ball around its
-        start to its end.  Both results are conservative: rounding errors never exclude a box that
-        blocks a segment, and never let a box block all segments if it does not.
+        A capsule consists of all points within a given distance of its axis, the segment from
+        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The capsule contains all
+        segments that lead from the ball around `start` to `end`; the results refer to these.  Both
+        tests are conservative: rounding errors are on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The box of each pair of a box and a capsule, as an index among all objects.
+            Index of the box of each pair of a box and a capsule, among all objects of the scene.
         start, end : tuples of three (n,) float arrays
-            Both ends of the segment, in the axes of the scene.
+            Coordinates x, y and z of both ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
-            Radius of the capsule.
+            Radius of each capsule.
 
         Returns
         -------
-        meets : (n,) bool array
-            False if the box certainly blocks none of the segments.
-        cuts : (n,) bool array
-            True if the box certainly blocks all of the segments.
+        may_block : (n,) bool array
+            False only if the box certainly blocks no segment.
+        blocks_all : (n,) bool array
+            True only if the box certainly blocks all segments.
         """
-        # A point that counts as on a face may be this far from the face.
+        # `occludes` moves ends of segments by at most this distance, onto faces.
         size = self.coordinate_size[self.objects.positions(object_index)]
         thickness = thickness + 2 * SURFACE_TOLERANCE * size
-        # Positions along the segment, in units of its length, at which it enters and leaves two
-        # boxes: the box grown by the thickness on all sides, and the box shrunk by it.
+        # Positions along the axis, in units of its length, at which it enters and leaves two boxes:
+        # the box grown by the thickness on all sides, and the box shrunk by the thickness.
         enter, leave = np.array(-np.inf), np.array(np.inf)
         enter_shrunk, leave_shrunk = enter, leave
-        for p, q, low, high in zip(start, end, *self.corners(object_index), strict=True):
-            d, to_low, to_high = q - p, low - p, high - p
-            if np.count_nonzero(d) < d.size:
+        for from_x, to_x, low, high in zip(start, end, *self.corners(object_index), strict=True):
+            direction, to_low, to_high = to_x - from_x, low - from_x, high - from_x
+            if np.count_nonzero(direction) < direction.size:
                 lengths = np.abs(to_low) + np.abs(to_high) + thickness
-                d = d + (d == 0) * (MIN_COMPONENT * lengths)
-            near, far = _intersect_slab(to_low, to_high, d)
-            margin = thickness / np.abs(d)
+                direction = direction + (direction == 0) * (MIN_COMPONENT * lengths)
+            near, far = _intersect_slab(to_low, to_high, direction)
+            margin = thickness / np.abs(direction)
             enter_shrunk = np.maximum(enter_shrunk, near + margin)
             leave_shrunk = np.minimum(leave_shrunk, far - margin)
             near -= margin
             far += margin
             enter, leave = np.maximum(enter, near), np.minimum(leave, far)
         contains_capsule = (enter_shrunk < 0) & (leave_shrunk > 1)
-        meets = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~contains_capsule
-        cuts: Bools = (enter_shrunk < leave_shrunk) & (enter > 0) & (leave < 1)
-        return meets, cuts
+        may_block = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~contains_capsule
+        blocks_all: Bools = (enter_shrunk < leave_shrunk) & (enter > 0) & (leave < 1)
+        return may_block, blocks_all
 
 
 def _intersect_slab(
-    low: Floats, high: Floats, d: Floats, *, closed: bool | None = None
+    low: Floats, high: Floats, direction: Floats, *, closed: bool | None = None
 ) -> tuple[Floats, Floats]:
-    """Compute where lines enter and leave slabs.  A slab is the space between two parallel planes.
+    """Compute where n lines enter and leave slabs: spaces between two parallel planes.
 
     Parameters
     ----------
     low, high : (n,) float arrays
         Positions of the two planes relative to the start of the line, along the axis to which the
         planes are perpendicular.
-    d : (n,) float array
-        Component of the direction of the line along this axis.
+    direction : (n,) float array
+        Component of the line's direction along this axis.
     closed : bool, optional
-        Whether a line that lies in one of the planes is inside the slab.  None if no component of
-        `d` is 0.
+        Whether a line that lies in one of the planes is inside the slab.  It may be None if no
+        component in `direction` is 0.
 
     Returns
     -------
@@ -405,10 +436,10 @@ def _intersect_slab(
         enters at -inf and leaves at inf if it is inside the slab; otherwise it enters at inf and
         leaves at -inf.
     """
-    a, b = low / d, high / d
-    enter, leave = np.minimum(a, b), np.maximum(a, b)
-    if closed is not None and np.count_nonzero(d) < d.size:
-        is_parallel = d == 0
+    low_t, high_t = low / direction, high / direction
+    enter, leave = np.minimum(low_t, high_t), np.maximum(low_t, high_t)
+    if closed is not None and np.count_nonzero(direction) < direction.size:
+        is_parallel = direction == 0
         is_inside = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
         enter = np.where(is_parallel, np.where(is_inside, -np.inf, np.inf), enter)
         leave = np.where(is_parallel, np.where(is_inside, np.inf, -np.inf), leave)
@@ -416,14 +447,14 @@ def _intersect_slab(
 
 
 def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
-    """Test, pair by pair, whether an open segment crosses the surface of a box.
+    """Test whether each open segment crosses the surface of its box, for n pairs of both.
 
     Parameters
     ----------
     start, end : tuples of three (n,) float arrays
-        Both ends of each segment.
+        Coordinates x, y and z of both ends of each segment.
     low, high : tuples of three (n,) float arrays
-        Opposite corners of each box.
+        Opposite corners of each box, with the smallest and with the largest coordinates.
 
     Returns
     -------
@@ -431,59 +462,69 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
         Whether the segment enters or leaves the box strictly between its ends.
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
-    for p, q, a, b in zip(start, end, low, high, strict=True):
-        near, far = _intersect_slab(a - p, b - p, q - p, closed=False)
+    for from_x, to_x, low_x, high_x in zip(start, end, low, high, strict=True):
+        near, far = _intersect_slab(low_x - from_x, high_x - from_x, to_x - from_x, closed=False)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return crosses
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points that count as on the planes of faces onto these planes.
+    """Move points that are close to the plane of a box's face onto this plane.
 
     Parameters
     ----------
     point : tuple of three (n,) float arrays
-        The point of each pair of a point and a box.
+        Coordinates x, y and z of the point of each pair of a point and a box.
     low, high : tuples of three (n,) float arrays
-        Opposite corners of the box of each pair.
+        Opposite corners of each pair's box.
     tolerance : (n,) float array
-        Distance from a plane within which the point counts as on the plane.
+        Maximum distance at which a point is moved onto a plane.
 
     Returns
     -------
     snapped : tuple of three (n,) float arrays
-        The points after the move.
+        The points; those that are not close to a plane are unchanged.
     """
 
-    def component(x: Floats, low: Floats, high: Floats) -> Floats:
-        """Move one coordinate of each point."""
-        on_low, on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
-        return np.where(on_low, low, np.where(on_high, high, x))
+    def snap_coordinate(x: Floats, low: Floats, high: Floats) -> Floats:
+        """Replace a coordinate (n,) by `low` or `high` (n,), if it is close to it."""
+        is_on_low, is_on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
+        return np.where(is_on_low, low, np.where(is_on_high, high, x))
 
-    return map3(component, point, low, high)
+    return map3(snap_coordinate, point, low, high)
 
 
 def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
-    """Compute the bounding rectangles of boxes in the picture from their corners.
+    """Compute the bounding rectangles, in the picture, of n boxes.
 
     Parameters
     ----------
     frame : CameraFrame
         The rays of the camera.
     low, high : (3, n) float arrays
-        Vectors from the eye to opposite corners of each box, in the axes of the scene.
+        Vectors from the eye to opposite corners of each box, in scene axes.
+
+    Returns
+    -------
+    bounds : ScreenBounds
+        The rectangle of each box.  It is unbounded if the box reaches behind the eye, and empty if
+        the whole box is behind the eye.
     """
-    # Corner i is at `high` along axis k if bit k of i is set, and otherwise at `low`.
-    x, y, z = (np.array([(low, high)[i >> k & 1][k] for i in range(8)]) for k in range(3))
-    x, y, z = frame.vector_to_camera((x, y, z))
-    reaches_behind, reaches_ahead = z.min(axis=0) <= 0, z.max(axis=0) >= 0
+    # Corner i is at `high` along an axis if bit `axis` of i is set, and otherwise at `low`.
+    x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
+    right, down, ahead = frame.vector_to_camera((x, y, z))
+    is_partly_behind, is_partly_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
 
-    def slopes(corner: Floats) -> tuple[Floats, Floats]:
-        """Return the minimum and the maximum of a component (8, n) of corners, divided by depth."""
-        slope = corner / z
-        minimum = np.where(reaches_behind, -np.inf, slope.min(axis=0))
-        maximum_behind = np.where(reaches_ahead, np.inf, -np.inf)
-        return minimum, np.where(reaches_behind, maximum_behind, slope.max(axis=0))
+    def slope_range(component: Floats) -> tuple[Floats, Floats]:
+        """Return the minimum and the maximum, over corners, of a component (8, n) per depth.
 
-    return ScreenBounds.from_slopes(frame, slopes(y), slopes(x))
+        They are -inf and inf if corners are ahead of and behind the eye, and both -inf if all
+        corners are behind the eye.
+        """
+        slope = component / ahead
+        minimum = np.where(is_partly_behind, -np.inf, slope.min(axis=0))
+        maximum_behind = np.where(is_partly_ahead, np.inf, -np.inf)
+        return minimum, np.where(is_partly_behind, maximum_behind, slope.max(axis=0))
+
+    return ScreenBounds.from_slopes(frame, slope_range(down), slope_range(right))

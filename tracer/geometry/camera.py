@@ -55,74 +55,185 @@ class CameraFrame(NamedTuple):
     height: int
 
     def points_to_camera(self, points: Floats) -> Triple:
-        """Convert points (n, 3) of the scene to vectors from the eye, in the camera's axes."""
+        """Convert scene points to vectors from the eye, in camera axes.
+
+        Parameters
+        ----------
+        points : (n, 3) float array
+            Positions, in scene axes.
+
+        Returns
+        -------
+        vector : tuple of three (n,) float arrays
+            Components along u (right), v (down) and w (ahead) of the vectors from the eye to the
+            points.
+        """
         x, y, z = (points - self.eye).T
         return self.vector_to_camera((x, y, z))
 
     def vector_to_camera(self, vector: Triple) -> Triple:
-        """Convert vectors from the axes of the scene to those of the camera."""
-        u, v, w = (dot(vector, (a, b, c)) for a, b, c in self.axes.tolist())
+        """Rotate vectors from scene axes to camera axes.
+
+        Parameters
+        ----------
+        vector : tuple of three float arrays
+            Components x, y and z of the vectors, in arrays of one shape.
+
+        Returns
+        -------
+        rotated : tuple of three float arrays
+            Components along u (right), v (down) and w (ahead), in arrays of the same shape.
+        """
+        u, v, w = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
         return u, v, w
 
     def vector_to_scene(self, vector: Triple) -> Triple:
-        """Convert vectors from the axes of the camera to those of the scene."""
+        """Rotate vectors from camera axes to scene axes.
+
+        Parameters
+        ----------
+        vector : tuple of three float arrays
+            Components along u (right), v (down) and w (ahead), in arrays of one shape.
+
+        Returns
+        -------
+        rotated : tuple of three float arrays
+            Components x, y and z, in arrays of the same shape.
+        """
         x, y, z = (self.scene_component(vector, axis) for axis in range(3))
         return x, y, z
 
     def point_to_scene(self, vector: Triple) -> Triple:
-        """Convert vectors from the eye, in the camera's axes, to points of the scene."""
-        x, y, z = self.eye.tolist()
-        offset = self.vector_to_scene(vector)
-        return x + offset[0], y + offset[1], z + offset[2]
+        """Convert vectors from the eye, in camera axes, to scene points.
+
+        Parameters
+        ----------
+        vector : tuple of three float arrays
+            Components along u (right), v (down) and w (ahead) of the vectors from the eye to the
+            points, in arrays of one shape.
+
+        Returns
+        -------
+        point : tuple of three float arrays
+            Coordinates x, y and z of the points, in arrays of the same shape.
+        """
+        eye_x, eye_y, eye_z = self.eye.tolist()
+        x, y, z = self.vector_to_scene(vector)
+        return eye_x + x, eye_y + y, eye_z + z
 
     def scene_component(self, vector: Triple, axis: int) -> Floats:
-        """Compute one component, along an axis of the scene, of vectors in the camera's axes."""
+        """Compute one scene-axis component of vectors that are given in camera axes.
+
+        Parameters
+        ----------
+        vector : tuple of three float arrays
+            Components along u (right), v (down) and w (ahead), in arrays of one shape.
+        axis : int
+            Axis of the scene: 0 for x, 1 for y, 2 for z.
+
+        Returns
+        -------
+        component : float array
+            Component of each vector along this axis, in an array of the same shape.
+        """
         u, v, w = self.axes[:, axis].tolist()
         return dot(vector, (u, v, w))
 
     def ray_s(self, x: Floats) -> Floats:
-        """Return the first component s of the rays at x pixels from the left of the picture."""
-        return self.shift_u + (x - self.width / 2) * self.step_u
+        """Compute the first direction component of rays from their columns.
 
-    def ray_g(self, y: Floats) -> Floats:
-        """Return the second component g of the rays at y pixels from the top of the picture."""
-        return self.shift_v + (y - self.height / 2) * self.step_v
-
-    def column_of(self, s: Floats) -> Floats:
-        """Return how many pixels from the left the rays with first component s are."""
-        return (s - self.shift_u) / self.step_u + self.width / 2
-
-    def row_of(self, g: Floats) -> Floats:
-        """Return how many pixels from the top the rays with second component g are."""
-        return (g - self.shift_v) / self.step_v + self.height / 2
-
-    def depth_layer(self, ahead: Floats, packet_width: float) -> Ints:
-        """Number the layers of depth in which points lie.
-
-        Towards a horizon, points that are neighbours in the picture are far apart.  Packets, groups
-        of neighbouring hits, are therefore limited to one layer.  A layer is `_LAYER_ASPECT` times
-        as deep as a packet is wide at this depth, so layers become deeper with the distance.
+        The ray through a position in the picture has the direction (s, g, depth), in camera axes.
 
         Parameters
         ----------
-        ahead : (n,) float array
-            Depth of each point: component along w of the vector from the eye; positive.
+        x : float array
+            Distances from the left border of the picture, in pixels.
+
+        Returns
+        -------
+        s : float array
+            Direction component to the right of the ray at each distance; same shape as `x`.
+        """
+        return self.shift_u + (x - self.width / 2) * self.step_u
+
+    def ray_g(self, y: Floats) -> Floats:
+        """Compute the second direction component of rays from their rows.
+
+        The ray through a position in the picture has the direction (s, g, depth), in camera axes.
+
+        Parameters
+        ----------
+        y : float array
+            Distances from the upper border of the picture, in pixels.
+
+        Returns
+        -------
+        g : float array
+            Downward direction component of the ray at each distance; same shape as `y`.
+        """
+        return self.shift_v + (y - self.height / 2) * self.step_v
+
+    def column_of(self, s: Floats) -> Floats:
+        """Compute the columns of rays from their first direction component.
+
+        This inverts `ray_s`.
+
+        Parameters
+        ----------
+        s : float array
+            First component, to the right, of the rays' directions (s, g, depth), in camera axes.
+
+        Returns
+        -------
+        x : float array
+            Distance of each ray from the left border of the picture, in pixels.
+        """
+        return (s - self.shift_u) / self.step_u + self.width / 2
+
+    def row_of(self, g: Floats) -> Floats:
+        """Compute the rows of rays from their second direction component.
+
+        This inverts `ray_g`.
+
+        Parameters
+        ----------
+        g : float array
+            Second component, downward, of the rays' directions (s, g, depth), in camera axes.
+
+        Returns
+        -------
+        y : float array
+            Distance of each ray from the upper border of the picture, in pixels.
+        """
+        return (g - self.shift_v) / self.step_v + self.height / 2
+
+    def depth_layer(self, depth: Floats, packet_width: float) -> Ints:
+        """Assign points to layers of depth, which become thicker with the distance from the eye.
+
+        Towards a horizon, points that are neighbours in the picture are far apart in the scene.
+        Packets (groups of neighbouring hits) are therefore confined to one layer.  The thickness of
+        a layer is `_LAYER_ASPECT` times the width of a packet at this depth.
+
+        Parameters
+        ----------
+        depth : (n,) float array
+            Depth of each point: the component ahead of the vector from the eye; positive.
         packet_width : float
             Width of a packet, in pixels.
 
         Returns
         -------
         layer : (n,) int array
-            Two points have the same number only if they lie in the same layer.
+            Number of each point's layer.  Points in the same layer have the same number.
         """
-        aspect = min(_LAYER_ASPECT * packet_width * self.step_u / self.depth, 1.0)
+        relative_thickness = min(_LAYER_ASPECT * packet_width * self.step_u / self.depth, 1.0)
         # The bits of a float, read as an integer, are nearly proportional to its logarithm: they
         # increase by 2^52 if the float doubles.
-        return ahead.view(np.int64) // max(1, int(2**52 * aspect))
+        return depth.view(np.int64) // max(1, int(2**52 * relative_thickness))
 
     @property
     def max_ray_size(self) -> float:
-        """Upper bound on |s| + |g| + depth of all rays in the picture."""
+        """Upper bound on |s| + |g| + depth, where (s, g, depth) is the direction of any ray."""
         shift = abs(self.shift_u) + abs(self.shift_v) + self.depth
         return shift + self.width * self.step_u + self.height * self.step_v
 
@@ -130,7 +241,9 @@ class CameraFrame(NamedTuple):
 def camera_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
-    """Compute the rays of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2).
+    """Compute a camera's eye, axes and pixel grid, which together determine its rays.
+
+    The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
 
     Parameters
     ----------
@@ -139,15 +252,20 @@ def camera_frame(
     width, height : int
         Size of the picture, in pixels.
     offset : (float, float)
-        Moves every ray by this number of pixels to the right, and down.
+        Displacement of every ray to the right and down, in pixels.
+
+    Returns
+    -------
+    frame : CameraFrame
+        The rays of the camera.
     """
-    ahead = unit(camera.view_dir)
+    view_direction = unit(camera.view_dir)
     w = unit(camera.normal)
-    if w @ ahead > 0:
+    if w @ view_direction > 0:
         w = -w
-    u = unit(_cross(unit(camera.view_up), w))
-    v = _cross(w, u)
-    center = camera.proj_distance * ahead
+    u = unit(_cross_single(unit(camera.view_up), w))
+    v = _cross_single(w, u)
+    center = camera.proj_distance * view_direction
     step_u, step_v = camera.view_width / width, camera.view_height / height
     # Shirley's v points up, and his w points back: those of a CameraFrame are their opposites.
     return CameraFrame(
@@ -163,8 +281,19 @@ def camera_frame(
     )
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross product (3,) of two vectors; for single vectors, np.cross is slow."""
+def _cross_single(a: Floats, b: Floats) -> Floats:
+    """Compute the cross product a x b of two single vectors.
+
+    Parameters
+    ----------
+    a, b : (3,) float arrays
+        The factors.
+
+    Returns
+    -------
+    product : (3,) float array
+    """
+    # np.cross is slow for single vectors.
     return np.array(cross(a.tolist(), b.tolist()))
 
 
@@ -187,62 +316,116 @@ class ScreenBounds(NamedTuple):
     def from_slopes(
         cls, frame: CameraFrame, down: tuple[Floats, Floats], right: tuple[Floats, Floats]
     ) -> ScreenBounds:
-        """Compute bounding rectangles from the slopes of rays.
+        """Compute the bounding rectangles of objects from the slopes of the rays that meet them.
 
         Parameters
         ----------
         frame : CameraFrame
             The rays of the camera.
         down, right : pairs of (n,) float arrays
-            Minimum and maximum of the slopes v / w (`down`) and u / w (`right`) of all rays that
-            meet each object, in the camera's axes.
+            Minimum and maximum, over all rays that meet each object, of the ray's component down
+            (for `right`, to the right) divided by its component ahead.
+
+        Returns
+        -------
+        bounds : ScreenBounds
+            The rectangles of all n objects.
         """
         rows = (frame.row_of(slope * frame.depth) for slope in down)
         return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in right))
 
     def take(self, index: Bools | slice) -> ScreenBounds:
-        """Select rectangles by a mask or a slice."""
+        """Return the rectangles that a mask (n,) or a slice selects."""
         return ScreenBounds(*(side[index] for side in self))
 
     def in_picture(self, frame: CameraFrame) -> Bools:
-        """Return, for each object (n,), whether it may be visible in the picture.
+        """Test whether each object's bounding rectangle overlaps the picture.
 
-        The result does not depend on other objects, which may hide the object.
+        The picture is enlarged by one pixel on each side, as a margin for rounding errors.
+        Occlusion by other objects is ignored.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera, with the size of the picture.
+
+        Returns
+        -------
+        is_in_picture : (n,) bool array
+            False if the object is certainly not visible.
         """
-        visible: Bools = (self.top <= frame.height + 1) & (self.bottom >= -1)
-        return visible & (self.left <= frame.width + 1) & (self.right >= -1)
+        is_in_rows = (self.top <= frame.height + 1) & (self.bottom >= -1)
+        is_in_columns = (self.left <= frame.width + 1) & (self.right >= -1)
+        is_in_picture: Bools = is_in_rows & is_in_columns
+        return is_in_picture
 
     def window(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Return rows and columns of the picture outside of which no object is visible."""
+        """Compute the part of the picture that contains all visible objects.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera, with the size of the picture.
+
+        Returns
+        -------
+        rows, columns : slices
+            Rows and columns of pixels.  No object is visible in any other pixel.
+        """
         visible = self.take(self.in_picture(frame))
 
-        def interval(low: Floats, high: Floats, size: int) -> slice:
-            """Return the pixels, of `size` in all, between the bounds `low` and `high` (n,)."""
+        def covered_pixels(low: Floats, high: Floats, pixel_count: int) -> slice:
+            """Return the pixels, from 0 to `pixel_count` - 1, that the intervals [low, high] cover.
+
+            Each interval (n,) is in pixels.  The result is one slice from the smallest `low` to the
+            largest `high`, enlarged by one pixel at both ends.
+            """
             start, stop = low.min(initial=np.inf) - 1, high.max(initial=-np.inf) + 1
-            return slice(int(np.clip(start, 0, size)), ceil(np.clip(stop, 0, size)))
+            return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
 
         return (
-            interval(visible.top, visible.bottom, frame.height),
-            interval(visible.left, visible.right, frame.width),
+            covered_pixels(visible.top, visible.bottom, frame.height),
+            covered_pixels(visible.left, visible.right, frame.width),
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Return a bound on the mean number of objects behind a pixel in any row.
+        """Compute an upper bound on the mean number of objects that the rays of a row meet.
 
-        The number is a mean over the pixels of the row, and a maximum over all rows.
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera, with the size of the picture.
+
+        Returns
+        -------
+        depth_complexity : float
+            Number of objects on a ray: the mean over the pixels of a row, and the maximum of this
+            mean over all rows of the picture.
         """
         visible, width = self.take(self.in_picture(frame)), frame.width
-        covered = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
+        covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
         # Going down the rows, each object adds its width at its top, and removes it at its bottom.
         order = np.append(visible.top - 1, visible.bottom + 1).argsort()
-        return float(np.append(covered, -covered)[order].cumsum().max(initial=0) / width)
+        width_change = np.append(covered_width, -covered_width)[order]
+        return float(width_change.cumsum().max(initial=0) / width)
 
     def silhouette_density(self, frame: CameraFrame) -> float:
-        """Estimate the mean number of ordered pairs of different silhouettes that cross a pixel.
+        """Estimate how often the silhouettes of two objects cross the same pixel.
 
-        The estimate is that for silhouettes at random positions.
+        The estimate assumes that objects are about as wide as high, at random positions.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera, with the size of the picture.
+
+        Returns
+        -------
+        pair_count : float
+            Mean number, over all pixels, of ordered pairs of different objects whose silhouettes
+            cross the pixel.
         """
         top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
         # The silhouette of an object that is about as wide as high crosses about 4 * height pixels.
-        share = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
-        return float(share.sum() ** 2 - (share**2).sum())
+        crossing_probability = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
+        return float(crossing_probability.sum() ** 2 - (crossing_probability**2).sum())

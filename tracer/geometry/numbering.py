@@ -30,15 +30,15 @@ class ObjectRange(NamedTuple):
 
     @property
     def slice(self) -> slice:
-        """The part of an array of all objects that belongs to the objects of the shape."""
+        """The slice that selects the objects of the shape from an array of all objects."""
         return slice(self.start, self.start + self.size)
 
     def indices(self) -> Ints:
-        """Return the indices (size,) of all objects of the shape."""
+        """List the indices (size,) of this shape's objects among all objects, in order."""
         return np.arange(self.start, self.start + self.size)
 
     def contains(self, object_index: Ints) -> Bools:
-        """Test, for each index of an object, whether the object has the shape.
+        """Test whether each object, given by its index, has this shape.
 
         Parameters
         ----------
@@ -48,11 +48,12 @@ class ObjectRange(NamedTuple):
         Returns
         -------
         is_of_shape : (n,) bool array
+            True if the index is in this range.
         """
         return (object_index >= self.start) & (object_index < self.start + self.size)
 
     def positions(self, object_index: Ints) -> Ints:
-        """Convert indices among all objects to positions in the arrays of the shape.
+        """Convert indices among all objects to positions among the objects of this shape.
 
         Parameters
         ----------
@@ -62,16 +63,17 @@ class ObjectRange(NamedTuple):
         Returns
         -------
         position : (n,) int array
-            Positions in the arrays that contain only the objects of the shape.
+            Positions in arrays that contain only the objects of the shape.  If these are the first
+            objects, this is `object_index` itself, not a copy.
         """
         return object_index - self.start if self.start else object_index
 
 
 def sphere_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the indices of the spheres among all objects."""
+    """Return the range of the spheres' indices among all objects: they come before the boxes."""
     return ObjectRange(0, len(surfaces.radius))
 
 
 def box_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the indices of the boxes among all objects."""
+    """Return the range of the boxes' indices among all objects: they follow the spheres."""
     return ObjectRange(len(surfaces.radius), len(surfaces.min_pt))

@@ -84,14 +84,14 @@ of which the least is 1e-75."""
 
 
 def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
-    """Decide on which side of a surface each point lies.
+    """Decide whether each point lies outside, on, or inside a surface.
 
     Parameters
     ----------
     height : (n,) float array
         Signed distance of each point from the surface, positive outside.
     tolerance : (n,) float array
-        A point counts as on the surface if its distance is at most this.
+        Maximum distance at which a point is treated as on the surface.
 
     Returns
     -------
@@ -102,25 +102,24 @@ def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
 
 
 def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Return how far from a surface each hit may lie and still count as on the surface.
+    """Compute the maximum distance from a surface at which each hit is treated as on the surface.
 
-    A hit is the point where a ray from the eye meets a surface.  Its rounding error increases with
-    its distance from the eye, and with the coordinates of the surface on which it lies.
+    A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit
+    increases with the hit's distance from the eye, and with the coordinates of the surface.
 
     Parameters
     ----------
     coordinate_size : (n,) float array
-        Magnitude of the surface's coordinates.  Points near the surface have coordinates of about
-        the same magnitude.
+        Upper bound on |x| + |y| + |z| of the points on the surface that each hit is compared with.
     hit : tuple of three (n,) float arrays
-        x, y and z of the hits, in the scene's axes.
+        Coordinates x, y and z of the hits, in scene axes.
     eye : (3,) float array
-        Position of the eye, in the scene's axes.
+        Position of the eye, in scene axes.
 
     Returns
     -------
     tolerance : (n,) float array
-        Maximum distance from the surface, in the scene's unit of length.
+        Maximum distance, in the scene's unit of length.
     """
-    ray = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
-    return SURFACE_TOLERANCE * (np.sqrt(dot(ray, ray)) + coordinate_size)
+    eye_to_hit = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
+    return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_size)

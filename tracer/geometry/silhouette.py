@@ -12,68 +12,74 @@ from tracer.arrays import Floats, Triple, cross, dot
 
 
 def silhouette_planes(low: Floats, high: Floats) -> Triple:
-    """Compute the planes through an apex and the edges of the silhouettes of boxes.
+    """Compute the planes through an apex (the eye or a light) and the silhouette edges of boxes.
 
-    Seen along an axis, a box is a rectangle.  An edge of the box that is parallel to the axis is
-    one of the rectangle's corners.  It belongs to the silhouette if a tangent from the apex touches
-    the rectangle at this corner.  There are two such corners for each axis, or none if the apex is
+    Seen along a coordinate axis, a box is a rectangle.  A box edge parallel to the axis is a corner
+    of this rectangle.  The edge belongs to the silhouette if a tangent from the apex touches the
+    rectangle at the corner.  For each axis there are two such corners, or none if the apex is
     inside the rectangle.
 
     Parameters
     ----------
     low, high : (3, n) float arrays
-        Vectors from the apex to opposite corners of each box, in the axes of the scene.
+        Vectors from the apex to opposite corners of each of n boxes, in scene axes.
 
     Returns
     -------
     normals : tuple of three (6, n) float arrays
-        Normals of six planes for each box, in the axes of the scene.  All directions d towards the
-        box have d . normal >= 0.  The components of the normals are coordinates of corners, so they
-        have no cancellation errors.  A normal is zero, which bounds nothing, if there is no such
-        edge.
+        Components x, y and z of the normals of six planes for each box.  Every direction d from the
+        apex to a point of the box satisfies d . normal >= 0.  Planes 2 k and 2 k + 1 belong to
+        edges parallel to axis k; their normals are 0 if no such edge is in the silhouette.  The
+        components are coordinates of corners, so they have no cancellation errors.
     """
+    # For each axis: 1 if the box lies above the apex, -1 if below, otherwise 0.
     side = (low > 0).astype(np.int8) - (high < 0)
     x, y, z = normals = np.zeros((3, 6, low.shape[1]))
-    for k, mirrored in np.ndindex(3, 2):
-        i, j = (k + 1) % 3, (k + 2) % 3
+    for axis, is_mirrored in np.ndindex(3, 2):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
         # The last corner of the rectangle in counterclockwise order, as seen from the apex.  The
         # first corner is the last one of the mirror image.
-        right, up = side[i], -side[j] if mirrored else side[j]
-        a = np.where((up < 0) | ((up == 0) & (right < 0)), high[i], low[i])
-        is_top = (right > 0) | ((right == 0) & (up < 0))
-        b = np.where(is_top ^ bool(mirrored), high[j], low[j])
-        sign = np.where((right != 0) | (up != 0), 1 - 2 * mirrored, 0)
-        normals[i, 2 * k + mirrored], normals[j, 2 * k + mirrored] = sign * b, -sign * a
+        side_i, side_j = side[i], -side[j] if is_mirrored else side[j]
+        corner_i = np.where((side_j < 0) | ((side_j == 0) & (side_i < 0)), high[i], low[i])
+        is_top = (side_i > 0) | ((side_i == 0) & (side_j < 0))
+        corner_j = np.where(is_top ^ bool(is_mirrored), high[j], low[j])
+        sign = np.where((side_i != 0) | (side_j != 0), 1 - 2 * is_mirrored, 0)
+        plane = 2 * axis + is_mirrored
+        normals[i, plane], normals[j, plane] = sign * corner_j, -sign * corner_i
     return x, y, z
 
 
-def box_edge_functions(planes: Triple, d: Triple) -> Floats:
-    """Compute the edge functions of boxes for rays.
+def box_edge_functions(planes: Triple, ray: Triple) -> Floats:
+    """Evaluate, for rays from an apex, functions whose signs change at the edges of boxes.
+
+    The apex is the eye or a light.  Each function belongs to one plane through the apex and an edge
+    of the box's silhouette.
 
     Parameters
     ----------
     planes : tuple of three (6, n) float arrays
-        Normals of the planes through the apex and the edges of the silhouette of each box, from
-        `silhouette_planes`.
-    d : tuple of three (m, n) float arrays
-        m rays from the apex for each box, in the same axes.
+        Normals of the six planes of each of n boxes, from `silhouette_planes`.
+    ray : tuple of three (m, n) float arrays
+        Directions of m rays for each box, in the same axes as the normals.
 
     Returns
     -------
     values : (m, 6, n) float array
-        Signed distances of the rays from the planes, multiplied by the lengths of the normals;
-        positive on the side of the box.
+        Dot product of each ray and each normal; positive if the ray is on the box's side of the
+        plane.
     """
-    return np.array([dot(normal, d) for normal in zip(*planes, strict=True)]).swapaxes(0, 1)
+    return np.array([dot(normal, ray) for normal in zip(*planes, strict=True)]).swapaxes(0, 1)
 
 
-def sphere_edge_function(d: Triple, center: Triple, radius: Floats) -> Floats:
-    """Compute the edge functions of spheres for rays: the angles by which the rays miss them.
+def sphere_edge_function(ray: Triple, center: Triple, radius: Floats) -> Floats:
+    """Compute the angles by which rays from an apex (the eye or a light) miss spheres.
+
+    The angle is an edge function: its sign changes where a ray crosses the sphere's silhouette.
 
     Parameters
     ----------
-    d : tuple of three (m, n) float arrays
-        m rays from the apex for each sphere.
+    ray : tuple of three (m, n) float arrays
+        Directions of m rays for each of n spheres.
     center : tuple of three (n,) float arrays
         Vectors from the apex to the centres of the spheres, in the same axes.
     radius : (n,) float array
@@ -81,12 +87,12 @@ def sphere_edge_function(d: Triple, center: Triple, radius: Floats) -> Floats:
 
     Returns
     -------
-    values : (m, n) float array
-        Angles between the rays and the silhouettes, in radians: negative for rays that meet the
-        sphere; NaN if the apex is inside the sphere.
+    angle : (m, n) float array
+        Angle from the silhouette to the ray, in radians: negative if the ray meets the sphere; NaN
+        if the apex is inside the sphere.
     """
-    perpendicular, distance = cross(center, d), np.sqrt(dot(center, center))
-    angle = np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(center, d))
-    tangent = np.sqrt((distance - radius) * (distance + radius))
-    values: Floats = angle - np.arctan2(radius, tangent)
-    return values
+    perpendicular, distance = cross(center, ray), np.sqrt(dot(center, center))
+    center_angle = np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(center, ray))
+    tangent_length = np.sqrt((distance - radius) * (distance + radius))
+    angle: Floats = center_angle - np.arctan2(radius, tangent_length)
+    return angle

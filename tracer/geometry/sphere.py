@@ -84,23 +84,47 @@ class Spheres:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Prepare all spheres among the surfaces of a scene for the rays of a camera."""
+        """Extract the spheres of a scene, and compute what rays of the camera need of each.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera.
+        surfaces : Surfaces
+            All surfaces of the scene.
+
+        Returns
+        -------
+        spheres : Spheres
+            Positions relative to the eye, bounding rectangles, and other data of all n spheres.
+        """
         center, radius = surfaces.center.T.copy(), surfaces.radius
         local = frame.points_to_camera(surfaces.center)
         distance = np.sqrt(dot(local, local))
-        height = distance - radius
+        eye_height = distance - radius
         # Rounding errors alone must not move the eye off a sphere on which it lies.
-        is_on = np.abs(height) <= UNIT_TOLERANCE * radius
-        power = np.where(is_on, 0, height * (distance + radius))
+        is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
+        power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
-        rows, columns = (_tangent_slopes(m, w, radius2, m * m + w * w - radius2) for m in (v, u))
-        bounds = ScreenBounds.from_slopes(frame, rows, columns)
-        objects, size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        inside, curvature = power <= 0, 1 / radius
-        return cls(frame, objects, center, radius, local, power, bounds, inside, curvature, size)
+        rows, columns = (
+            _tangent_slopes(component, w, radius2, component * component + w * w - radius2)
+            for component in (v, u)
+        )
+        return cls(
+            frame=frame,
+            objects=sphere_range(surfaces),
+            center=center,
+            radius=radius,
+            local=local,
+            power=power,
+            bounds=ScreenBounds.from_slopes(frame, rows, columns),
+            is_eye_inside=power <= 0,
+            curvature=1 / radius,
+            coordinate_size=np.abs(center).sum(axis=0) + radius,
+        )
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Return the corners of axis-aligned bounding boxes, in the axes of the scene.
+        """Compute the axis-aligned bounding boxes of all n objects, in scene axes.
 
         Returns
         -------
@@ -112,14 +136,14 @@ class Spheres:
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute where objects begin and end in rows of the picture, for pairs of both.
+        """Compute the interval of columns that an object covers in a row, for n pairs of both.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The object of each pair.
+            Index of each pair's object, among all objects of the scene.
         rows : (n,) float array
-            The upper border of each row, in pixels from the top of the picture.
+            Upper border of each pair's row, in pixels from the top of the picture.
         height : float
             Height of the rows, in pixels.  If it is 0, a row is a line and the result is exact
             except for rounding.  Otherwise the result is conservative: it contains all positions
@@ -128,8 +152,8 @@ class Spheres:
         Returns
         -------
         left, right : (n,) float arrays
-            Both ends, in pixels from the left border of the picture; left > right if the object
-            does not reach the row.
+            Ends of each interval, in pixels from the left border of the picture.  If no ray in the
+            row meets the object, left > right or both are NaN.
         """
         # A row consists of columns of rays.  At the sphere, the rays of a column are at most a
         # margin away from the ray in its centre.  So if any ray of the column meets the sphere, the
@@ -137,65 +161,68 @@ class Spheres:
         frame, sphere = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere]
         slope_margin = 0.5 * height * frame.step_v / frame.depth
-        grown = radius + slope_margin * np.maximum(self.local[2][sphere] + radius, 0)
-        power = self.power[sphere] - (grown - radius) * (grown + radius)
+        grown_radius = radius + slope_margin * np.maximum(self.local[2][sphere] + radius, 0)
+        power = self.power[sphere] - (grown_radius - radius) * (grown_radius + radius)
         g = frame.ray_g(rows + height / 2)
-        hypot2, u, ahead, chord2 = self._cut_discs(sphere, grown, g)
-        low, high = _tangent_slopes(u, ahead, chord2, power)
-        hypot = np.sqrt(hypot2)
-        return frame.column_of(low * hypot), frame.column_of(high * hypot)
+        ray_ahead2, u, ahead, disc_radius2 = self._cut_discs(sphere, grown_radius, g)
+        low, high = _tangent_slopes(u, ahead, disc_radius2, power)
+        ray_ahead = np.sqrt(ray_ahead2)
+        return frame.column_of(low * ray_ahead), frame.column_of(high * ray_ahead)
 
     def _cut_discs(
         self, sphere: Ints, radius: Floats, g: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Intersect spheres with the planes of rays: each plane cuts a disc out of its sphere.
+        """Compute the discs that planes of rays cut out of spheres, for n pairs of both.
 
-        All rays (s, g, depth) with the same g lie in one plane through the eye.  A ray has two
-        components in this plane: s, and the length of (g, depth).
+        A ray has the direction (s, g, depth) in camera axes.  All rays with the same g lie in one
+        plane through the eye.  In this plane, a ray has two components: s along the row of the
+        picture, and the length of (g, depth) perpendicular to the row.
 
         Parameters
         ----------
         sphere : (n,) int array
-            Position of each sphere in the arrays of this class.
+            Index of each pair's sphere, among all spheres.
         radius : (n,) float array
-            Radius of each sphere, which may differ from that in `self.radius`.
+            Radius of each sphere; it replaces the sphere's own radius.
         g : (n,) float array
-            Second component of the rays in each plane.
+            Second direction component of the rays in each plane.
 
         Returns
         -------
-        hypot2 : (n,) float array
-            g^2 + depth^2: square of the second component of the rays in the plane.
+        ray_ahead2 : (n,) float array
+            g^2 + depth^2, the square of the rays' component perpendicular to the row.
         u, ahead : (n,) float arrays
-            Centre of the disc in the plane: its components along the row, and perpendicular to it.
-        chord2 : (n,) float array
-            Squared radius of the disc; negative if the plane misses the sphere.
+            Centre of each disc: its components along the row and perpendicular to the row.
+        disc_radius2 : (n,) float array
+            Squared radius of each disc; negative if the plane misses the sphere.
         """
         (u, v, w), depth = take3(self.local, sphere), self.frame.depth
-        hypot2 = g * g + depth * depth
-        hypot = np.sqrt(hypot2)
-        offset, ahead = (v * depth - w * g) / hypot, (v * g + w * depth) / hypot
-        return hypot2, u, ahead, (radius - offset) * (radius + offset)
+        ray_ahead2 = g * g + depth * depth
+        ray_ahead = np.sqrt(ray_ahead2)
+        plane_distance, ahead = (v * depth - w * g) / ray_ahead, (v * g + w * depth) / ray_ahead
+        disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
+        return ray_ahead2, u, ahead, disc_radius2
 
     def intersect(
         self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Floats]:
-        """Compute the distances at which rays meet objects.
+        """Compute the distances at which rays from the eye meet objects.
 
-        The rays of a row lie in a plane through the eye, and the plane cuts a disc out of a sphere.
-        Rays and discs are intersected in this plane by their closest approach, with the near root
-        in the stable form t = C / (B + sqrt(B^2 - A C)) (Haines, Günther and Akenine-Möller,
-        Precision improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
+        A ray has the direction (s, g, depth) in camera axes.  Rays are given in spans: consecutive
+        rays in one row, with the same g, that are tested with the same object.  The rays of a row
+        lie in a plane through the eye, and this plane cuts a disc out of a sphere.  Rays and discs
+        are intersected in the plane, with the nearer root in the stable form
+        t = C / (B + sqrt(B^2 - A C)) (Haines, Günther and Akenine-Möller, Precision improvements
+        for ray/sphere intersection, Ray Tracing Gems, ch. 7).
 
         Parameters
         ----------
         object_index : (spans,) int array
-            A span consists of consecutive rays in one row that are tested with the same object: the
-            index of this object.
+            Index of each span's object, among all objects of the scene.
         g : (spans,) float array
-            Second component of the rays in each span.
+            Second direction component of the rays in each span.
         s : (n,) float array
-            First component of each ray.
+            First direction component of each ray, span by span.
         ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
 
@@ -203,48 +230,48 @@ class Spheres:
         -------
         t : (n,) float array
             Distance from the eye, in units of the length of (s, g, depth); infinity if the ray
-            misses the object.  If the eye is inside the object or on it, this is the distance at
-            which the ray leaves the object.
+            misses the object.  If the eye is inside the object or on its surface, this is the
+            distance at which the ray leaves the object.
         detail : (n,) array
             Argument for `tangent_planes`.  For spheres, this is |n . d| radius, with the unit
             normal n and the direction d = (s, g, depth).  For boxes, it is an int8 number of the
             face.
         """
         sphere = self.objects.positions(object_index)
-        hypot2, u, ahead, chord2 = self._cut_discs(sphere, self.radius[sphere], g)
-        hypot = np.sqrt(hypot2)
+        ray_ahead2, u, ahead, disc_radius2 = self._cut_discs(sphere, self.radius[sphere], g)
+        ray_ahead = np.sqrt(ray_ahead2)
         power = self.power[sphere]
-        length2 = s * s + repeat_runs(hypot2, ray_count)
-        # Cross product and dot product of the centre (u, ahead) and the ray (s, hypot).
-        cross = repeat_runs(u * hypot, ray_count) - repeat_runs(ahead, ray_count) * s
-        root = np.sqrt(length2 * repeat_runs(chord2, ray_count) - cross * cross)
-        dot_product = repeat_runs(u, ray_count) * s + repeat_runs(ahead * hypot, ray_count)
+        length2 = s * s + repeat_runs(ray_ahead2, ray_count)
+        # Cross product and dot product of the centre (u, ahead) and the ray (s, ray_ahead).
+        cross_product = repeat_runs(u * ray_ahead, ray_count) - repeat_runs(ahead, ray_count) * s
+        root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
+        dot_product = repeat_runs(u, ray_count) * s + repeat_runs(ahead * ray_ahead, ray_count)
         divisor = dot_product + root
-        all_outside, power = np.all(power > 0), repeat_runs(power, ray_count)
+        is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
         t = power / divisor
-        if not all_outside:  # use the far root, in the form with less cancellation
-            far = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
-            t = np.where(power > 0, t, far)
+        if not is_eye_outside_all:  # the farther root, in the form with less cancellation
+            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
+            t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
         return np.where(t > 0, t, np.inf), root
 
     def tangent_planes(
         self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """Compute the face, the normal and the tangent plane at hits.
+        """Compute the tangent plane of the surface at each of n hits.
 
-        A run consists of consecutive hits on the same face of the same object.
+        Hits are given in runs: consecutive hits on the same face of the same object.
 
         Parameters
         ----------
         object_index : (runs,) int array
-            The object of each run.
+            Index of each run's object, among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
         local : (3, n) float array
-            Vectors from the eye to the hits, in the axes of the camera.
+            Vectors from the eye to the hits, in camera axes.
         t, detail : (n,) arrays
-            Results of `intersect` for the hits.
+            The results of `intersect` for the rays through the hits.
 
         Returns
         -------
@@ -252,66 +279,66 @@ class Spheres:
             Axis to which the face is perpendicular: 0, 1 or 2; `NO_FACE` for spheres.
         sign : (runs,) float array
             1 if the normal of the face points up its axis, and -1 if it points down.  For spheres,
-            an array of no dimensions without meaning.
+            a meaningless array without dimensions.
         level : (runs,) float array
-            Coordinate of the face along its axis, in the axes of the scene.  For spheres, an array
-            of no dimensions without meaning.
+            Coordinate of the face along its axis, in scene axes.  For spheres, a meaningless array
+            without dimensions.
         normal : tuple of three float arrays
-            Unit normals on the side of the eye, in the axes of the camera: (n,) for spheres, and
-            (runs,) for boxes.
+            Unit normals on the side of the eye, in camera axes: (n,) for spheres, (runs,) for
+            boxes.
         eye_height : float array
-            Distance of the eye from the tangent plane: (n,) for spheres, and (runs,) for boxes.
+            Distance of the eye from the tangent plane: (n,) for spheres, (runs,) for boxes.
         """
         sphere = self.objects.positions(object_index)
-        inverse = repeat_runs(1 / self.radius[sphere], run_length)
-        center = (repeat_runs(m[sphere], run_length) for m in self.local)
-        x, y, z = ((p - c) * inverse for p, c in zip(local, center, strict=True))
-        inside = self.is_eye_inside[sphere]
-        if inside.any():
-            flip = repeat_runs(np.where(inside, -1.0, 1.0), run_length)
+        curvature = repeat_runs(1 / self.radius[sphere], run_length)
+        center = (repeat_runs(component[sphere], run_length) for component in self.local)
+        x, y, z = ((hit - middle) * curvature for hit, middle in zip(local, center, strict=True))
+        is_eye_inside = self.is_eye_inside[sphere]
+        if is_eye_inside.any():
+            flip = repeat_runs(np.where(is_eye_inside, -1.0, 1.0), run_length)
             x, y, z = flip * x, flip * y, flip * z
         face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
-        return face, sign, level, (x, y, z), detail * inverse * t
+        return face, sign, level, (x, y, z), detail * curvature * t
 
     # Tests of shadow segments: segments from hits to lights.
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide, for pairs of an object and a light, on which side of the surface the light lies.
+        """Decide whether each light lies outside, on, or inside the surface of its object.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The object of each pair.
-        light : tuple of three (n,) float arrays
-            Position of the light of each pair, in the axes of the scene.  The arrays may have any
-            shape that broadcasts with (n,).
+            Index of the object of each pair of an object and a light, among all objects.
+        light : tuple of three float arrays
+            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape, which
+            broadcasts with (n,).
 
         Returns
         -------
         side : int8 array
-            `OUTSIDE`, `ON` (for spheres only) or `INSIDE`, in the shape to which the arguments
-            broadcast.
+            `OUTSIDE`, `ON` (for spheres only) or `INSIDE`, in the shape to which (n,) and the
+            shape of the lights broadcast.
         """
         tolerance = LIGHT_TOLERANCE * self.coordinate_size[self.objects.positions(object_index)]
         return side_of_surface(self.signed_distance(object_index, light), tolerance)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the distance of each point from the surface of an object; negative inside.
+        """Compute the signed distance, negative inside, of each point from its object's surface.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The object of each pair of an object and a point.
-        point : tuple of three (n,) float arrays
-            The point of each pair, in the axes of the scene.  The arrays may have any shape that
+            Index of the object of each pair of an object and a point, among all objects.
+        point : tuple of three float arrays
+            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape, which
             broadcasts with (n,).
 
         Returns
         -------
         distance : float array
-            Signed distances, in the shape to which the arguments broadcast.  For boxes, this is the
-            largest of the signed distances from the planes of the six faces: outside of the box, at
-            most the distance from the box.
+            Signed distances, in the shape to which (n,) and the shape of the points broadcast.
+            For boxes, the largest of the signed distances from the planes of the six faces: for
+            points outside of the box, this is at most the distance from the box.
         """
         sphere = self.objects.positions(object_index)
         offset = map3(np.subtract, take3(self.center, sphere), point)
@@ -325,20 +352,22 @@ class Spheres:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test, pair by pair, whether an object blocks the open segment from a hit to a light.
+        """Test whether each object blocks the open segment from a hit to a light, for n pairs.
 
-        A segment is blocked if it crosses the surface strictly between its ends.  An end that lies
-        within its tolerance of the surface counts as on the surface.  For a hit on a sphere, the
-        segment then starts on the side of the sphere on which the eye lies.
+        An object blocks a segment if the segment crosses the object's surface strictly between its
+        ends.  An end is treated as on the surface if its distance from the surface is within the
+        rounding error.  If a hit is on a sphere, the segment starts on the eye's side of the
+        sphere.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The object of each pair of an object and a segment.
+            Index of the object of each pair of an object and a segment, among all objects.
         hit, light : tuples of three (n,) float arrays
-            Both ends of each segment, in the axes of the scene.
+            Coordinates x, y and z of both ends of each segment, in scene axes.
         side : (n,) int8 array
-            The side of the object's surface on which the light lies: see `Spheres.side_of_light`.
+            The side of the object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`,
+            from `side_of_light`.
         growth : (n,) float array, optional
             Distance by which the object is grown before the test; a negative value shrinks the
             object.  An object that shrinks to nothing blocks nothing.
@@ -356,106 +385,112 @@ class Spheres:
             radius = np.maximum(radius + growth, 0)
         # If both ends are outside, the sphere blocks the segment if the point of the line that is
         # closest to the centre lies between the ends and inside the sphere.
-        b, length2 = dot(to_center, to_light), dot(to_light, to_light)
-        closest = b / length2
-        perpendicular = map3(lambda c, d: c - closest * d, to_center, to_light)
-        is_within = dot(perpendicular, perpendicular) < radius * radius
-        blocked: Bools = is_within & (b > 0) & (b < length2)
-        height = np.sqrt(dot(to_center, to_center)) - radius
+        projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
+        closest_t = projection / length2
+        perpendicular = map3(lambda c, d: c - closest_t * d, to_center, to_light)
+        is_line_cut = dot(perpendicular, perpendicular) < radius * radius
+        blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
+        hit_height = np.sqrt(dot(to_center, to_center)) - radius
         hit_side = side_of_surface(
-            height, hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye)
+            hit_height, hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye)
         )
         special = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
         if special.size:
             hit_side, side = hit_side[special], side[special]
-            b, length2 = b[special], length2[special]
+            projection, length2 = projection[special], length2[special]
             starts_inside = self.is_eye_inside[sphere[special]]
             blocked[special] = np.where(
                 hit_side == ON,
-                np.where(starts_inside, (b < 0) | (side == OUTSIDE), b > 0),
-                np.where(side == ON, (hit_side == OUTSIDE) & (b < length2), hit_side != side),
+                np.where(starts_inside, (projection < 0) | (side == OUTSIDE), projection > 0),
+                np.where(
+                    side == ON, (hit_side == OUTSIDE) & (projection < length2), hit_side != side
+                ),
             )
         return blocked
 
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test, pair by pair, whether an object meets a capsule, and whether it cuts the capsule.
+        """Test whether each object blocks some, and whether it blocks all, segments in a capsule.
 
-        A capsule consists of all points within a certain distance, the thickness, of a segment
-        (Haines and Wallace, Shaft culling, 1991).  It contains all segments from a ball around its
-        start to its end.
+        A capsule consists of all points within a given distance of its axis, the segment from
+        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The capsule contains all
+        segments that lead from the ball around `start` to `end`; in the following, these are called
+        the segments.
 
-        1. If the object does not meet the capsule, or the capsule lies entirely inside the object,
-           then the object blocks none of these segments.
-        2. If the object cuts the capsule, it blocks all of them: it contains a whole cross-section
-           of the capsule, and the ball around the start is outside the object.
+        1. The object blocks no segment if it does not meet the capsule, or if the capsule lies
+           entirely inside the object.
+        2. The object blocks all segments if it contains a whole cross-section of the capsule, and
+           the ball around `start` is outside the object.
 
-        Both results are conservative: rounding errors never exclude an object that blocks a
-        segment, and never let an object block all segments if it does not.
+        Both tests are conservative: rounding errors are on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
-            The object of each pair of an object and a capsule.
+            Index of the object of each pair of an object and a capsule, among all objects.
         start, end : tuples of three (n,) float arrays
-            Both ends of the segment, in the axes of the scene.
+            Coordinates x, y and z of both ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
-            Radius of the capsule.
+            Radius of each capsule.
 
         Returns
         -------
-        meets : (n,) bool array
-            False if the object certainly blocks none of the segments.
-        cuts : (n,) bool array
-            True if the object certainly blocks all of the segments.
+        may_block : (n,) bool array
+            False only if the object certainly blocks no segment.
+        blocks_all : (n,) bool array
+            True only if the object certainly blocks all segments.
         """
         sphere = self.objects.positions(object_index)
         center, radius = take3(self.center, sphere), self.radius[sphere]
-        d = map3(np.subtract, end, start)
+        axis = map3(np.subtract, end, start)
         to_center = map3(np.subtract, center, start)
-        b, length2, distance2 = dot(to_center, d), dot(d, d), dot(to_center, to_center)
-        to_end2 = distance2 - 2 * b + length2
-        # Squared distance of the centre from the line, and a bound on the error of squares.
-        line_distance2, error = distance2 - b * b / length2, SQUARE_ROUNDING * distance2
-        outer = (radius + thickness) ** 2 + error
-        inner = np.maximum(radius - thickness, 0) ** 2 - error
-        starts_outside, ends_outside = distance2 > outer, to_end2 > outer
-        is_before, is_behind = b < 0, b > length2
-        contains_capsule = np.maximum(distance2, to_end2) < inner
-        # If the segment is a single point, `line_distance2` is NaN: the sphere does not cut it.
+        projection, length2 = dot(to_center, axis), dot(axis, axis)
+        start_distance2 = dot(to_center, to_center)
+        end_distance2 = start_distance2 - 2 * projection + length2
+        # Squared distance of the centre from the axis, as a line, and a bound on errors of squares.
+        line_distance2 = start_distance2 - projection * projection / length2
+        error = SQUARE_ROUNDING * start_distance2
+        outer2 = (radius + thickness) ** 2 + error
+        inner2 = np.maximum(radius - thickness, 0) ** 2 - error
+        starts_outside, ends_outside = start_distance2 > outer2, end_distance2 > outer2
+        is_before, is_behind = projection < 0, projection > length2
+        contains_capsule = np.maximum(start_distance2, end_distance2) < inner2
+        # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
         misses = (
-            (line_distance2 > outer) | (starts_outside & is_before) | (ends_outside & is_behind)
+            (line_distance2 > outer2) | (starts_outside & is_before) | (ends_outside & is_behind)
         )
-        meets = ~(misses | contains_capsule)
-        cuts = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner)
-        return meets, cuts
+        may_block = ~(misses | contains_capsule)
+        blocks_all = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner2)
+        return may_block, blocks_all
 
 
 def _tangent_slopes(
-    u: Floats, ahead: Floats, chord2: Floats, power: Floats
+    u: Floats, ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the slopes of the rays from the origin that touch discs in a plane.
+    """Compute the slopes of both rays from the origin that touch each of n discs in a plane.
+
+    The slope of a ray is u / ahead, where (u, ahead) is its direction.
 
     Parameters
     ----------
     u, ahead : (n,) float arrays
-        The centre (u, ahead) of each disc.  The slope of a ray is u / ahead.
-    chord2 : (n,) float array
+        Coordinates (u, ahead) of each disc's centre.
+    disc_radius2 : (n,) float array
         Squared radius of each disc; negative or NaN if there is no disc.
     power : (n,) float array
-        u^2 + ahead^2 - chord2: negative if the origin is inside the disc.
+        u^2 + ahead^2 - disc_radius2 for each disc: negative if the origin is inside the disc.
 
     Returns
     -------
     low, high : (n,) float arrays
-        Rays ahead with slopes between these meet the disc; NaN if there is no disc.
+        A ray with ahead > 0 meets the disc if its slope is between these; NaN if there is no disc.
     """
     # The tangents lie at the same angle on either side of the centre.  If the origin is inside the
-    # disc, all rays meet the disc.  If rounding decides whether it is inside, the origin counts as
-    # on the disc, and half of the rays meet the disc.
+    # disc, all rays meet the disc.  If rounding decides whether the origin is inside, it is treated
+    # as on the disc's border, and half of the rays meet the disc.
     power_bound = np.maximum(power - MIN_POWER * (u * u + ahead * ahead), 0)
-    half_angle = np.arctan2(np.sqrt(chord2), np.sqrt(power_bound))
+    half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(power_bound))
     center_angle = np.arctan2(u, ahead)
     half_angle[power < 0] = np.inf
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
