@@ -20,7 +20,7 @@ _RAYS_PER_BATCH = BATCH_SIZE
 
 @dataclass(frozen=True, eq=False)
 class FirstHits:
-    """The points where rays first meet a surface, in the axes and units of the scene.
+    """The points where rays from the eye first meet a surface, in scene axes and units.
 
     Attributes
     ----------
@@ -42,7 +42,18 @@ class FirstHits:
 
     @classmethod
     def from_hits(cls, hits: Hits) -> FirstHits:
-        """Arrange the hits of n samples by sample: arrays (n,) and (n, 3)."""
+        """Copy the hits of n samples into arrays that have one element for each sample.
+
+        Parameters
+        ----------
+        hits : Hits
+            At most one hit for each sample, in any order.
+
+        Returns
+        -------
+        first_hits : FirstHits
+            Arrays (n,) and (n, 3), in the order of the samples.
+        """
         count, frame = hits.samples.size, hits.prepared.frame
         surface, distance = np.full(count, -1), np.full(count, np.inf)
         normal, point = np.full((2, count, 3), np.nan)
@@ -62,21 +73,23 @@ class FirstHits:
 def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = None) -> FirstHits:
     """Find the surface that the ray through each position of the picture meets first.
 
-    If surfaces are at exactly the same distance, the first of them in the file counts.
+    If several surfaces are at exactly the same distance, the first of them in the scene file is
+    returned.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     x, y : (...) array_like, optional
-        Numbers, or arrays of one shape: positions in pixels to the right and down from the upper
-        left corner of the picture.  The centre of the first pixel is at x = y = 0.5.  Positions
-        outside of the picture are allowed.  By default, the centres of all pixels.
+        Positions in pixels to the right and down from the upper left corner of the picture: two
+        numbers, or two arrays of one shape.  The centre of the first pixel is at x = y = 0.5.
+        Positions outside of the picture are allowed.  The default is the centres of all pixels.
 
     Returns
     -------
     hits : FirstHits
-        Its arrays have the shape of `x` and `y`; by default, (height, width).
+        Surface, distance, normal and position of each first hit.  The shape (...) of its arrays is
+        that of `x` and `y`; by default, (height, width).
 
     Raises
     ------

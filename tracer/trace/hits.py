@@ -17,9 +17,10 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 
 
 class ShapeHits(NamedTuple):
-    """The n hits on objects of one shape, in runs.
+    """All n hits on objects of one shape, divided into runs.
 
-    A run consists of consecutive hits in one row of samples, on the same face of the same object.
+    A hit is the point where the ray through a sample meets a surface.  A run consists of
+    consecutive hits in one row of samples, on the same face of the same object.
 
     Attributes
     ----------
@@ -34,10 +35,11 @@ class ShapeHits(NamedTuple):
     run_object : (runs,) int array
         Index of the object of each run, among all objects.
     face, sign, level : arrays
-        The face of each run: see `Spheres.tangent_planes`.
+        For boxes, arrays (runs,) of the axis of each run's face, the direction of its normal along
+        this axis (1 or -1), and its coordinate along this axis: see `Spheres.tangent_planes`.
     normal : tuple of three float arrays
-        Unit normals on the side of the eye, in the axes of the camera: (runs,) for planar shapes,
-        otherwise (n,).  `per_hit` converts both to (n,).
+        Unit normals on the side of the eye, in camera axes: (runs,) for planar shapes, otherwise
+        (n,).  `per_hit` converts both to (n,).
     eye_height : float array
         Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
     """
@@ -53,43 +55,80 @@ class ShapeHits(NamedTuple):
     normal: Triple
     eye_height: Floats
 
-    def repeat_runs(self, values: Any) -> Any:
-        """Repeat the values (runs,) of runs, so that there is one value (n,) for each hit."""
-        return repeat_runs(values, self.run_length)
+    def repeat_runs(self, run_values: Any) -> Any:
+        """Convert one value for each run to one value for each hit.
 
-    def per_hit(self, values: Floats) -> Floats:
-        """Return values of `normal` or `eye_height`, or computed from them, for each hit (n,)."""
-        return repeat_runs(values, self.run_length) if self.shape.is_planar else values
-
-    def object_values(self, values: NDArray[Any]) -> Any:
-        """Return, from values of all objects of the scene, the value (n,) of each hit's object."""
-        return self.repeat_runs(values[self.run_object])
-
-    def height_of(self, position: Floats, vector: Triple) -> Floats:
-        """Compute the height of a point over the tangent plane at each hit.
+        A run consists of consecutive hits on the same face of the same object.
 
         Parameters
         ----------
-        position : (3,) float array
-            The point, in the axes of the scene.
+        run_values : (runs,) array
+            The value of each run.
+
+        Returns
+        -------
+        hit_values : (n,) array
+            The value of the run to which each hit belongs.
+        """
+        return repeat_runs(run_values, self.run_length)
+
+    def per_hit(self, values: Floats) -> Floats:
+        """Convert values that belong to tangent planes to one value for each hit.
+
+        Parameters
+        ----------
+        values : float array
+            Values computed from `normal` or `eye_height`.  For planar shapes, one for each run
+            (runs,): all hits of a run share a tangent plane.  Otherwise, one for each hit (n,).
+
+        Returns
+        -------
+        hit_values : (n,) float array
+            The value of each hit.
+        """
+        return repeat_runs(values, self.run_length) if self.shape.is_planar else values
+
+    def object_values(self, values: NDArray[Any]) -> Any:
+        """Look up, for each hit, the value of the object on which the hit lies.
+
+        Parameters
+        ----------
+        values : (objects,) array
+            A value for each object of the scene.
+
+        Returns
+        -------
+        hit_values : (n,) array
+            The value of each hit's object.
+        """
+        return self.repeat_runs(values[self.run_object])
+
+    def height_of(self, point: Floats, vector: Triple) -> Floats:
+        """Compute the height of one point above the tangent plane at each of n hits.
+
+        Parameters
+        ----------
+        point : (3,) float array
+            The point, in scene axes.
         vector : tuple of three (n,) float arrays
-            Vectors from the hits to the point, in the axes of the camera.
+            Vectors from the hits to the point, in camera axes.
 
         Returns
         -------
         height : (n,) float array
-            Signed distances of the point from the tangent planes; positive on the side of the eye.
+            Signed distance of the point from each tangent plane; positive on the side of the eye.
         """
         if self.shape.is_planar:
             # In the axes of the scene, a light in the plane of a face has height 0 exactly.
-            return self.per_hit(self.sign * (position[self.face] - self.level))
+            return self.per_hit(self.sign * (point[self.face] - self.level))
         return dot(self.normal, vector)
 
 
 class Hits(NamedTuple):
-    """The n hits of samples, shape by shape and run by run.
+    """All n hits of samples, shape by shape and run by run.
 
-    A run consists of consecutive hits in one row of samples, on the same face of the same object.
+    A hit is the point where the ray through a sample meets a surface.  A run consists of
+    consecutive hits in one row of samples, on the same face of the same object.
 
     Attributes
     ----------
@@ -119,15 +158,26 @@ class Hits(NamedTuple):
 
     @property
     def hit_object(self) -> Ints:
-        """Index (n,) of the object on which each hit lies."""
+        """Index (n,) of the object on which each hit lies, among all objects of the scene."""
         return self.run_object.repeat(np.diff(self.run_start))
 
     @property
     def distance(self) -> Floats:
-        """Distance (n,) of each hit from the eye."""
+        """Distance (n,) of each hit from the eye, in the scene's unit of length."""
         x, y, z = self.local
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def points(self, index: Ints | slice) -> Triple:
-        """Return the positions of hits, given by index, in the axes of the scene."""
+        """Compute the positions of hits in scene axes.
+
+        Parameters
+        ----------
+        index : (k,) int array or slice
+            Indices of the hits.
+
+        Returns
+        -------
+        position : tuple of three (k,) float arrays
+            Coordinates x, y and z of each hit.
+        """
         return self.prepared.frame.point_to_scene(take3(self.local, index))

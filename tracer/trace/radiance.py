@@ -25,7 +25,7 @@ def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = 
     samples : Rows or Scattered
         The n samples.
     out : (3, n) float array of zeros, optional
-        Receives the result: a picture is too large for a copy.
+        Array that receives the result, and is returned.
 
     Returns
     -------
@@ -37,22 +37,22 @@ def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = 
 
 
 def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance, and an id, of each of n samples.
+    """Compute the radiance at each sample, and an id of the face and the lights seen there.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.
     samples : Rows or Scattered
-        The samples.
+        The n samples: positions in the picture, through which rays are traced.
 
     Returns
     -------
     radiance : (3, n) float array
-        The same as from `radiance_at`.
+        Linear RGB radiance towards the eye, as from `radiance_at`.
     ids : (n,) int array
-        Two samples have the same id if they see the same face of the same object, and the same
-        lights reach both; -1 if the ray meets no surface.
+        -1 if the ray meets no surface.  Otherwise, samples have the same id if their rays meet the
+        same face of the same object, and the same lights are visible from both hits.
     """
     hits = nearest_hits(prepared, samples)
     shading = shade(hits, prepared.light_batches, with_ids=True)
@@ -62,16 +62,22 @@ def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats,
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Add up the light that reaches hits.
+    """Add up the light that hits reflect towards the eye, with shadows.
 
     Parameters
     ----------
     hits : Hits
-        The hits.
+        The hits: points where rays from the eye meet surfaces.
     light_batches : iterable of Lights
         The lights, in batches.
     with_ids : bool
-        Whether `Shading.ids` is needed.
+        Whether to compute `Shading.ids`, which encodes each hit's face and the lights visible from
+        it.
+
+    Returns
+    -------
+    shading : Shading
+        The sum over all lights, from which `Shading.radiance` computes the picture.
     """
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:

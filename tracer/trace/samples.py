@@ -23,8 +23,8 @@ _SPAN_PADDING = 0.5
 _MAX_SINGLE_KEY = 2.0**39
 
 # The order of scattered samples along a row is exact for positions up to this many pixels from the
-# left border of the picture.  All positions farther away count as equally far, so they are tested
-# with more objects than necessary.  A power of two: see `_sort_key`.
+# left border of the picture.  All positions farther away are treated as equally far, so they are
+# tested with more objects than necessary.  A power of two: see `_sort_key`.
 _MAX_SORTED_X = 2.0**20
 
 
@@ -36,38 +36,42 @@ def object_spans(
     height: float = 0.0,
     pad: float = 0.0,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Compute the parts of rows, called spans, that are covered by objects of one shape.
+    """Compute which part of each row is covered by each object of one shape.
+
+    A span is the part of one row that one object covers, without regard to other objects.
 
     Parameters
     ----------
     shape : Spheres or Boxes
         The objects.
     prepared : PreparedScene
-        The scene.
+        The scene, with bounding rectangles of all objects in the picture.
     rows : (rows,) float array
-        The upper border of each row, in pixels from the top of the picture, in ascending order.
+        Upper border of each row, in pixels from the top of the picture, in ascending order.
     columns : (float, float)
-        Objects outside of these columns are skipped: left and right, in pixels.
+        Minimum and maximum column, in pixels from the left border of the picture.  Objects that are
+        entirely outside of this interval are skipped.
     height : float
-        Height of the rows, in pixels.  If it is 0, the spans are exact except for rounding.
+        Height of the rows, in pixels.  If it is 0, a row is a line, and the spans are exact except
+        for rounding.
     pad : float
-        Spans are widened by this number of pixels on both sides.
+        Number of pixels by which spans are widened on both sides.
 
     Returns
     -------
     object_index : (n,) int array
-        Index of the object of each span, among all objects.
+        Index of each span's object, among all objects of the scene.
     row : (n,) int array
-        Index of the row of each span.
+        Index of each span's row in `rows`.
     left, right : (n,) float arrays
-        Ends of each span, in pixels.
+        Ends of each span, in pixels from the left border of the picture; left <= right.
     """
     bounds = prepared.bounds.take(shape.objects.slice)
-    near = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
-    start = rows.searchsorted(bounds.top[near] - pad - height)
-    stop = rows.searchsorted(bounds.bottom[near] + pad, side="right")
+    in_columns = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
+    start = rows.searchsorted(bounds.top[in_columns] - pad - height)
+    stop = rows.searchsorted(bounds.bottom[in_columns] + pad, side="right")
     owner, row = segment_indices(np.maximum(stop - start, 0), start)
-    position = near[owner]
+    position = in_columns[owner]
     object_index = position + shape.objects.start
     left, right = shape.row_extent(object_index, rows[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
@@ -76,18 +80,20 @@ def object_spans(
 
 
 class Rows(NamedTuple):
-    """Samples in rows, numbered row by row.  All positions are in pixels from the upper left.
+    """Samples in rows, numbered row by row.
+
+    All positions are in pixels from the upper left corner of the picture.
 
     Attributes
     ----------
     y : (rows,) float array
-        Position of each row, in ascending order.
+        Vertical position of each row, in ascending order.
     x : (columns,) float array
-        Positions along a row, in ascending order and equally spaced.
+        Horizontal positions along a row, in ascending order and equally spaced.
     shift : (rows,) float array
-        Distance by which each row is moved to the right.
+        Distance by which the samples of each row are moved to the right.
     per_pixel : (int, int)
-        Number of samples across a pixel, and down a pixel.
+        Number of columns of samples in the width of a pixel, and of rows in its height.
     """
 
     y: Floats
@@ -102,33 +108,68 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Number of samples across a pixel, as far as it affects the width of packets.
+        """Number of samples in the width of a pixel, for the choice of the width of packets.
 
-        Packets lie along rows.  So the samples across a pixel count more than those down a pixel.
+        This is a weighted geometric mean of the numbers across a pixel and down a pixel.  A packet
+        (a group of neighbouring hits) lies along a row, so the first number has more weight.
         """
         columns, rows = self.per_pixel
         return float(columns**0.75 * rows**0.25)
 
     def ray_s(self, frame: CameraFrame) -> Floats:
-        """Return the first component s (n,) of each sample's ray."""
+        """Compute the first direction component of the ray through each sample.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera; their directions are (s, g, depth), in camera axes.
+
+        Returns
+        -------
+        s : (n,) float array
+            Direction component to the right of each sample's ray.
+        """
         return np.add.outer(self.shift * frame.step_u, frame.ray_s(self.x)).ravel()
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return the positions x and y of samples, given by index."""
+        """Return the positions of samples in the picture.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Index of each sample.
+
+        Returns
+        -------
+        x, y : (k,) float arrays
+            Pixels from the left border and from the upper border of the picture.
+        """
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
     def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
-        """Return the row and the column of samples, given by index."""
+        """Return the positions of samples in the grid of rows and columns.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Index of each sample.
+
+        Returns
+        -------
+        row, column : (k,) int arrays
+            Indices into `y` and `x`.
+        """
         row, column = np.divmod(index, self.x.size)
         return row, column
 
     def covered_samples(
         self, shape: Shape, prepared: PreparedScene
     ) -> tuple[Ints, Ints, Ints, Ints]:
-        """Find the samples at which objects of one shape may be visible.
+        """Find, for each object of one shape, the samples at which it may be visible.
 
-        The samples are given as spans: consecutive samples in one row, paired with one object.
+        The result consists of spans.  A span is a pair of one object and consecutive samples in one
+        row.
 
         Parameters
         ----------
@@ -140,9 +181,9 @@ class Rows(NamedTuple):
         Returns
         -------
         object_index : (spans,) int array
-            Index of the object of each span, among all objects.
+            Index of each span's object, among all objects of the scene.
         row : (spans,) int array
-            Index into `y` of the row of each span.
+            Index of each span's row in `y`.
         first_sample : (spans,) int array
             Index of the first sample of each span.
         count : (spans,) int array
@@ -159,25 +200,36 @@ class Rows(NamedTuple):
 
 
 def pixel_centers(rows: slice, columns: slice) -> Rows:
-    """Return samples at the centres of the pixels in a rectangle of the picture."""
-    y, x = (np.arange(pixels.start, pixels.stop) + 0.5 for pixels in (rows, columns))
+    """Place one sample at the centre of each pixel in a rectangle of the picture.
+
+    Parameters
+    ----------
+    rows, columns : slices
+        The pixels, counted from the upper left corner of the picture; start and stop are given.
+
+    Returns
+    -------
+    samples : Rows
+        The samples, in the order of the pixels.
+    """
+    y, x = (np.arange(interval.start, interval.stop) + 0.5 for interval in (rows, columns))
     return Rows(y, x, np.zeros(y.size))
 
 
 class Scattered(NamedTuple):
-    """Samples at any positions, sorted by row of pixels, and along each row.
+    """Samples at arbitrary positions, sorted by row of pixels, and along each row.
 
     All positions are in pixels from the upper left corner of the picture.
 
     Attributes
     ----------
     y, x : (n,) float arrays
-        Positions of the samples.
+        Vertical and horizontal position of each sample.
     row_start : (rows,) int array
-        Index of the first sample in each row of pixels.  Rows without samples are not counted.
+        Index of the first sample in each row of pixels.  Rows without samples are omitted.
     key : (n,) float array
-        A number for each sample: see `_sort_key`.  The numbers are in ascending order, except for
-        rounding errors that are negligible compared with `_SPAN_PADDING`.
+        A number for each sample, from its row and x: see `_sort_key`.  The numbers are in ascending
+        order, except for rounding errors that are negligible compared with `_SPAN_PADDING`.
     """
 
     y: Floats
@@ -187,25 +239,26 @@ class Scattered(NamedTuple):
 
     @classmethod
     def from_positions(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
-        """Sort positions in the picture, and return them as samples.
+        """Create samples by sorting positions in the picture.
 
         Parameters
         ----------
         x, y : (n,) float arrays
-            Finite positions, in any order.
+            Finite positions in any order, in pixels from the left border and from the upper border
+            of the picture.
 
         Returns
         -------
         samples : Scattered
-            The samples.
+            The sorted samples.
         order : (n,) int array
-            Index of the position of each sample.
+            Sample i is at the position (x[order[i]], y[order[i]]).
         """
         row = np.floor(y)
         # Sorting by a single number is faster.  Large numbers would be rounded too much.
-        number = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
-        if np.abs(number).max(initial=0) < _MAX_SINGLE_KEY:
-            order = number.argsort(kind="stable")
+        single_key = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
+        if np.abs(single_key).max(initial=0) < _MAX_SINGLE_KEY:
+            order = single_key.argsort(kind="stable")
         else:
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
@@ -219,25 +272,60 @@ class Scattered(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Number of samples across a pixel; it is unknown, so packets are as for one sample."""
+        """Number of samples in the width of a pixel, which is unknown here and taken to be 1."""
         return 1.0
 
     def ray_s(self, frame: CameraFrame) -> Floats:
-        """Return the first component s (n,) of each sample's ray."""
+        """Compute the first direction component of the ray through each sample.
+
+        Parameters
+        ----------
+        frame : CameraFrame
+            The rays of the camera; their directions are (s, g, depth), in camera axes.
+
+        Returns
+        -------
+        s : (n,) float array
+            Direction component to the right of each sample's ray.
+        """
         return frame.ray_s(self.x)
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return the positions x and y of samples, given by index."""
+        """Return the positions of samples in the picture.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Index of each sample.
+
+        Returns
+        -------
+        x, y : (k,) float arrays
+            Pixels from the left border and from the upper border of the picture.
+        """
         return self.x[index], self.y[index]
 
     def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
-        """Return the row and the column of the pixel that contains each sample, given by index."""
+        """Return the row and the column of the pixels that contain samples.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Index of each sample.
+
+        Returns
+        -------
+        row, column : (k,) int arrays
+            Row and column of the pixel, counted from the upper left corner of the picture.
+        """
         return self.y[index].astype(np.intp), self.x[index].astype(np.intp)
 
     def covered_samples(
         self, shape: Shape, prepared: PreparedScene
     ) -> tuple[Ints, Ints, Ints, None]:
-        """Find the samples at which objects of one shape may be visible.
+        """Find, for each object of one shape, the samples at which it may be visible.
+
+        The results have the form of spans, as from `Rows.covered_samples`, with one sample each.
 
         Parameters
         ----------
@@ -249,12 +337,13 @@ class Scattered(NamedTuple):
         Returns
         -------
         object_index : (n,) int array
-            The object of each pair of an object and a sample, as an index among all objects.
-        sample, sample : (n,) int arrays
-            The sample of each pair, twice: as the index into `y`, and as the first sample of a span
-            as in `Rows.covered_samples`.
+            Index of the object of each pair of an object and a sample, among all objects of the
+            scene.
+        row, first_sample : (n,) int arrays
+            Index of each pair's sample.  Both are the same array: the vertical position of the span
+            is `y[row]`, and its only sample is `first_sample`.
         count : None
-            Each span has one sample.
+            Stands for spans of one sample.
         """
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)
@@ -268,17 +357,22 @@ class Scattered(NamedTuple):
 
 
 def _sort_key(row: Ints, x: Floats) -> Floats:
-    """Return numbers that order positions by row and, along each row, by x.
-
-    Rounding may make numbers equal, but never changes their order: the product is exact.
+    """Encode positions as numbers whose order is by row and, along each row, by x.
 
     Parameters
     ----------
     row : (n,) int array
-        Number of the row of each position, at most `schema.MAX_PIXELS`.
+        Row of each position, at most `schema.MAX_PIXELS`.
     x : (n,) float array
-        Position along the row, in pixels; may be infinite.
+        Position along the row, in pixels; infinity is allowed.
+
+    Returns
+    -------
+    key : (n,) float array
+        A number for each position.  Positions that differ by very little, or are farther from the
+        left border than `_MAX_SORTED_X`, may have equal numbers.
     """
+    # Rounding never changes the order, because the product is exact.
     key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)
     return key
 

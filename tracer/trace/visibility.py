@@ -20,45 +20,50 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Runs of scattered samples end at the borders of squares of this width, in pixels.
 _RUN_WIDTH = 4.0
 
-# Larger than the distance of any intersection, and less than infinity, the distance of a miss.
+# Larger than the distance of any intersection; smaller than infinity, which stands for a miss.
 _MAX_DISTANCE = np.finfo(np.float64).max
 
 
 def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
-    """Find the nearest surface at each sample.
+    """Find the nearest surface that the ray through each sample meets.
 
-    If surfaces are at exactly the same distance, the first of them in the file is visible.
-    Samples whose rays meet no surface have no hit.
+    If several surfaces are at exactly the same distance, the first of them in the scene file is
+    hit.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.
     samples : Rows or Scattered
-        All samples.
+        Positions in the picture, through which rays are traced.
+
+    Returns
+    -------
+    hits : Hits
+        One hit for each sample whose ray meets a surface; none for the other samples.
     """
     groups = _intersect_objects(prepared, samples)
-    return _build_hits(
-        prepared, samples, _select_visible(prepared, groups, _nearest_distances(samples, groups))
-    )
+    visible = _select_visible(prepared, groups, _nearest_distances(samples, groups))
+    return _build_hits(prepared, samples, visible)
 
 
 def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """Find the nearest surface at each sample, and all surfaces behind it.
+    """Find the nearest surface that the ray through each sample meets, and all surfaces behind.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.
     samples : Rows or Scattered
-        All samples.
+        Positions in the picture, through which rays are traced.
 
     Returns
     -------
     nearest : Hits
-        The same as from `nearest_hits`.
+        One hit for each sample whose ray meets a surface, as from `nearest_hits`.
     hidden : Hits
-        The hits on objects that are hidden by the nearest surface.  A sample may have several.
+        One hit for each object that the ray meets behind the nearest surface: none, one or several
+        hits for each sample.
     """
     groups = _intersect_objects(prepared, samples)
     nearest = _nearest_distances(samples, groups)
@@ -68,27 +73,28 @@ def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[
 
 
 class _Intersections(NamedTuple):
-    """n pairs of a sample and an object of one shape, with the distance at which the ray meets it.
+    """Intersections of rays with objects, for n pairs of a sample and an object of one shape.
 
-    The pairs are arranged in spans: consecutive samples in one row, paired with one object.
+    The ray through a sample has the direction (s, g, depth), in camera axes.  The pairs are
+    arranged in spans: consecutive samples in one row, paired with the same object.
 
     Attributes
     ----------
     shape : Spheres or Boxes
-        The objects.
+        The shape of all objects.
     sample_count : (spans,) int array or None
         Number of samples in each span; None if each span has one sample.
     object_index : (spans,) int array
-        The object of each span.
+        Index of each span's object, among all objects of the scene.
     g : (spans,) float array
-        Second component of the rays in each span.
+        Second direction component of the rays in each span.
     sample : (n,) int array
-        The sample of each pair.
+        Index of each pair's sample.
     s : (n,) float array
-        First component of the sample's ray.
+        First direction component of the ray through the sample.
     t : (n,) float array
-        Distance of the intersection, in units of the length of the ray's direction (s, g, depth);
-        infinity if the ray misses the object.
+        Distance of the object along the ray, in units of the length of (s, g, depth); infinity if
+        the ray misses the object.
     detail : (n,) array
         Second result of `Spheres.intersect` or `Boxes.intersect`.
     """
@@ -103,7 +109,18 @@ class _Intersections(NamedTuple):
     detail: NDArray[Any]
 
     def select(self, mask: Bools) -> _Intersections:
-        """Select pairs by a mask (n,)."""
+        """Select pairs of a sample and an object.
+
+        Parameters
+        ----------
+        mask : (n,) bool array
+            Whether to select the pair.
+
+        Returns
+        -------
+        selected : _Intersections
+            The selected pairs in the same order; this object itself if all pairs are selected.
+        """
         index = indices(mask)
         if index.size == mask.size:
             return self
@@ -115,12 +132,12 @@ class _Intersections(NamedTuple):
         pairs = [values.take(index) for values in pairs]
         return _Intersections(shape, sample_count, object_index, g, *pairs)
 
-    def find_run_starts(self, samples: Samples, frame: CameraFrame, ahead: Floats) -> Ints:
-        """Divide the intersections into runs, and return the index of the first in each run.
+    def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
+        """Divide hits into runs, and find the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
         object.  Runs of scattered samples also end at the borders of squares of `_RUN_WIDTH`
-        pixels, and of layers of depth: see `CameraFrame.depth_layer`.
+        pixels, and at the borders of layers of depth: see `CameraFrame.depth_layer`.
 
         Parameters
         ----------
@@ -128,14 +145,19 @@ class _Intersections(NamedTuple):
             All samples.
         frame : CameraFrame
             The rays of the camera.
-        ahead : (n,) float array
-            Depth of each intersection: component along w of the vector from the eye.
+        depth : (n,) float array
+            Depth of each hit: the component ahead of the vector from the eye.
+
+        Returns
+        -------
+        run_start : (runs,) int array
+            Index of the first hit of each run, in ascending order.
         """
-        planar = self.shape.is_planar
-        is_start = run_starts(self.detail) if planar else np.zeros(ahead.size, dtype=np.bool_)
+        is_planar = self.shape.is_planar
+        is_start = run_starts(self.detail) if is_planar else np.zeros(depth.size, dtype=np.bool_)
         if self.sample_count is None:
             x, y = samples.positions(self.sample)
-            layer = frame.depth_layer(ahead, _RUN_WIDTH)
+            layer = frame.depth_layer(depth, _RUN_WIDTH)
             is_start |= run_starts(self.object_index, np.floor(y), np.floor(x / _RUN_WIDTH), layer)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
@@ -144,19 +166,20 @@ class _Intersections(NamedTuple):
 
 
 def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
-    """Intersect the ray of each sample with the objects that may be visible at the sample.
+    """Intersect the ray through each sample with all objects that may be visible there.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.
     samples : Rows or Scattered
-        All samples.
+        Positions in the picture, through which rays are traced.
 
     Returns
     -------
     groups : list of _Intersections
-        The pairs of a sample and an object, for each shape.  They include rays that miss.
+        The pairs of a sample and an object: one group for each shape.  The groups include pairs
+        whose ray misses the object.
     """
     frame, groups = prepared.frame, []
     all_s, all_g = samples.ray_s(frame), frame.ray_g(samples.y)
@@ -170,14 +193,14 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
 
 
 def _nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
-    """Return the distance of the nearest intersection at each sample.
+    """Compute the distance of the nearest intersection on the ray through each sample.
 
     Parameters
     ----------
     samples : Rows or Scattered
         All n samples.
     groups : list of _Intersections
-        All intersections, for each shape.
+        All intersections of rays with objects: one group for each shape.
 
     Returns
     -------
@@ -194,39 +217,39 @@ def _nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats
 def _select_visible(
     prepared: PreparedScene, groups: list[_Intersections], nearest: Floats
 ) -> list[_Intersections]:
-    """Select the intersections that are visible: one for each sample whose ray meets a surface.
+    """Select the visible intersections: one for each sample whose ray meets a surface.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.
     groups : list of _Intersections
-        All intersections, for each shape.
+        All intersections of rays with objects: one group for each shape.
     nearest : (samples,) float array
-        Distance of the nearest intersection at each sample.
+        Distance of the nearest intersection at each sample, from `_nearest_distances`.
 
     Returns
     -------
     visible : list of _Intersections
-        The nearest intersection at each sample; of several, that with the object that is first in
-        the scene file.
+        The nearest intersection at each sample, in the same groups.  If several objects are at this
+        distance, the intersection with the first of them in the scene file.
     """
     visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
     if sum(g.t.size for g in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
         return visible  # no sample has two
     file_index = prepared.surfaces.file_index
-    ranks = [repeat_runs(file_index.take(g.object_index), g.sample_count) for g in visible]
+    file_positions = [repeat_runs(file_index.take(g.object_index), g.sample_count) for g in visible]
     first = np.full(nearest.size, file_index.size)
-    for group, rank in zip(visible, ranks, strict=True):
-        np.minimum.at(first, group.sample, rank)
+    for group, file_position in zip(visible, file_positions, strict=True):
+        np.minimum.at(first, group.sample, file_position)
     return [
-        group.select(rank == first.take(group.sample))
-        for group, rank in zip(visible, ranks, strict=True)
+        group.select(file_position == first.take(group.sample))
+        for group, file_position in zip(visible, file_positions, strict=True)
     ]
 
 
 def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Compute the hits, with their surfaces, from intersections without misses.
+    """Compute positions and tangent planes of the surfaces at intersections.
 
     Parameters
     ----------
@@ -235,12 +258,18 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     samples : Rows or Scattered
         All samples.
     groups : list of _Intersections
-        The intersections, for each shape.
+        The intersections of rays with objects: one group for each shape.  All rays meet their
+        objects.
+
+    Returns
+    -------
+    hits : Hits
+        One hit for each intersection.
     """
     frame, groups = prepared.frame, [group for group in groups if group.t.size]
-    ends = np.cumsum([0] + [group.t.size for group in groups]).tolist()
-    local, shape_hits, none = np.empty((3, ends[-1])), [], np.zeros(0, dtype=np.intp)
-    for group, start, end in zip(groups, ends, ends[1:], strict=False):
+    bounds = np.cumsum([0] + [group.t.size for group in groups]).tolist()
+    local, shape_hits, empty = np.empty((3, bounds[-1])), [], np.zeros(0, dtype=np.intp)
+    for group, start, end in zip(groups, bounds, bounds[1:], strict=False):
         group_local = local[:, start:end]
         np.multiply(group.t, group.s, out=group_local[0])
         np.multiply(group.t, repeat_runs(group.g, group.sample_count), out=group_local[1])
@@ -253,7 +282,7 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
         shape_hits.append(
             ShapeHits(group.shape, interval, group.sample, length, run_object, *surface)
         )
-    run_start = np.concatenate([none, [0], *(group.run_length for group in shape_hits)]).cumsum()
-    sample = np.concatenate([none, *(group.sample for group in shape_hits)])
-    run_object = np.concatenate([none, *(group.run_object for group in shape_hits)])
+    run_start = np.concatenate([empty, [0], *(group.run_length for group in shape_hits)]).cumsum()
+    sample = np.concatenate([empty, *(group.sample for group in shape_hits)])
+    run_object = np.concatenate([empty, *(group.run_object for group in shape_hits)])
     return Hits(prepared, samples, local, shape_hits, sample, run_start, run_object)
