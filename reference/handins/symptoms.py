@@ -95,8 +95,10 @@ def is_speckled(changes: Lights | None, known: KnownPictures) -> bool:
                              for mask in (lost, lit))  # fmt: skip
     chance = (lost_count / np.maximum(lit_count, 1))[:, surface]
     lit, lost, chance = (a.reshape(len(lit), -1, known.columns) for a in (lit, lost, chance))
+    surface = surface.reshape(-1, known.columns)
     for axis in (1, 2):
-        both = lit & np.roll(lit, 1, axis)
+        same = surface == np.roll(surface, 1, axis - 1)
+        both = lit & np.roll(lit, 1, axis) & same
         different = (both & (lost != np.roll(lost, 1, axis))).sum()
         if different <= _MIN_RANDOMNESS * (2 * chance * (1 - chance))[both].sum():
             return False
