@@ -75,8 +75,8 @@ def counted_pool(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (3, (30, 20), set()),  # and neither do a few that take less time than starting it
         (1, (4000, 3000), {"render_encoded_tile"}),
         # Two whole scenes, and the third is shared.
-        (3, (4000, 3000), {"render_encoded_tile", "_render_whole"}),
-        (40, (400, 400), {"_render_whole"}),
+        (3, (4000, 3000), {"render_encoded_tile", "_render_in_worker"}),
+        (40, (400, 400), {"_render_in_worker"}),
     ],
 )
 def test_whole_scenes_are_distributed_and_large_ones_are_shared(
@@ -94,14 +94,22 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
 
 
 def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
-    monkeypatch.setattr(batch, "_MAX_WHOLE_SECONDS", 0.05)
+    monkeypatch.setattr(batch, "_MAX_UNSHARED_SECONDS", 0.05)
     scenes[30].write_text(SCENE.format(4000, 2000))
     submitted = counted_pool(monkeypatch)
     batch_of_two = Batch(SETTINGS, 2)
     assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
     batch_of_two.close()
-    assert {*submitted} == {"render_encoded_tile", "_render_whole"}
+    assert {*submitted} == {"render_encoded_tile", "_render_in_worker"}
     assert codes(scenes[30])[0] == (4000, 2000)
+
+
+def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
+    """Otherwise the main process would silently repeat the work of all workers."""
+    path = scenes[0]
+    report = batch._render_in_worker(SETTINGS, Job(str(path), f"{path}.png"))
+    (width, height), _ = codes(path)
+    assert report == batch.Report(pixel_count=width * height)
 
 
 def test_one_process_if_the_user_wants_no_more(scenes, monkeypatch):

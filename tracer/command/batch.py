@@ -1,17 +1,17 @@
 """Render many scene files to pictures with all processors.
 
-There are two ways to use several processes.  (1) Each process takes whole scenes: it reads them,
-renders them and writes the pictures, so that the processes exchange only names and lines of text.
-This is best for many scenes.  (2) All processes share the tiles
-of one picture.  This is best for a single large picture.
+Several processes can divide the work in two ways.  (1) Each process takes whole scenes: it reads
+them, renders them and writes the pictures, so the processes exchange only names and lines of text.
+This is best for many scenes.  (2) All processes share the tiles of one picture.  This is best for a
+single large picture.
 
 A batch combines both.  It distributes whole scenes, but a worker process refuses a scene that is
-large, or that is one of the last and not small.  The command's own process then renders the scene,
-and shares the tiles of the picture with the workers.
+large, or that is one of the last and not small.  The main process, which is that of the command,
+then renders the scene, and shares the tiles of the picture with the workers.
 
-All workers come from one pool for the whole command.  The pool is started only when the remaining
+All workers come from one pool for the whole command.  The pool is started only if the remaining
 work takes longer than to start it.  A worker that dies costs time, but no picture, because the
-command's own process repeats whatever a worker has not finished (see `Distribution`).
+main process repeats whatever a worker has not finished (see `Distribution`).
 """
 
 from __future__ import annotations
@@ -43,19 +43,18 @@ FORMATS: dict[str, tuple[bytes, Callable[..., Any], Callable[..., None]]] = {
     "npy": (NPY, encode_raw, write_npy),
     "exr": (EXR, encode_raw, write_exr),
 }
-"""Formats of pictures.  For each: the first bytes of a file, the function that encodes a tile, and
-the function that writes a file from encoded tiles."""
+"""Picture formats.  The key is the suffix of the file name.  The value contains the first bytes of
+a file, the function that encodes a tile, and the function that writes a file from encoded tiles."""
 
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SMALLER = "make the image smaller or take fewer samples"
 
-# Seconds that a process needs for a small scene in addition to rendering: to read the scene, and to
-# write the picture.
+# Seconds that a process needs to read a small scene and to write its picture, without rendering.
 _SECONDS_PER_SCENE = 0.003
 
-# Estimated seconds of rendering up to which one process renders a picture alone, while the other
-# processes render other scenes.
-_MAX_WHOLE_SECONDS = 1.0
+# Maximum estimated seconds of rendering for which one process renders a picture alone, while the
+# other processes render other scenes.
+_MAX_UNSHARED_SECONDS = 1.0
 
 
 class Settings(NamedTuple):
@@ -66,10 +65,10 @@ class Settings(NamedTuple):
     samples : int
         Number of samples per pixel.
     size : (int,), (int, int) or None
-        Width and height of the pictures in pixels, in place of those in the files.  With a width
-        only, the proportions of the file are kept.
+        Width, or width and height, of the pictures in pixels.  A width alone keeps the proportions
+        of each scene file; None keeps the size in the file.
     file_format : str
-        A key of `FORMATS`.
+        Format of the pictures: a key of `FORMATS`.
     quiet : bool
         Whether to print only errors.
     """
@@ -81,7 +80,7 @@ class Settings(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A scene file, and the picture to write.
+    """A scene file to render, and the path of its picture.
 
     Attributes
     ----------
@@ -90,8 +89,8 @@ class Job(NamedTuple):
     output : str
         Path of the picture; "-" is standard output.
     max_seconds : float
-        If rendering takes at least this many seconds, by an estimate, all processes share the
-        picture.
+        If the estimated time of rendering is shorter than this, in seconds, one process renders the
+        picture.  Otherwise all processes share it.
     """
 
     scene: str
@@ -100,95 +99,117 @@ class Job(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The result of rendering a scene: the lines to print about it.
+    """What to print about a scene after its picture was written, or could not be written.
 
     Attributes
     ----------
-    pixels : int
-        Number of pixels that were rendered.
+    pixel_count : int
+        Number of pixels of the picture; 0 if it was not written.
     line : str
         The line about the picture; empty if it was not written, or the command is quiet.
     errors : tuple of str
         Lines for standard error: why the picture was not written, or warnings about the scene.
     is_failure : bool
-        Whether the picture was not written.
+        Whether the picture could not be written.
     """
 
-    pixels: int = 0
+    pixel_count: int = 0
     line: str = ""
     errors: tuple[str, ...] = ()
     is_failure: bool = False
 
 
 class _Obsolete(Exception):  # noqa: N818
-    """A worker has meanwhile finished the scene that this process is repeating."""
+    """The signal to stop repeating a scene, because a worker has meanwhile finished it."""
 
 
 class Batch:
-    """Renders scene files with all processors, and prints a line for each.
+    """A renderer of many scene files, which uses all processors and prints a line for each scene.
+
+    Call `close` at the end: it ends the worker processes.
 
     Parameters
     ----------
     settings : Settings
         The settings that all pictures have in common.
     processes : int
-        Maximum number of processes.
+        Maximum number of processes, including the calling one.
     """
 
     def __init__(self, settings: Settings, processes: int) -> None:
         self._settings = settings
         self._pool = WorkerPool(processes - 1, end_on_signals)
-        # The work that is being done; None in a worker process, which renders only single scenes.
+        # The scenes to render; None in a worker process, which renders only single scenes.
         self._work: Distribution[Job, Any] | None = None
+        # Numbers of pictures that are finished or not, and of pixels of the finished pictures.
+        self._finished_count = self._remaining_count = self._pixel_count = 0
 
     def render(self, jobs: Sequence[Job]) -> bool:
-        """Render scenes, and print a line about each, in the order of `jobs`.
+        """Render scenes, write their pictures, and print a line about each, in the order of `jobs`.
+
+        A scene that cannot be rendered does not keep the others from being rendered.
 
         Parameters
         ----------
         jobs : sequence of Job
-            The scenes and their pictures.
+            The scene files, and the paths of their pictures.
 
         Returns
         -------
-        succeeded : bool
+        has_succeeded : bool
             Whether all pictures were written.
         """
-        self._done, self._remaining, self._pixels, succeeded = 0, len(jobs), 0, True
-        whole = len(jobs) - len(jobs) % (self._pool.workers + 1)
-        items = [job._replace(max_seconds=_MAX_WHOLE_SECONDS) for job in jobs[:whole]]
+        self._finished_count, self._remaining_count, self._pixel_count = 0, len(jobs), 0
+        has_succeeded = True
+        # Of the last scenes, there are too few for all processes: larger ones of them are shared.
+        unshared_count = len(jobs) - len(jobs) % (self._pool.workers + 1)
+        unshared = [
+            job._replace(max_seconds=_MAX_UNSHARED_SECONDS) for job in jobs[:unshared_count]
+        ]
         self._work = Distribution(
             self._render,
-            [*items, *jobs[whole:]],
+            [*unshared, *jobs[unshared_count:]],
             None,
-            partial(_render_whole, self._settings),
+            partial(_render_in_worker, self._settings),
             # This process repeats what a worker could not do, for example for lack of memory.
             lambda _, report: isinstance(report, Report) and not report.is_failure,
             workers=self._pool.workers,
         )
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, in_order(self._work), strict=True):
-                self._done += 1
-                self._remaining -= 1
-                self._pixels += report.pixels
-                succeeded &= not report.is_failure
+                self._finished_count += 1
+                self._remaining_count -= 1
+                self._pixel_count += report.pixel_count
+                has_succeeded &= not report.is_failure
                 self._show_progress(0, 0)
                 for line in report.errors:
                     print_line(sys.stderr, line)
                 if report.line:
                     print_line(sys.stderr if job.output == "-" else sys.stdout, report.line)
-        return succeeded
+        return has_succeeded
 
     def close(self) -> None:
-        """End the worker processes."""
+        """End the worker processes, if there are any."""
         self._pool.close()
 
     def _render(self, job: Job) -> Report | None:
-        """Write the picture of a scene as `_write_picture` does; return a failure as a report."""
+        """Read a scene, render it, and write the picture; report a failure instead of raising it.
+
+        Parameters
+        ----------
+        job : Job
+            The scene file, and the path of the picture.
+
+        Returns
+        -------
+        report : Report or None
+            What to print about the scene.  None if a worker has meanwhile written the picture; or
+            if this is a worker process, but all processes should share the picture.
+        """
         try:
             return self._write_picture(job)
         except _Obsolete:
-            return None  # the worker's report is taken instead
+            return None  # the worker's report is used instead
         except Failure as failure:
             return Report(errors=(str(failure),), is_failure=True)
 
@@ -198,12 +219,13 @@ class Batch:
         Parameters
         ----------
         job : Job
-            The scene and its picture.
+            The scene file, and the path of the picture.
 
         Returns
         -------
         report : Report or None
-            None if all processes should share the picture, but this is a worker process.
+            What to print about the picture.  None if this is a worker process, but all processes
+            should share the picture; then nothing is written.
 
         Raises
         ------
@@ -214,16 +236,17 @@ class Batch:
         """
         start, (samples, size, file_format, quiet) = perf_counter(), self._settings
         scene, exposure = read_scene(job.scene, size), Exposure()
+        pixel_count = scene.width * scene.height
         magic, encode, write = FORMATS[file_format]
 
         def encoded_tiles(picture: RenderJob, pool: WorkerPool | None) -> Iterator[Any]:
             nonlocal exposure
-            pixels = 0
+            rendered_count = 0
             for tile in render_tiles(picture, pool, encode):
                 yield tile.data
                 exposure = exposure.merged(tile.exposure)
-                pixels += tile.pixel_count
-                self._after_tile(pixels, scene.width * scene.height)
+                rendered_count += tile.pixel_count
+                self._after_tile(rendered_count, pixel_count)
 
         with errors_as_failure(
             job.scene, "rendered", _BUG, memory_remedy=_SMALLER, errors=(ValueError,)
@@ -232,7 +255,7 @@ class Batch:
             is_large = picture.seconds >= job.max_seconds
             if self._work is None and is_large:
                 return None
-            remaining_seconds = (picture.seconds + _SECONDS_PER_SCENE) * self._remaining
+            remaining_seconds = (picture.seconds + _SECONDS_PER_SCENE) * self._remaining_count
             if self._work and remaining_seconds >= MIN_POOL_SECONDS:
                 self._work.executor = self._pool
                 self._work.submit()
@@ -244,24 +267,25 @@ class Batch:
             ):
                 tiles = encoded_tiles(picture, self._pool if is_large else None)
                 write(file, scene.width, scene.height, tiles)
-        pixels = scene.width * scene.height
         if quiet:
-            return Report(pixels)
+            return Report(pixel_count)
         seconds = perf_counter() - start
         line = f"{job.output}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
         warnings = scene_warnings(scene, picture.prepared, exposure)
-        texts = (printable(f"{job.scene}: warning: {warning}") for warning in warnings)
-        return Report(pixels, printable(line), tuple(texts))
+        warning_lines = (printable(f"{job.scene}: warning: {warning}") for warning in warnings)
+        return Report(pixel_count, printable(line), tuple(warning_lines))
 
-    def _after_tile(self, pixels: int, total: int) -> None:
-        """Show the progress after a tile was rendered, and keep the workers busy.
+    def _after_tile(self, rendered_count: int, pixel_count: int) -> None:
+        """Show the progress after a tile was rendered, and submit more scenes to the workers.
+
+        In a worker process, this does nothing.
 
         Parameters
         ----------
-        pixels : int
-            Number of pixels of the picture that have been rendered.
-        total : int
-            Number of pixels of the picture.
+        rendered_count : int
+            Number of pixels of the current picture that have been rendered.
+        pixel_count : int
+            Number of all pixels of the current picture.
 
         Raises
         ------
@@ -269,54 +293,59 @@ class Batch:
             If a worker has meanwhile written the picture.
         """
         if self._work is not None:
-            self._show_progress(pixels / total, pixels)
+            self._show_progress(rendered_count / pixel_count, rendered_count)
             self._work.submit()
             if self._work.is_obsolete:
                 raise _Obsolete
 
-    def _show_progress(self, fraction: float, pixels: int) -> None:
-        """Show the progress of the batch: the finished pictures, and a part of an unfinished one.
+    def _show_progress(self, fraction: float, rendered_count: int) -> None:
+        """Show the number of finished pictures in the progress bar, with a part of the current one.
 
         Parameters
         ----------
         fraction : float
-            Fraction of the unfinished picture that has been rendered.
-        pixels : int
-            Number of pixels of the unfinished picture that have been rendered.
+            Fraction of the current picture that has been rendered, from 0 to 1.
+        rendered_count : int
+            Number of pixels of the current picture that have been rendered.
         """
-        note = f"{(self._pixels + pixels) / 1e6:.3g} million pixels"
-        self._progress.update(self._done + fraction, note)
+        note = f"{(self._pixel_count + rendered_count) / 1e6:.3g} million pixels"
+        self._progress.update(self._finished_count + fraction, note)
 
 
-def _render_whole(settings: Settings, job: Job) -> Report | None:
-    """Read a scene, render it, and write the picture, in a worker process.
+def _render_in_worker(settings: Settings, job: Job) -> Report | None:
+    """Read a scene, render it, and write the picture, all in this worker process.
 
     Parameters
     ----------
     settings : Settings
         The settings that all pictures of the command have in common.
     job : Job
-        The scene and its picture.
+        The scene file, and the path of the picture.
 
     Returns
     -------
     report : Report or None
-        None if only the command's own process can do this: because the scene comes from standard
-        input, or because all processes should share the picture.
+        What to print about the scene.  None if the main process must render the scene, because the
+        scene comes from standard input, or because all processes should share the picture.
     """
     return None if job.scene == "-" else Batch(settings, processes=1)._render(job)
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
-    """Read a scene from a file, or from standard input.
+    """Read a scene from a file or from standard input, and set the size of its picture.
 
     Parameters
     ----------
     path : str
         The scene file; "-" is standard input.
     size : (int,), (int, int) or None
-        Width and height of the picture in pixels, in place of those in the file.  With a width
-        only, the proportions of the file are kept.
+        Width, or width and height, of the picture in pixels.  A width alone keeps the proportions
+        of the scene file; None keeps the size in the file.
+
+    Returns
+    -------
+    scene : Scene
+        The scene, with the size that is requested.
 
     Raises
     ------
