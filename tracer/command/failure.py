@@ -1,9 +1,9 @@
-"""The exception for everything that a command cannot do, whatever the cause.
+"""The exception for a task that a command cannot do for a cause outside the program.
 
-A command fails on a file that is missing, a disk that is full, a scene that is too large: causes
-outside the program, of which the user needs one line.  `errors_as_failure` turns an exception into
-a `Failure` where it arises, because only that place knows which file was in use, and for what.
-`tracer.command.process` prints every failure, and ends the command with its exit status.
+Examples are a missing file, a full disk, and a scene that is too large.  The user needs one line
+about such a cause.  `errors_as_failure` turns an exception into a `Failure` where it arises,
+because only that place knows which file was in use, and for what.  `tracer.command.process` prints
+every failure, and ends the command with the failure's exit status.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from tracer.messages import printable
 
 
 class Failure(Exception):  # noqa: N818
-    """A task that failed; its text is the line for the user, ``where: what; remedy``.
+    """The failure of a task.  ``str(failure)`` is the line for the user: ``where: what; remedy``.
 
     Parameters
     ----------
     where : str
-        The file or stream concerned.  May be empty: then the line is ``what; remedy``.
+        The file or stream concerned.  If empty, the line is ``what; remedy``.
     what : str
         What failed and why, for example "cannot be written: No space left on device".
     remedy : str
-        What the user can do about it.  May be empty.
+        What the user can do about the failure.  If empty, the line is ``where: what``.
     status : int
         Exit status of a command that fails only because of this.
     """
@@ -49,19 +49,19 @@ def errors_as_failure(
     status: int = 1,
     errors: tuple[type[BaseException], ...] = (),
 ) -> Iterator[None]:
-    """Raise a Failure in place of any error that a with block raises for a cause outside of it.
+    """Run a with block, and convert errors with a cause outside the program to a Failure.
 
-    The failure's text is ``where: cannot be ACTION: reason; remedy``.  For a SceneFileError, which
-    has a complete line for each error in the scene, it is the text of the SceneFileError.
+    The text of the failure is ``where: cannot be ACTION: reason; remedy``.  A SceneFileError has
+    a complete line for each error in the scene, so its text becomes that of the failure.
 
     Parameters
     ----------
     where : str or path-like
         The file or stream that the block uses.
     action : str
-        The participle of what the block does with it: "read", "written", "compared".
+        What the block does with the file, as a participle: "read", "written", "compared".
     remedy : str
-        What the user can do about it, for example "choose another with -o".
+        What the user can do about the failure, for example "choose another with -o".
     memory_remedy : str
         Replaces `remedy` if there is not enough memory.
     status : int
@@ -72,8 +72,10 @@ def errors_as_failure(
     Raises
     ------
     Failure
-        In place of an error of these classes.  A Failure from inside the block is passed on, and
-        so is a BrokenPipeError: the command must end silently when its reader has gone away.
+        If the block raises an error of these classes, or a Failure, which is not changed.
+    BrokenPipeError
+        If the block raises it.  It is not converted, because a command must end silently when the
+        reader of its output has gone away.
     """
     try:
         yield
@@ -83,8 +85,8 @@ def errors_as_failure(
 
         if isinstance(error, SceneFileError):
             raise Failure("", str(error), status=status) from error
-        is_passed = isinstance(error, (Failure, BrokenPipeError))
-        if is_passed or not isinstance(error, (OSError, MemoryError, *errors)):
+        is_exempt = isinstance(error, (Failure, BrokenPipeError))
+        if is_exempt or not isinstance(error, (OSError, MemoryError, *errors)):
             raise
         if is_lack_of_memory(error):
             remedy = memory_remedy
@@ -95,22 +97,31 @@ def errors_as_failure(
 def is_lack_of_memory(error: BaseException) -> bool:
     """Test whether an error means that there was not enough memory.
 
-    A ChildProcessError counts, because the system ends processes that take too much memory.
+    That is true of a MemoryError, of a ChildProcessError (the system ends processes that take too
+    much memory), and of a RuntimeError that was raised from one of these.
     """
     return isinstance(_root_cause(error), (MemoryError, ChildProcessError))
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the reason for an error in a few words, on one line that any terminal can show."""
+    """Describe the cause of an error on one line, for example "No such file or directory".
+
+    The line is the system's text for an OSError, otherwise the text of the error, or the name of
+    its class if it has no text.  Unprintable characters are escaped.
+    """
     if is_lack_of_memory(error):
         return "not enough memory"
-    error = _root_cause(error)
-    text = (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())
-    return printable(text or type(error).__name__)
+    cause = _root_cause(error)
+    text = (isinstance(cause, OSError) and cause.strerror) or " ".join(str(cause).split())
+    return printable(text or type(cause).__name__)
 
 
 def _root_cause(error: BaseException) -> BaseException:
-    """Return the error from which a chain of RuntimeErrors was raised, as Dr.Jit does."""
+    """Return the first error in a chain of RuntimeErrors of which each was raised from another.
+
+    An error that is no RuntimeError, or has no cause, is returned unchanged.
+    """
+    # Dr.Jit raises such chains.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:
         error = error.__cause__
     return error

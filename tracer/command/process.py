@@ -1,6 +1,6 @@
-"""A command as a process: how it starts, prints, is interrupted and ends.
+"""Start, interrupt and end the process of a command, and print its lines.
 
-Every command of this project starts by `run`, before anything that takes long is imported.
+Every command of this project calls `run` first, before it imports anything that takes long.
 """
 
 from __future__ import annotations
@@ -21,24 +21,31 @@ from tracer.messages import printable
 _Result = TypeVar("_Result")
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
-"""Exit statuses: something could not be done, wrong usage, ended by a signal."""
+"""Exit statuses: a task failed, the usage was wrong, or a signal ended the command."""
 
 # Exit status when the reader of standard output has gone away: that of a program that SIGPIPE ends.
 _UNREAD = 141
 
 
 def run(module: str) -> NoReturn:
-    """Run a command: import its module, call `main`, and exit with the status that it returns.
+    """Run a command: import its module, call its function `main`, and end this process.
+
+    The exit status is what `main` returns or passes to `sys.exit`, or
+
+    - the failure's own status if `main` raises a Failure;
+    - 1 if there is not enough memory, or the standard output cannot be written;
+    - 2 if a package is missing;
+    - 130 if a signal ends the command;
+    - 141 if the reader of standard output goes away.  In this case nothing is printed.
 
     A Failure, a missing package and a lack of memory are printed as one line instead of a
-    traceback.  A signal that ends the command makes the exit status 130.  If the reader of standard
-    output goes away, the command ends silently with status 141.
+    traceback.
 
     Parameters
     ----------
     module : str
         Name of the module.  Its function `main` takes no arguments, and returns an exit status or
-        None, which counts as 0.
+        None, which is status 0.
     """
     end_on_signals()
     # No product of matrices here is worth OpenBLAS's threads; starting them would take as long as
@@ -80,20 +87,22 @@ def run(module: str) -> NoReturn:
 
 
 def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | Failure:
-    """Call a function; if it raises a Failure, print it to standard error and return it.
+    """Call a function, and print a Failure that it raises to standard error instead of raising it.
 
-    This is how a command processes many files: a failure of one does not keep the others from
-    being processed.
+    A command that processes many files uses this for each file, so that it continues with the other
+    files after a failure.
 
     Parameters
     ----------
     function : callable
-        Called with `arguments`.
+        The function to call.
+    *arguments : object
+        Its arguments.
 
     Returns
     -------
     result : object or Failure
-        What the function returns, or the failure that it raised.
+        What the function returned, or the Failure that it raised.
     """
     try:
         return function(*arguments)
@@ -103,16 +112,25 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 
 
 def print_line(stream: TextIO | None, text: str) -> None:
-    """Print a notice as `print_result` does, but do nothing if it cannot be printed.
+    """Print a line immediately, above a progress bar if one is shown; ignore errors.
 
-    A notice is less important than the result of the command, which must not fail for it.
+    Use this for notices: a command must not fail because a notice cannot be printed.
+
+    Parameters
+    ----------
+    stream : text file or None
+        Standard output or standard error; None if it is closed.
+    text : str
+        The line.  Characters that the stream cannot encode are escaped.
     """
     with suppress(OSError):
         print_result(stream, text)
 
 
 def print_result(stream: TextIO | None, text: str) -> None:
-    """Print a line immediately, above a progress bar if one is shown.
+    """Print a line immediately, above a progress bar if one is shown; raise an error if this fails.
+
+    After an error, the stream is closed.
 
     Parameters
     ----------
@@ -124,7 +142,7 @@ def print_result(stream: TextIO | None, text: str) -> None:
     Raises
     ------
     OSError
-        If the line cannot be printed: the stream is closed, or its disk is full.
+        If the line cannot be printed, for example because the stream is closed or the disk full.
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")
@@ -141,9 +159,11 @@ def print_result(stream: TextIO | None, text: str) -> None:
 
 
 def end_on_signals() -> None:
-    """Let signals end this process immediately, without part files, and without a message.
+    """Set the handlers of signals so that they end this process immediately, without a message.
 
-    Signals that are ignored stay ignored: in the background of a script, or under nohup.
+    The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  A signal that is ignored stays
+    ignored, as is usual in the background of a script, or under nohup.  When a signal arrives, the
+    part files of this process (incomplete output files) are removed, and its exit status is 130.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         number = getattr(signal, name, None)  # not all systems have the last three
@@ -152,10 +172,8 @@ def end_on_signals() -> None:
 
 
 def _end_now(_number: int, _frame: object) -> NoReturn:
-    """Handle a signal: remove part files, and end this process.
-
-    A KeyboardInterrupt would be lost if it were raised in a finalizer or after a fork; raised in
-    NumPy or in a plugin, it would be reported as an error of theirs.
-    """
+    """Handle a signal: remove part files (incomplete output files), and end this process."""
+    # Not by an exception: a KeyboardInterrupt would be lost in a finalizer or after a fork, and in
+    # NumPy or in a plugin it would be reported as an error of theirs.
     remove_part_files()
     os._exit(INTERRUPTED)

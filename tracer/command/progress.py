@@ -1,4 +1,4 @@
-"""A progress bar for any command, shown once the command's work has taken a second.
+"""Show a progress bar for any command whose work takes longer than a second.
 
 While a bar is shown, `tracer.command.process` prints lines above it.
 """
@@ -22,25 +22,26 @@ _BAR_FORMAT = (
 
 
 class Progress:
-    """The progress of a command's work, with a bar on standard error if that is a terminal.
+    """The progress of a command, shown as a bar on standard error if that is a terminal.
 
-    Use it as a context manager, which removes the bar at the end.
+    The bar appears at the first update after a second of work.  Use the instance as a context
+    manager, which removes the bar at the end.
 
     Parameters
     ----------
     total : int
         Amount of work, for example the number of pictures.
     unit : str
-        What is counted, in the plural: "pictures".
+        The unit of `total`, as a noun in the plural, for example "pictures".
     show : bool
-        If False, no bar is ever shown.
+        If False, no bar is shown.
     """
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:
         self._total, self._unit, self._start = total, unit, perf_counter()
-        is_lost = sys.stderr is None or sys.stderr.closed
-        # None: may be shown later; False: there can be no bar.
-        self._bar: Any = None if show and not is_lost and sys.stderr.isatty() else False
+        is_closed = sys.stderr is None or sys.stderr.closed
+        # A bar; None if it may be created later; False if there can be no bar.
+        self._bar: Any = None if show and not is_closed and sys.stderr.isatty() else False
 
     def __enter__(self) -> Progress:
         return self
@@ -50,14 +51,14 @@ class Progress:
             self._bar.close()
 
     def update(self, done: float, note: str = "") -> None:
-        """Update the progress, and show the bar if the work has taken a second.
+        """Show the amount of finished work; do nothing during the first second.
 
         Parameters
         ----------
         done : float
-            Amount of work that is done, in the unit of `total`.
+            Total amount of finished work, in the unit of `total`.
         note : str
-            Text beside the bar.
+            Text to show beside the bar.
         """
         seconds = perf_counter() - self._start
         if self._bar is None and seconds >= _BAR_SECONDS:
@@ -67,20 +68,18 @@ class Progress:
             self._bar.update(round(done, 2) - self._bar.n)
 
     def _new_bar(self, seconds: float) -> Any:
-        """Create a progress bar.
-
-        The work must not fail because tqdm is not installed, or because the environment has
-        settings for tqdm that it cannot read.
+        """Create a progress bar with tqdm.
 
         Parameters
         ----------
         seconds : float
-            Time that the work has taken so far.
+            Time that the work has taken so far, which is the bar's elapsed time.
 
         Returns
         -------
         bar : tqdm.tqdm or False
-            False if tqdm cannot be used.
+            False if tqdm is not installed, or the environment contains invalid settings for tqdm:
+            the command must not fail for that.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
@@ -95,16 +94,16 @@ class Progress:
 
 
 def track(items: Iterable[_Item], total: int, unit: str) -> Iterator[_Item]:
-    """Yield items unchanged, with a progress bar that counts them.
+    """Yield items unchanged, and show a progress bar if they take longer than a second.
 
     Parameters
     ----------
     items : iterable
-        The work; an item counts as done when the next one is requested.
+        The items.  An item is deemed finished when the next one is requested.
     total : int
         Number of items.
     unit : str
-        What the items are, in the plural: "scenes".
+        What the items are, as a noun in the plural, for example "scenes".
     """
     with Progress(total, unit) as progress:
         for count, item in enumerate(items, 1):
