@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if judged is not None:
         wrong_count, verdict = judgement(certificate, judged)
         lines.append(f"{arguments.judge}: {verdict}")
-    lines.append(f"{output}: {certificate.cells} cells in {seconds:.2f} s")
+    lines.append(f"{output}: {certificate.cell_count} cells in {seconds:.2f} s")
     with failing(output, "written", "choose another with -o"):
         write_png(output, certificate.image)
     with failing("standard output", "written"):

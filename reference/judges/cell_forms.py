@@ -29,10 +29,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reference.judges.arrays import Bools, Floats, Ints, add_runs, segment_indices
+from reference.judges.arrays import Bools, Floats, Ints, add_at_sorted_index, list_segment_elements
 from reference.judges.cells import MAX_WIDTH, Cells
 from reference.judges.faces import Faces
-from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, constant, difference
+from reference.judges.forms import (
+    ROUNDING,
+    XX,
+    C,
+    Form,
+    R,
+    X,
+    Y,
+    Z,
+    enclose_constant,
+    subtract_independent,
+)
 
 # |l + v|^2 of two unit vectors, and squared distances, are positive.  Their enclosures are cut off
 # here before they are raised to a negative power.
@@ -42,12 +53,15 @@ _MIN_SQUARE = 1e-300
 class Contributions(NamedTuple):
     """Radiance that n lights add to pairs where they reach the face, sorted by pair and light.
 
+    A pair consists of a cell of the picture, and a face (a sphere, or a side of a box) that may be
+    visible in the cell.
+
     Attributes
     ----------
     pair, light : (n,) int arrays
-        The pair and the light.
+        The pair and the light of each contribution.
     radiance : Form
-        Enclosures (8, 3, n) of the reflected radiance.
+        Enclosures (8, 3, n) of the light that each lit face reflects to the eye, in three channels.
     """
 
     pair: Ints
@@ -55,21 +69,25 @@ class Contributions(NamedTuple):
     radiance: Form
 
     def take(self, kept: Bools) -> Contributions:
-        """Select contributions by a mask (n,)."""
+        """Select contributions by a mask (n,), and copy them."""
         return Contributions(self.pair[kept], self.light[kept], self.radiance[kept])
 
 
 class _Condition(NamedTuple):
-    """A function u + v s for n questions, which is positive if the answer may be yes.
+    """A function u + v s for n questions about pairs, which is positive where a condition is
+    satisfied.
+
+    The root s is the part of the inverse distance 1 / t = k.d + s that is not linear in the
+    direction d of the ray.
 
     Attributes
     ----------
     question : (n,) int array
-        The question to which each function belongs.
+        The question that each function helps to answer.
     u, v : Form, and Form or (n,) float array
-        The function.
+        The coefficients of the function.
     is_edge : bool, or (n,) bool array
-        Whether a zero of the function may be an edge of the picture.
+        Whether the picture may have an edge where the function is zero.
     """
 
     question: Ints
@@ -79,14 +97,18 @@ class _Condition(NamedTuple):
 
 
 class _Edges(NamedTuple):
-    """Edge functions u + v s (n,) that may be zero somewhere in the cells of pairs.
+    """Edge functions u + v s (n,): the picture may have an edge where one of them is zero.
+
+    The root s is the part of the inverse distance 1 / t = k.d + s that is not linear in the
+    direction d of the ray.
 
     Attributes
     ----------
     pair, light : (n,) int arrays
-        The pair; the light whose radiance changes at the edge, or -1 if all radiance changes.
+        The pair of a cell and a face in which the edge lies; the light whose radiance changes at
+        the edge, or -1 if all radiance changes.
     u, v : Form
-        The function.
+        The coefficients of the functions.
     """
 
     pair: Ints
@@ -95,70 +117,76 @@ class _Edges(NamedTuple):
     v: Form
 
     def take(self, index: Ints) -> _Edges:
-        """Select edge functions by index."""
+        """Select edge functions by indices (k,), and copy them."""
         return _Edges(self.pair[index], self.light[index], self.u[index], self.v[index])
 
 
-def _squared(vector: Floats) -> Floats:
-    """Square vectors whose components are linear in X and Y.
+def _squared_length(vector: Floats) -> Floats:
+    """Compute the squared lengths of vectors whose components are linear functions of X and Y.
 
     Parameters
     ----------
     vector : (3, 3, n) float array
-        Along the first axis the components, along the second the coefficients C, X and Y.
+        Along the first axis the components, along the second the coefficients of 1, X and Y.
 
     Returns
     -------
     square : (6, n) float array
-        Coefficients C, X, Y, XX, XY and YY of the squared length.
+        Coefficients of 1, X, Y, X^2, X Y and Y^2 of the squared length.
     """
     c, x, y = vector.swapaxes(0, 1)
     products = ((c, c), (c, x), (c, y), (x, x), (x, y), (y, y))
     return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in products])
 
 
-def _cross(c: Floats, vector: Floats) -> Floats:
-    """Compute the cross products c x q of constant and linear vectors.
+def _cross_product(c: Floats, vector: Floats) -> Floats:
+    """Compute cross products c x q of constant vectors c and linear or constant vectors q.
 
     Parameters
     ----------
     c : (3, n) float array
-        Constant vectors.
+        The constant vectors.
     vector : (3, k, n) float array
-        Vectors q, with k coefficients for each component.
+        The vectors q.  Each component has k coefficients, for example of 1, X and Y.
 
     Returns
     -------
     product : (3, k, n) float array
-        The cross products, with the same k coefficients.
+        The cross products, in the same k coefficients.
     """
     return np.array([c[i - 2] * vector[i - 1] - c[i - 1] * vector[i - 2] for i in range(3)])
 
 
-def _cone(
+def _cone_function(
     c: Floats, r: Floats, q: Floats, q_size: Floats, w: Floats, w_size: Floats
 ) -> tuple[Form, Floats]:
-    """Compute r^2 q^2 - |c x w|^2, which is positive inside the cone around a sphere.
+    """Compute r^2 |q|^2 - |c x q|^2, which is positive inside the double cone around a sphere.
+
+    The cone consists of all lines through an apex that meet the sphere.
 
     Parameters
     ----------
     c, r : (3, n) and (n,) float arrays
         Vectors from the apex of the cone to the sphere's centre, and the sphere's radius.
-    q, w : (3, 3, n) float arrays
-        Vectors from the apex to a point, linear in X and Y.  They may differ by a multiple of c,
-        which does not change the cross product.
-    q_size, w_size : (n,) float arrays
-        Bounds on the terms of which q and w are sums, for the rounding error.
+    q : (3, 3, n) float array
+        Vectors from the apex to a point: along the first axis the components, along the second the
+        coefficients of 1, X and Y.
+    q_size : (n,) float array
+        Bound on the size of the terms that were added up to compute q, for the rounding error.
+    w, w_size : (3, 3, n) and (n,) float arrays
+        Vectors, and bounds like `q_size`.  The cross product is computed as c x w.  So w is q plus
+        any multiple of c, chosen such that the rounding error is small.
 
     Returns
     -------
     cone : Form
-        The function (8, n), whose radius contains the rounding errors.
+        Enclosures (8, n) of the function by polynomials in X and Y.  The radius is a bound on the
+        rounding errors.
     across : (3, 3, n) float array
-        c x w.
+        The cross product c x w, with the axes of w.
     """
-    across, coef = _cross(c, w), np.zeros((8, c.shape[1]))
-    coef[:Z] = r * r * _squared(q) - _squared(across)
+    across, coef = _cross_product(c, w), np.zeros((8, c.shape[1]))
+    coef[:Z] = r * r * _squared_length(q) - _squared_length(across)
     c2 = (c * c).sum(axis=0)
     q_term = r * r * q_size * np.abs(q).sum(axis=(0, 1))
     coef[R] = q_term + c2 * w_size * np.abs(w).sum(axis=(0, 1))
@@ -167,33 +195,36 @@ def _cone(
 
 
 class CellForms:
-    """Forms in cells: inverse distances, edge functions, and radiance.
+    """Inverse distances, edge functions, and radiance in cells of the picture, enclosed by forms.
+
+    A form encloses a quantity in a cell by a quadratic polynomial with an error bound.  A pair
+    consists of a cell and a face (a sphere, or a side of a box) that may be visible in the cell.
 
     Attributes
     ----------
     faces : Faces
-        The scene.
+        The spheres and the sides of boxes in the scene.
     cells : Cells
         The cells, without pairs and triples that proved to be irrelevant.
     square : Form
-        d^2 of the camera rays through each cell (8, c).
+        Squared length d^2 of the direction of the camera rays through each cell (8, c).
     inverse : Form
-        Inverse distance 1 / t of each pair (8, p).
+        Inverse distance 1 / t = k.d + s of each pair (8, p).  The visible point is eye + t d.
     root2, root : Form
-        s^2 and s of each pair (8, p): see the module.  Both are 0 for rectangles.  The Z of s is
+        s^2 and s of each pair (8, p).  Both are 0 for sides of boxes.  The unknown part Z of s is
         that of 1 / t.
     """
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
-        """Decide the questions that have one answer in all of a cell, and list the edges of others.
+        """Find out what is visible in each cell, which lights reach it, and where edges may be.
 
         Parameters
         ----------
         faces : Faces
-            The scene.
+            The spheres and the sides of boxes in the scene.
         cells : Cells
-            The cells.  Pairs and triples that prove to be irrelevant are removed, and settled
-            lights are marked, in a copy: see the attribute `cells`.
+            The cells, which are not changed.  The attribute `cells` is a copy from which irrelevant
+            pairs and triples are removed, and in which more lights are settled.
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Coordinates of the cells' centres in the window, and half of their sizes.
@@ -201,7 +232,7 @@ class CellForms:
         self._half_right = 0.5 * cells.width * frame.step_u
         self._half_down = 0.5 * cells.width * frame.step_v
         coef = np.zeros((8, cells.x.size))
-        coef[:Z] = _squared(self._rays(np.arange(cells.x.size)))
+        coef[:Z] = _squared_length(self._ray_directions(np.arange(cells.x.size)))
         coef[R] = ROUNDING * coef[C]
         self.square, self._edges = Form(coef), list[_Edges]()
         self._find_surfaces()
@@ -210,39 +241,40 @@ class CellForms:
         if cells.width <= 1:
             self._find_intersections()
 
-    def _rays(self, cell: Ints) -> Floats:
+    def _ray_directions(self, cell: Ints) -> Floats:
         """Return the directions of the camera rays through cells, as linear functions of X and Y.
 
         Parameters
         ----------
         cell : (n,) int array
-            The cells.
+            Indices of cells, in which X and Y run from -1 to 1.
 
         Returns
         -------
         rays : (3, 3, n) float array
-            Along the first axis the components of the directions d, along the second the
-            coefficients of 1, X and Y.
+            Along the first axis the components of the directions in the camera's axes, along the
+            second the coefficients of 1, X and Y.
         """
         rays = np.zeros((3, 3, cell.size))
         rays[:, 0] = self._right[cell], self._down[cell], np.full(cell.size, self.faces.frame.depth)
         rays[0, 1], rays[1, 2] = self._half_right, self._half_down
         return rays
 
-    def _linear(self, k: Floats, cell: Ints) -> Form:
-        """Compute the dot products k.d of vectors with the directions d of camera rays.
+    def _dot_with_rays(self, k: Floats, cell: Ints) -> Form:
+        """Enclose the dot products k.d of vectors k with the directions d of camera rays.
 
         Parameters
         ----------
         k : (3, n) float array
-            The vectors.
+            The vectors, in the camera's axes.
         cell : (n,) int array
             For each vector, the cell through which the rays pass.
 
         Returns
         -------
         product : Form
-            Enclosures (8, n) of the dot products: linear in X and Y, with their rounding errors.
+            Enclosures (8, n) of the dot products.  They are linear in the position in the cell.
+            The radius is a bound on the rounding errors.
         """
         coef, (u, v, w) = np.zeros((8, cell.size)), k
         coef[C] = u * self._right[cell] + v * self._down[cell] + w * self.faces.frame.depth
@@ -250,31 +282,38 @@ class CellForms:
         coef[R] = ROUNDING * self.faces.frame.max_ray_size * np.abs(k).sum(axis=0)
         return Form(coef)
 
-    def _half_space(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
-        """Express which points of faces are in half-spaces, by functions u + v s.
+    def _half_space_function(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
+        """Express whether the visible point of a face is in a half-space, by the sign of a
+        function.
 
-        Such a function is n.d + b / t, where the half-space is n.x + b >= 0, and the ray meets the
-        face at t d.  It is positive if the point is inside.
+        Let n.x + b >= 0 be the half-space, and x = t d the point where the ray with direction d
+        meets the face.  Then n.d + b / t is positive if the point is inside.  As 1 / t = k.d + s,
+        this function has the form u + v s, where s is the root in the inverse distance of the face.
 
         Parameters
         ----------
         pair : (n,) int array
             Pairs of a cell and a face.
         half_space : (5, n) float array
-            For each pair a half-space: the three components of n, b, and the size of the terms of
-            which b is a sum.
+            For each pair a half-space.  Rows 0 to 2 contain the components of n, row 3 contains b,
+            and row 4 a bound on the size of the terms that were added up to compute b.
 
         Returns
         -------
-        u, v : Form and (n,) float array
-            The functions are u + v s, with the root s of the pair's inverse distance.
+        u : Form
+            Enclosures (8, n) of u = n.d + b k.d.
+        v : (n,) float array
+            The numbers v = b.
         """
         *normal, b, size = half_space
-        u = self._linear(np.array(normal), self.cells.cell[pair]) + self._rootless[pair] * b
-        u.coef[R] += ROUNDING * size * self._inverse_size[pair]
+        u = (
+            self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
+            + self._inverse_without_root[pair] * b
+        )
+        u.coef[R] += ROUNDING * size * self._inverse_max_abs[pair]
         return u, b
 
-    def _function(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
+    def _enclose_function(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
         """Enclose functions u + v s, where s is the root in the inverse distance of a face.
 
         Parameters
@@ -282,35 +321,38 @@ class CellForms:
         pair : (n,) int array
             Pairs of a cell and a face.
         u, v : Form, and Form or (n,) float array
-            The functions.  On rectangles, s is 0, and v is ignored.
+            The coefficients of the functions.  On sides of boxes, s is 0, and v is ignored.
 
         Returns
         -------
         function : Form
-            Enclosures (8, n) of the functions on the pairs.
+            Enclosures (8, n) of the functions in the cells of the pairs.
         """
         coef = u.coef.copy()
-        index = np.flatnonzero(~self.faces.is_planar[self.cells.face[pair]])
+        index = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
         coef[:, index] += (self.root[pair[index]] * v[index]).coef
         return Form(coef)
 
-    def _decide(
+    def _decide_conditions(
         self, pair: Ints, light: Ints | int, is_never: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Answer questions about pairs: does a pair satisfy all conditions, everywhere or nowhere?
+        """Decide for each question whether all its conditions are true everywhere in a cell, or one
+        nowhere.
 
-        A condition of a question is that its function u + v s is positive.  If a question is not
-        decided, its functions that may change their signs are added to the edges.
+        A question is about a pair of a cell and a face, and has several conditions.  A condition is
+        true where its function u + v s is positive.  If a question stays undecided, those of its
+        functions that may change their signs in the cell are added to `self._edges`.
 
         Parameters
         ----------
         pair : (n,) int array
             The pair of each question.
-        light : (n,) int array or int
-            The light of each question: see `_Edges`.
+        light : (n,) int array, or int
+            The light whose radiance depends on the question, or -1 if all radiance does.
         is_never : (n,) bool array
-            Changed in place: set to True where one condition is false everywhere in the cell.
-            This happens condition by condition, so that `conditions` can skip such questions.
+            Changed in place: set to True where a condition is false everywhere in the cell.  This
+            happens after each item of `conditions`, so an iterator can skip questions that are
+            already decided.
         conditions : iterable of _Condition
             All conditions of all questions.
 
@@ -322,7 +364,7 @@ class CellForms:
         is_always, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
         edges = []
         for question, u, v, is_edge in conditions:
-            low, high = self._function(pair[question], u, v).bounds()
+            low, high = self._enclose_function(pair[question], u, v).bounds()
             is_never[question[high <= 0]] = True
             is_always[question[~(low > 0)]] = False
             index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
@@ -330,182 +372,224 @@ class CellForms:
         for question, u, v in edges:
             index = np.flatnonzero(~is_never[question])
             question, v = question[index], v[index]
-            v = v if isinstance(v, Form) else constant(v)
+            v = v if isinstance(v, Form) else enclose_constant(v)
             self._edges.append(_Edges(pair[question], light[question], u[index], v))
         return is_always & ~is_never
 
     def _find_surfaces(self) -> None:
-        """Compute the inverse distance 1 / t = k.d + s of each pair's face from the eye.
+        """Enclose the inverse distance of the face of each pair, and remove pairs that are not
+        visible.
 
-        Pairs are removed if their face is outside the cell, or hidden by another face in all of the
-        cell.  The silhouettes of the others are added to the edges.
+        The inverse distance is 1 / t = k.d + s, where the camera ray t d meets the face.  A pair is
+        removed if its face is outside the cell, or hidden by another face everywhere in the cell.
+        The silhouettes of the other faces are added to `self._edges`.
+
+        The attributes `inverse`, `root` and `root2` are set.  In `cells`, `covers_cell` is updated.
         """
         faces, cells, frame = self.faces, self.cells, self.faces.frame
-        face, cell, is_planar = cells.face, cells.cell, faces.is_planar[cells.face]
+        face, cell, is_planar = cells.pair_face, cells.pair_cell, faces.is_planar[cells.pair_face]
         ball, cone, root = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
-        rays, size = self._rays(cell[ball]), np.full(ball.size, frame.max_ray_size)
+        rays, size = self._ray_directions(cell[ball]), np.full(ball.size, frame.max_ray_size)
         center, radius = faces.center[:, face[ball]], faces.radius[face[ball]]
-        cone[:, ball] = _cone(center, radius, rays, size, rays, size)[0].coef
+        cone[:, ball] = _cone_function(center, radius, rays, size, rays, size)[0].coef
         self.root2, self.root = Form(cone * faces.w[face] ** 2), Form(root)
-        self._rootless = self.inverse = self._linear(faces.k[:, face], cell)
-        self._inverse_size = self.inverse.size
+        self._inverse_without_root = self.inverse = self._dot_with_rays(faces.k[:, face], cell)
+        self._inverse_max_abs = self.inverse.max_abs
         is_outside = np.zeros(face.size, np.bool_)
-        covers = self._decide(
-            np.arange(face.size), -1, is_outside, self._silhouettes(ball, Form(cone))
+        covers_cell = self._decide_conditions(
+            np.arange(face.size), -1, is_outside, self._visibility_conditions(ball, Form(cone))
         )
-        self.inverse, index = Form(self._rootless.coef.copy()), ball[~is_outside[ball]]
+        self.inverse, index = Form(self._inverse_without_root.coef.copy()), ball[~is_outside[ball]]
         coef, rounding = self.root2[index].power(0.5).coef, self.inverse.coef[R, index]
         # The radius of s becomes its Z, which it shares with 1 / t, except for rounding errors.
         coef[Z], coef[R] = coef[R] + rounding, rounding
         root[:, index] = coef
         self.inverse.coef[:, index] += coef
         self.inverse.coef[R, index] = 0
-        kept = ~(is_outside | self._is_hidden(covers))
-        self.cells, new_index = cells._replace(covers=covers).with_pairs(kept)
+        kept = ~(is_outside | self._is_hidden(covers_cell))
+        self.cells, new_index = cells._replace(covers_cell=covers_cell).select_pairs(kept)
         remaining = [edges.take(np.flatnonzero(kept[edges.pair])) for edges in self._edges]
         self._edges = [edges._replace(pair=new_index[edges.pair]) for edges in remaining]
         self.inverse, self.root2, self.root = self.inverse[kept], self.root2[kept], self.root[kept]
-        self._rootless, self._inverse_size = self._rootless[kept], self.inverse.size
+        self._inverse_without_root, self._inverse_max_abs = (
+            self._inverse_without_root[kept],
+            self.inverse.max_abs,
+        )
 
-    def _silhouettes(self, ball: Ints, cone: Form) -> Iterator[_Condition]:
-        """Yield the conditions for a face to be in the direction of a ray; a question is a pair.
+    def _visibility_conditions(self, ball: Ints, cone: Form) -> Iterator[_Condition]:
+        """Yield the conditions under which camera rays meet the face of a pair, apart from
+        occlusion.
+
+        The question of each condition is a pair.
 
         Parameters
         ----------
         ball : (n,) int array
-            Pairs of a cell and a sphere.
+            The pairs whose face is a sphere.
         cone : Form
-            For each pair (8, p) of a sphere: r^2 d^2 - |c x d|^2, which is not negative on lines
-            that meet the sphere.
+            For each pair (8, p) whose face is a sphere with centre c and radius r: r^2 d^2 - |c x
+            d|^2.  This is at least 0 if the line through the eye with direction d meets the sphere.
+
+        Yields
+        ------
+        condition : _Condition
+            First, the four half-spaces of the rims of all sides of boxes, one after the other.
+            Then two conditions for all spheres that are not around the eye: the centre is ahead,
+            and the line meets the sphere.  Pairs whose face is known to cover the cell are skipped.
         """
         faces, cells = self.faces, self.cells
-        pair = np.flatnonzero(~cells.covers & faces.is_planar[cells.face])
+        pair = np.flatnonzero(~cells.covers_cell & faces.is_planar[cells.pair_face])
         for half_spaces in faces.rim.swapaxes(0, 1):
-            half_space = half_spaces[:, cells.face[pair]]
-            yield _Condition(pair, *self._half_space(pair, half_space), is_edge=True)
+            half_space = half_spaces[:, cells.pair_face[pair]]
+            yield _Condition(pair, *self._half_space_function(pair, half_space), is_edge=True)
         # A sphere around the eye is in every direction.
-        pair = ball[~cells.covers[ball] & (faces.power[cells.face[ball]] > 0)]
-        center = faces.center[:, cells.face[pair]]
+        pair = ball[~cells.covers_cell[ball] & (faces.power[cells.pair_face[ball]] > 0)]
+        center = faces.center[:, cells.pair_face[pair]]
         no_root = np.zeros(pair.size)
         # The cone extends in the opposite direction as well, where c.d is negative.
-        yield _Condition(pair, self._linear(center, cells.cell[pair]), no_root, is_edge=False)
+        yield _Condition(
+            pair, self._dot_with_rays(center, cells.pair_cell[pair]), no_root, is_edge=False
+        )
         yield _Condition(pair, cone[pair], no_root, is_edge=True)
 
-    def _is_hidden(self, covers: Bools) -> Bools:
-        """Find pairs whose face is hidden in all of the cell.
+    def _is_hidden(self, covers_cell: Bools) -> Bools:
+        """Find pairs of a cell and a face whose face is hidden everywhere in the cell.
 
-        Only one occluder is tried in each cell: among the faces that cover the cell, the one whose
-        lower bound on 1 / t is largest.
+        Only one occluder is tried in each cell: among the faces that cover the cell, the one with
+        the largest lower bound on its inverse distance.
 
         Parameters
         ----------
-        covers : (p,) bool array
-            Whether the face covers all of the cell.
+        covers_cell : (p,) bool array
+            Whether the face of each pair covers all of the cell.
 
         Returns
         -------
         is_hidden : (p,) bool array
-            Whether the face is certainly behind the occluder.
+            Whether the face is certainly behind the occluder.  If both are in the same plane, the
+            object that comes first in the scene file hides the other one.
         """
-        faces, cell, face, inverse = self.faces, self.cells.cell, self.cells.face, self.inverse
-        order = faces.prepared.surfaces.file_index[faces.object_index[face]]
-        covering = np.flatnonzero(covers)
+        faces, inverse = self.faces, self.inverse
+        cell, face = self.cells.pair_cell, self.cells.pair_face
+        file_index = faces.prepared.surfaces.file_index[faces.object_index[face]]
+        covering = np.flatnonzero(covers_cell)
         lower_bound = inverse[covering].bounds()[0]
-        covering = covering[np.lexsort((-order[covering], lower_bound, cell[covering]))]
-        nearest = np.full(self.cells.x.size, -1)
-        nearest[cell[covering]] = covering  # the last one in each cell
-        pair = np.flatnonzero((nearest[cell] >= 0) & (nearest[cell] != np.arange(cell.size)))
-        other = nearest[cell[pair]]
-        is_same_plane = (faces.plane[:, face[pair]] == faces.plane[:, face[other]]).all(axis=0)
-        is_behind = difference(inverse[pair], inverse[other]).bounds()[1] < 0
+        covering = covering[np.lexsort((-file_index[covering], lower_bound, cell[covering]))]
+        occluder_of_cell = np.full(self.cells.x.size, -1)
+        occluder_of_cell[cell[covering]] = covering  # the last one in each cell
+        occluder = occluder_of_cell[cell]
+        pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
+        occluder = occluder[pair]
+        in_same_plane = (faces.plane[:, face[pair]] == faces.plane[:, face[occluder]]).all(axis=0)
+        is_behind = subtract_independent(inverse[pair], inverse[occluder]).bounds()[1] < 0
+        is_later = file_index[pair] > file_index[occluder]
         is_hidden = np.zeros(cell.size, np.bool_)
-        is_hidden[pair] = np.where(is_same_plane, order[pair] > order[other], is_behind)
+        is_hidden[pair] = np.where(in_same_plane, is_later, is_behind)
         return is_hidden
 
-    def _heights(self, pair: Ints, light: Ints) -> tuple[Form, Floats]:
-        """Express the heights of lights above the tangent planes of faces, as functions u + v s.
+    def _height_function(self, pair: Ints, light: Ints) -> tuple[Form, Floats]:
+        """Express the heights of lights above the tangent planes of faces, by functions u + v s.
 
-        A height is divided by the distance t of the visible point from the eye, and is positive if
-        the light is in front of the face.
+        The height is divided by the distance t of the visible point from the eye.  It is positive
+        if the light is in front of the face.  Here s is the root in the inverse distance of the
+        face.
 
         Parameters
         ----------
-        pair, light : (n,) int arrays
-            Pairs of a cell and a face; lights, or -1 for the height of the eye.
+        pair : (n,) int array
+            Pairs of a cell and a face.
+        light : (n,) int array
+            The light of each pair, or -1 for the height of the eye.
 
         Returns
         -------
-        u, v : Form and (n,) float array
-            The functions are u + v s, with the root s of the pair's inverse distance.
+        u : Form
+            Enclosures (8, n) of the part of the functions without s.
+        v : (n,) float array
+            The factors of s.
         """
-        return self._half_space(pair, self.faces.height[:, light, self.cells.face[pair]])
+        return self._half_space_function(
+            pair, self.faces.height[:, light, self.cells.pair_face[pair]]
+        )
 
     def _find_terminators(self) -> None:
-        """Find out which lights are below the horizon of a sphere, in each pair.
+        """Find the lights that are below the horizon of a sphere, for each pair of a cell and a
+        sphere.
 
-        A light that is below the horizon in all of the cell becomes settled, without radiance.  If
-        it is below in a part of the cell, the terminator between light and dark is an edge.
+        A light that is below the horizon everywhere in the cell becomes settled without adding
+        radiance.  If it is below the horizon in a part of the cell, the terminator between the lit
+        and the dark side is added to `self._edges`.
         """
         # Lights behind the plane of a rectangle are settled from the start.
-        is_curved = ~self.faces.is_planar[self.cells.face]
+        is_curved = ~self.faces.is_planar[self.cells.pair_face]
         pair, light = np.nonzero(~self.cells.is_settled & is_curved[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
-        heights = _Condition(np.arange(pair.size), *self._heights(pair, light), is_edge=True)
-        self._decide(pair, light, is_unlit, [heights])
+        heights = _Condition(
+            np.arange(pair.size), *self._height_function(pair, light), is_edge=True
+        )
+        self._decide_conditions(pair, light, is_unlit, [heights])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
-    def _bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Bound the visible part of each pair's face.
+    def _bound_visible_parts(self) -> tuple[Floats, Floats]:
+        """Bound the part of each pair's face that may be visible in the pair's cell.
 
         Returns
         -------
         center, half_size : (3, p) float arrays
-            Bounding boxes in the scene's axes, widened by rounding errors of positions.
+            Centres and half sizes of bounding boxes in the scene's axes.  The boxes are widened by
+            the rounding errors of hits.
         """
         faces, cells, frame = self.faces, self.cells, self.faces.frame
-        center = frame.axes.T @ self._rays(cells.cell)[:, 0]
+        center = frame.axes.T @ self._ray_directions(cells.pair_cell)[:, 0]
         half = np.abs(frame.axes[:2].T) @ np.array([self._half_right, self._half_down])
-        a, b, eye = center - half[:, None], center + half[:, None], frame.eye[:, None]
-        least, greatest = self.inverse.bounds()
-        near, far = 1 / greatest, np.where(least > 0, 1 / least, np.inf)
-        low, high = faces.bounding_box[:, :, cells.face]
-        low = np.fmax(low, eye + np.fmin(a * near, a * far))
-        high = np.fmin(high, eye + np.fmax(b * near, b * far))
-        error = faces.prepared.position_error[faces.object_index[cells.face]]
+        low_ray, high_ray, eye = center - half[:, None], center + half[:, None], frame.eye[:, None]
+        min_inverse, max_inverse = self.inverse.bounds()
+        near, far = 1 / max_inverse, np.where(min_inverse > 0, 1 / min_inverse, np.inf)
+        low, high = faces.bounding_box[:, :, cells.pair_face]
+        low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
+        high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
+        error = faces.prepared.position_error[faces.object_index[cells.pair_face]]
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + error
 
     def _find_shadows(self) -> None:
         """Find out which triples of a pair, a light and an occluder shade the face.
 
-        A light becomes settled, without radiance, if a single occluder shades all of the face in
-        the cell.  Triples that shade nothing are removed.  For the others, the edge of the shadow
-        is added to the edges.
+        A light becomes settled without adding radiance if a single occluder shades all of the face
+        in the cell.  A triple is removed if (1) its occluder shades nothing of the face in the
+        cell, or (2) its light is settled for the pair.  For the other triples, the edge of the
+        shadow is added to `self._edges`.
+
+        If the cells have the width `MAX_WIDTH`, all triples are searched for first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
-            triples = self.faces.occluders(*self._bounding_boxes(), cells.face, ~cells.is_settled.T)
+            triples = self.faces.find_occluders(
+                *self._bound_visible_parts(), cells.pair_face, ~cells.is_settled.T
+            )
             self.cells = cells = cells._replace(triples=triples)
         pair, light, occluder = cells.triples
-        is_sphere, is_lit = occluder < self.faces.spheres, np.zeros(pair.size, dtype=np.bool_)
-        cones = self._cone_shadows(np.flatnonzero(is_sphere))
-        boxes = self._box_shadows(np.flatnonzero(~is_sphere), is_lit)
-        is_shaded = self._decide(pair, light, is_lit, chain(cones, boxes))
+        is_sphere, is_lit = occluder < self.faces.sphere_count, np.zeros(pair.size, dtype=np.bool_)
+        cones = self._sphere_shadow_conditions(np.flatnonzero(is_sphere))
+        boxes = self._box_shadow_conditions(np.flatnonzero(~is_sphere), is_lit)
+        is_shaded = self._decide_conditions(pair, light, is_lit, chain(cones, boxes))
         cells.is_settled[pair[is_shaded], light[is_shaded]] = True
-        self.cells = cells.with_triples(~is_lit & ~cells.is_settled[pair, light])
+        self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
-    def _cone_shadows(self, triple: Ints) -> Iterator[_Condition]:
-        """Yield the conditions for a point to be in the shadow of a sphere.
+    def _sphere_shadow_conditions(self, triple: Ints) -> Iterator[_Condition]:
+        """Yield the two conditions under which the visible point of a face is in the shadow of a
+        sphere.
 
-        Let L be the light, C the sphere's centre, both relative to the eye, and c = C - L.  The
-        point p is in the shadow if it satisfies two conditions:
+        Let L be the light, C the sphere's centre, both relative to the eye, c = C - L, and r the
+        radius.  The point p is in the shadow if it satisfies two conditions:
 
         1. It is inside the cone: |c x (p - L)| <= r |p - L|.
-        2. It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.  The
+        2.  It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.  The
            part of this plane inside the cone is inside the sphere.  So it is never an edge.
 
-        Divided by t, p - L is q - L s with q = d - L k.d.  The cross product c x (p - L) equals
-        c x (p - C), in which nothing cancels however distant the light is.  Divided by t, p - C is
-        w - C s with w = d - C k.d.  So the first condition is u + v s >= 0 with
+        The camera ray with direction d meets the face at p = t d, and 1 / t = k.d + s.  Divided by
+        t, p - L is q - L s with q = d - L k.d.  The cross product c x (p - L) equals c x (p - C),
+        in which nothing cancels however distant the light is.  Divided by t, p - C is w - C s with
+        w = d - C k.d.  So the first condition is u + v s >= 0 with
 
             u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
             v = 2 ((c x C).(c x w) - r^2 L.q),
@@ -515,21 +599,29 @@ class CellForms:
         Parameters
         ----------
         triple : (n,) int array
-            The triples whose occluders are spheres.
+            The triples (a pair, a light and an occluder) whose occluders are spheres.
+
+        Yields
+        ------
+        condition : _Condition
+            The first condition for all triples, then the second.
         """
         faces, cells, (pair, light, ball) = self.faces, self.cells, self.cells.triples[:, triple]
         c, r2 = faces.to_center[:, light, ball], faces.radius[ball] ** 2
         position, center = faces.light_position[light].T, faces.center[:, ball]
-        rays, root = self._rays(cells.cell[pair]), self._rootless.coef[:XX, pair]
+        rays, root = (
+            self._ray_directions(cells.pair_cell[pair]),
+            self._inverse_without_root.coef[:XX, pair],
+        )
         q, w = (rays - end[:, None] * root for end in (position, center))
         position2, center2, c2 = ((end * end).sum(axis=0) for end in (position, center, c))
-        k_size = np.abs(faces.k[:, cells.face[pair]]).sum(axis=0)
+        k_size = np.abs(faces.k[:, cells.pair_face[pair]]).sum(axis=0)
         q_size, w_size = (
             faces.frame.max_ray_size * (1 + np.sqrt(square) * k_size * 2)
             for square in (position2, center2)
         )
-        u, across = _cone(c, faces.radius[ball], q, q_size, w, w_size)
-        c_center, v = _cross(c, center[:, None]), np.zeros((8, triple.size))
+        u, across = _cone_function(c, faces.radius[ball], q, q_size, w, w_size)
+        c_center, v = _cross_product(c, center[:, None]), np.zeros((8, triple.size))
         dot = (c_center * across).sum(axis=0)
         v[:XX] = 2 * (dot - r2 * (position[:, None] * q).sum(axis=0))
         v_size = c2 * np.sqrt(center2) * w_size + r2 * np.sqrt(position2) * q_size
@@ -541,59 +633,68 @@ class CellForms:
         yield _Condition(triple, u, Form(v), is_edge=True)
         terms = c * center
         beyond = np.array([*c, r2 - terms.sum(axis=0), r2 + np.abs(terms).sum(axis=0)])
-        yield _Condition(triple, *self._half_space(pair, beyond), is_edge=False)
+        yield _Condition(triple, *self._half_space_function(pair, beyond), is_edge=False)
 
-    def _box_shadows(self, triple: Ints, is_lit: Bools) -> Iterator[_Condition]:
-        """Yield the conditions for a point to be in the shadow of a box: nine half-spaces.
+    def _box_shadow_conditions(self, triple: Ints, is_lit: Bools) -> Iterator[_Condition]:
+        """Yield the conditions under which the visible point of a face is in the shadow of a box.
+
+        The shadow volume is the intersection of at most nine half-spaces.
 
         Parameters
         ----------
         triple : (n,) int array
-            The triples whose occluders are boxes.
+            The triples (a pair, a light and an occluder) whose occluders are boxes.
         is_lit : (q,) bool array
-            For each triple of the cells, whether an earlier condition is false everywhere.  Such
-            triples are skipped.
+            For all triples of the cells, whether an earlier condition is false everywhere in the
+            cell.  Such triples are skipped.  The array may change between two conditions.
+
+        Yields
+        ------
+        condition : _Condition
+            One half-space of all triples that are not skipped.
         """
-        pair, light, box = self.cells.triples - [[0], [0], [self.faces.spheres]]
+        pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         for half_spaces, has_edge in zip(
-            self.faces.shadow.swapaxes(0, 1), self.faces.has_shadow_edge, strict=True
+            self.faces.shadow_volume.swapaxes(0, 1), self.faces.has_shadow_edge, strict=True
         ):
             pending = triple[~is_lit[triple]]
             half_space = half_spaces[:, light[pending], box[pending]]
             # A box that the light sees edge-on has fewer than nine planes.
             exists = half_space[:4].any(axis=0)
             pending = pending[exists]
-            function = self._half_space(pair[pending], half_space[:, exists])
+            function = self._half_space_function(pair[pending], half_space[:, exists])
             yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
 
     def _find_intersections(self) -> None:
-        """Add edges where the faces of two pairs in a cell may intersect.
+        """Add the lines where the faces of two pairs of the same cell may intersect to
+        `self._edges`.
 
-        A point on one face is on a plane if k.p - 1 = 0.  It is on a second sphere if it is on the
-        plane that is the difference of both spheres' equations, p^2 - 2 c.p + power = 0.
+        A point p on one face is on a plane if k.p - 1 = 0.  It is on a second sphere if it is on
+        the plane that is the difference of both spheres' equations, p^2 - 2 c.p + power = 0.
         """
         faces, cells = self.faces, self.cells
-        order = np.argsort(cells.cell, kind="stable")
-        cell_start = cells.cell[order].searchsorted(cells.cell[order])
+        order = np.argsort(cells.pair_cell, kind="stable")
+        cell_start = cells.pair_cell[order].searchsorted(cells.pair_cell[order])
         # Each pair of a cell with all earlier pairs of the cell.
-        segments = segment_indices(np.arange(order.size) - cell_start, cell_start)
+        segments = list_segment_elements(np.arange(order.size) - cell_start, cell_start)
         a, b = (order[index] for index in segments)
-        a, b = np.where(faces.is_planar[cells.face[a]], (b, a), (a, b))  # rectangles last
-        a_face, b_face = cells.face[a], cells.face[b]
+        a, b = np.where(faces.is_planar[cells.pair_face[a]], (b, a), (a, b))  # rectangles last
+        a_face, b_face = cells.pair_face[a], cells.pair_face[b]
         is_other_object = faces.object_index[a_face] != faces.object_index[b_face]
         is_other_plane = (faces.plane[:, a_face] != faces.plane[:, b_face]).any(axis=0)
         index = np.flatnonzero(is_other_object & is_other_plane)
         a, a_face, b_face = a[index], a_face[index], b_face[index]
         plane, ball = faces.equation[:, b_face], np.flatnonzero(~faces.is_planar[b_face])
         plane[:, ball] += faces.equation[:, a_face[ball]] * [[-1], [-1], [-1], [-1], [1]]
-        crossing = _Condition(np.arange(a.size), *self._half_space(a, plane), is_edge=True)
-        self._decide(a, -1, np.zeros(a.size, np.bool_), [crossing])
+        crossing = _Condition(np.arange(a.size), *self._half_space_function(a, plane), is_edge=True)
+        self._decide_conditions(a, -1, np.zeros(a.size, np.bool_), [crossing])
 
     def edge_functions(self) -> tuple[Ints, Ints, Form]:
-        """Return all edge functions, which are zero where the picture has an edge.
+        """Return all edge functions: the picture may have an edge only where one of them is zero.
 
-        Each function is enclosed as u + v s, or as u^2 - v^2 s^2 if its unknown part is then
-        smaller relative to its slope.
+        Each function is enclosed as u + v s, where s is the root in the inverse distance of a face.
+        Near a silhouette, where s is steep, u^2 - v^2 s^2 has the same zeros, and is used if its
+        unknown part is smaller relative to its slope.
 
         Returns
         -------
@@ -607,10 +708,12 @@ class CellForms:
         pair, light = (np.concatenate([edges[i] for edges in self._edges]) for i in (0, 1))
         u = Form(np.concatenate([edges.u.coef for edges in self._edges], axis=1))
         v = Form(np.concatenate([edges.v.coef for edges in self._edges], axis=1))
-        form = self._function(pair, u, v)
+        form = self._enclose_function(pair, u, v)
 
         def relative_width(form: Form) -> Floats:
-            """Estimate the width of the strip around the zero."""
+            """Estimate the width of the strip around the zero of each function (8, n), in half cell
+            widths.
+            """
             size = np.abs(form.coef)
             return np.asarray(size[XX:].sum(axis=0) / np.maximum(size[X], size[Y]))
 
@@ -622,24 +725,26 @@ class CellForms:
         return pair, light, form
 
     def shade(self, is_requested: Bools, error: float) -> Contributions:
-        """Compute the radiance that unsettled lights add to pairs, and settle lights with it.
+        """Compute the radiance that unsettled lights add to pairs, and settle as many lights as
+        possible.
 
-        A light becomes settled if it has no edge on the pair, so that it reaches all of it, and if
-        the error of its radiance is within its even share of `error`.
+        A light becomes settled for a pair of a cell and a face if (1) it has no edge there, so that
+        it reaches all of the face in the cell, and (2) the error of its radiance is at most `error`
+        divided by the number of lights.  The radiance of such a light is added to `cells.radiance`.
 
         Parameters
         ----------
         is_requested : (p,) bool array
             The pairs to shade.
         error : float
-            Maximum error of the radiance of all settled lights together.
+            Maximum error of the radiance that all settled lights add to a pair, in any channel.
 
         Returns
         -------
         contributions : Contributions
             The radiance of the lights that remain unsettled on the requested pairs.
         """
-        contributions, cells = self._contributions(is_requested), self.cells
+        contributions, cells = self._enclose_contributions(is_requested), self.cells
         has_edge = np.zeros_like(cells.is_settled)
         has_edge[cells.triples[0], cells.triples[1]] = True
         for pair, light, *_ in self._edges:
@@ -648,45 +753,54 @@ class CellForms:
         light_count = cells.is_settled.shape[1]
         is_certain &= contributions.radiance.radius.max(axis=0) <= error / light_count
         settled = contributions.take(is_certain)
-        add_runs(cells.radiance.coef, settled.pair, settled.radiance.coef)
+        add_at_sorted_index(cells.radiance.coef, settled.pair, settled.radiance.coef)
         cells.is_settled[settled.pair, settled.light] = True
         return contributions.take(~is_certain)
 
-    def _contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that each unsettled light adds to pairs where it reaches the face.
+    def _enclose_contributions(self, is_requested: Bools) -> Contributions:
+        """Enclose the radiance that each unsettled light adds to pairs, where it reaches the face.
 
-        For a light at q, |p - q|^2 / t^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q - p).(-p) / t^2 is
-        d^2 - q.d / t.  With unit vectors n, l and v, the Blinn-Phong term n.h is
-        (n.l + n.v) / |l + v|, and |l + v|^2 = 2 + 2 l.v.
+        Distances are divided by the distance t of the visible point p = t d from the eye.  For a
+        light at q relative to the eye, |p - q|^2 / t^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q -
+        p).(-p) / t^2 is d^2 - q.d / t.  Let n, l and v be the unit normal and the unit vectors to
+        the light and to the eye.  Then the Blinn-Phong term n.h is (n.l + n.v) / |l + v|, and |l +
+        v|^2 = 2 + 2 l.v.
 
         Parameters
         ----------
         is_requested : (p,) bool array
             The pairs to shade.
+
+        Returns
+        -------
+        contributions : Contributions
+            The radiance for all unsettled lights of the requested pairs, sorted by pair and light.
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
-        height = self._function(pair, *self._heights(pair, light))
-        cell, obj = cells.cell[pair], faces.object_index[cells.face[pair]]
+        height = self._enclose_function(pair, *self._height_function(pair, light))
+        cell, obj = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         q = faces.light_position[light].T
-        square, along = self.square[cell], self.inverse[pair] * self._linear(q, cell)
+        square, along = self.square[cell], self.inverse[pair] * self._dot_with_rays(q, cell)
         inverse2 = (self.inverse * self.inverse)[pair]
         distance2 = square - along * 2.0 + inverse2 * (q * q).sum(axis=0)
         inverse_distance = distance2.power(-0.5, _MIN_SQUARE)
-        n_dot_l = (height * inverse_distance).unit()
+        n_dot_l = (height * inverse_distance).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
         radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, obj])
         glossy = np.flatnonzero(prepared.is_glossy[obj])
         glossy_pair, position = np.unique(pair[glossy], return_inverse=True)
         inverse_length = self.square.power(-0.5)
-        eye_height = self._function(glossy_pair, *self._heights(glossy_pair, 0 * glossy_pair - 1))
-        n_dot_v = eye_height * inverse_length[cells.cell[glossy_pair]]
+        eye_height = self._enclose_function(
+            glossy_pair, *self._height_function(glossy_pair, 0 * glossy_pair - 1)
+        )
+        n_dot_v = eye_height * inverse_length[cells.pair_cell[glossy_pair]]
         l_dot_v = (square[glossy] - along[glossy]) * (
             inverse_distance[glossy] * inverse_length[cell[glossy]]
         )
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)
-        n_dot_h = ((n_dot_l[glossy] + n_dot_v[position]) * inverse_sum).unit()
-        lobe = n_dot_h.power(prepared.exponent[obj[glossy]], 0.0, 1.0).unit()
+        n_dot_h = ((n_dot_l[glossy] + n_dot_v[position]) * inverse_sum).clamp_to_unit_interval()
+        lobe = n_dot_h.power(prepared.exponent[obj[glossy]], 0.0, 1.0).clamp_to_unit_interval()
         specular = intensity[:, glossy] * prepared.specular[:, obj[glossy]]
         radiance[..., glossy] += lobe.coef[:, None] * specular
         return Contributions(pair, light, Form(radiance))

@@ -35,7 +35,12 @@ A power of two."""
 
 
 class Cells(NamedTuple):
-    """Cells of equal width, with p pairs and q triples.
+    """A number c of cells of equal width, with p pairs and q triples.
+
+    A pair consists of a cell, and a face (a sphere, or a side of a box) that may be visible in the
+    cell.  A light is settled for a pair if it is known to reach either all or nothing of the face
+    in the cell.  A triple consists of a pair, a light, and an object that may shade a part of the
+    face from the light.
 
     Attributes
     ----------
@@ -43,63 +48,98 @@ class Cells(NamedTuple):
         Width of the cells in pixels; a power of two.
     x, y : (c,) float arrays
         Centres of the cells, in pixels from the upper left corner of the picture.
-    cell, face : (p,) int arrays
+    pair_cell, pair_face : (p,) int arrays
         The cell and the face of each pair.
-    covers : (p,) bool array
-        Whether the face covers all of the cell.
+    covers_cell : (p,) bool array
+        Whether the pair's face covers all of the pair's cell.
     is_settled : (p, lights) bool array
         Whether the light is settled for the pair.
     radiance : Form
-        Enclosures (8, 3, p) of the radiance that settled lights add to the pair.
+        Enclosures (8, 3, p) of the radiance that all settled lights together add to the pair.
     triples : (3, q) int array
-        Row 0 contains indices of pairs, row 1 of lights, and row 2 of objects.
+        Row 0 contains indices of pairs, row 1 of lights, and row 2 of the objects that may shade
+        the pair's face from the light.
     """
 
     width: float
     x: Floats
     y: Floats
-    cell: Ints
-    face: Ints
-    covers: Bools
+    pair_cell: Ints
+    pair_face: Ints
+    covers_cell: Bools
     is_settled: Bools
     radiance: Form
     triples: Ints
 
-    def with_triples(self, kept: Bools) -> Cells:
-        """Select triples by a mask (q,)."""
-        return self._replace(triples=self.triples.compress(kept, axis=1))
+    def select_triples(self, kept: Bools) -> Cells:
+        """Select triples (a pair, a light and an object that may shade the pair's face from the
+        light).
 
-    def with_pairs(self, kept: Bools) -> tuple[Cells, Ints]:
-        """Select pairs by a mask (p,), and their triples.
+        Parameters
+        ----------
+        kept : (q,) bool array
+            Whether to keep each triple.
 
         Returns
         -------
         cells : Cells
-            All cells, with the selected pairs.
+            All cells and pairs, with the selected triples.
+        """
+        return self._replace(triples=self.triples.compress(kept, axis=1))
+
+    def select_pairs(self, kept: Bools) -> tuple[Cells, Ints]:
+        """Select pairs (a cell and a face that may be visible in it), and the triples of these
+        pairs.
+
+        Parameters
+        ----------
+        kept : (p,) bool array
+            Whether to keep each pair.
+
+        Returns
+        -------
+        cells : Cells
+            All cells, with the selected pairs and their triples.
         new_index : (p,) int array
-            The index of each old pair among the selected ones, or -1.
+            For each old pair, its index among the selected pairs, or -1 if it is not selected.
         """
         new_index = np.where(kept, kept.cumsum() - 1, -1)
         pair, light, occluder = self.triples
-        names = "cell", "face", "covers", "is_settled", "radiance"
-        pairs: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        names = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
+        fields: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
         triples = np.array([new_index[pair], light, occluder])
-        cells = self._replace(**pairs, triples=triples)
-        return cells.with_triples(cells.triples[0] >= 0), new_index
+        cells = self._replace(**fields, triples=triples)
+        return cells.select_triples(cells.triples[0] >= 0), new_index
 
-    def take(self, kept: Bools) -> Cells:
-        """Select cells by a mask (c,), and their pairs."""
-        cell = np.where(kept, kept.cumsum() - 1, -1)[self.cell]
-        cells = self._replace(x=self.x[kept], y=self.y[kept], cell=cell)
-        return cells.with_pairs(cell >= 0)[0]
+    def select_cells(self, kept: Bools) -> Cells:
+        """Select cells, with all of their pairs and triples.
+
+        Parameters
+        ----------
+        kept : (c,) bool array
+            Whether to keep each cell.
+
+        Returns
+        -------
+        cells : Cells
+            The selected cells.
+        """
+        new_index = np.where(kept, kept.cumsum() - 1, -1)
+        pair_cell = new_index[self.pair_cell]
+        cells = self._replace(x=self.x[kept], y=self.y[kept], pair_cell=pair_cell)
+        return cells.select_pairs(pair_cell >= 0)[0]
 
     @property
     def area(self) -> float:
-        """Area of all cells together, in pixels."""
+        """Area of all cells together, in square pixels."""
         return self.x.size * self.width**2
 
-    def quarters(self, width: int, height: int) -> Cells:
-        """Divide every cell into four quarters, which inherit its pairs and triples.
+    def split_into_quarters(self, width: int, height: int) -> Cells:
+        """Divide every cell into four quarters, each with copies of the cell's pairs and triples.
+
+        A pair (a cell and a face that may be visible in it) and a triple (a pair, a light and an
+        object that may shade the face from the light) may not matter in every quarter.  They are
+        not tested here.
 
         Parameters
         ----------
@@ -119,39 +159,51 @@ class Cells(NamedTuple):
             width=self.width / 2,
             x=x,
             y=y,
-            cell=(4 * self.cell[:, None] + quarter).ravel(),
-            face=self.face.repeat(4),
-            covers=self.covers.repeat(4),
+            pair_cell=(4 * self.pair_cell[:, None] + quarter).ravel(),
+            pair_face=self.pair_face.repeat(4),
+            covers_cell=self.covers_cell.repeat(4),
             is_settled=self.is_settled.repeat(4, axis=0),
-            radiance=self.radiance.quarters(),
+            radiance=self.radiance.split_into_quarters(),
             triples=np.array([4 * pair + np.tile(quarter, pair.size // 4), light, occluder]),
         )
         is_inside = (x - offset < width) & (y - offset < height)
-        return quarters if is_inside.all() else quarters.take(is_inside)
+        return quarters if is_inside.all() else quarters.select_cells(is_inside)
 
 
-def first_cells(faces: Faces, width: int, height: int) -> Cells:
-    """Cover a picture by a row or a column of cells, each as wide as the picture is narrow.
+def initial_cells(faces: Faces, width: int, height: int) -> Cells:
+    """Cover a picture by a row or a column of square cells.
+
+    The width of the cells is a power of two, in pixels: the smallest that is at least both 16 and
+    the shorter side of the picture.
 
     Parameters
     ----------
     faces : Faces
-        The scene.
+        The spheres and the sides of boxes in the scene.
     width, height : int
         Size of the picture in pixels.
 
     Returns
     -------
     cells : Cells
-        The cells, each paired with every face that may be visible; there are no triples.
+        The cells.  Each is paired with every face that may be visible to the camera.  Lights that
+        are known to reach no visible point of a face are settled; there are no triples.
     """
     cell_width = 2.0 * MAX_WIDTH
     while cell_width < min(width, height):
         cell_width *= 2
-    shape = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
-    y, x = (np.indices(shape).reshape(2, -1) + 0.5) * cell_width
+    rows, columns = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
+    y, x = (np.indices((rows, columns)).reshape(2, -1) + 0.5) * cell_width
     visible = np.flatnonzero(faces.may_be_visible)
-    cell, face = np.arange(x.size).repeat(visible.size), np.tile(visible, x.size)
-    radiance, triples = Form(np.zeros((8, 3, face.size))), np.zeros((3, 0), dtype=np.intp)
-    is_settled = faces.is_unlit[:, face].T
-    return Cells(cell_width, x, y, cell, face, cell < 0, is_settled, radiance, triples)
+    pair_cell, pair_face = np.arange(x.size).repeat(visible.size), np.tile(visible, x.size)
+    return Cells(
+        width=cell_width,
+        x=x,
+        y=y,
+        pair_cell=pair_cell,
+        pair_face=pair_face,
+        covers_cell=np.zeros(pair_face.size, np.bool_),
+        is_settled=faces.is_unlit[:, pair_face].T,
+        radiance=Form(np.zeros((8, 3, pair_face.size))),
+        triples=np.zeros((3, 0), dtype=np.intp),
+    )

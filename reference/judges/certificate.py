@@ -61,16 +61,22 @@ from reference.judges.arrays import (
     Bools,
     Floats,
     Ints,
-    add_runs,
-    positions,
-    segment_indices,
-    sums_by_index,
+    add_at_sorted_index,
+    find_sorted,
+    list_segment_elements,
+    sum_by_index,
 )
 from reference.judges.cell_forms import CellForms, Contributions
-from reference.judges.cells import MAX_WIDTH, Cells, first_cells
+from reference.judges.cells import MAX_WIDTH, Cells, initial_cells
 from reference.judges.faces import Faces
-from reference.judges.forms import Form, Z, constant
-from reference.judges.regions import MIN_AREA, Regions, Strips, divide, strips
+from reference.judges.forms import Form, Z, enclose_constant
+from reference.judges.regions import (
+    MIN_AREA,
+    Regions,
+    Strips,
+    divide_into_regions,
+    enclose_in_strips,
+)
 from tracer import Scene, to_codes
 
 MAX_AREA_BEYOND = 5 / 9
@@ -113,14 +119,14 @@ class Certificate:
         Lower and upper bounds on the mean linear RGB radiance of each pixel.
     image : (height, width, 3) float array
         The best estimate, which lies between the bounds.
-    cells : int
+    cell_count : int
         Number of cells that were examined.
     """
 
     low: Floats
     high: Floats
     image: Floats
-    cells: int
+    cell_count: int
 
     @property
     def error(self) -> Floats:
@@ -196,25 +202,25 @@ def enclose(
     edges = _strips_of_edges(forms, contributions, max_radiance, is_unknown)
     is_loose = _is_loose(edges)
     loose_edges = edges.take(is_loose)
-    loose = sums_by_index(loose_edges.cell, loose_edges.jump, count)
+    loose = sum_by_index(loose_edges.cell, loose_edges.jump, count)
     wrong_area = np.minimum(loose_edges.area + MAX_AREA_BEYOND, 1)
-    loose_error = sums_by_index(loose_edges.cell, wrong_area * loose_edges.jump, count)
+    loose_error = sum_by_index(loose_edges.cell, wrong_area * loose_edges.jump, count)
     is_black = max_radiance.max(axis=0) == 0
     is_unknown = is_unknown | (loose_error * cells.width**2 > error) | is_black
     lines = edges.take(~is_loose & ~is_unknown[edges.cell])
     known, new_index = np.flatnonzero(~is_unknown), np.cumsum(~is_unknown) - 1
-    regions = divide(lines._replace(cell=new_index[lines.cell]), known.size)
+    regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), known.size)
     regions = regions._replace(cell=known[regions.cell])
-    doubt = _doubt(lines, regions, count)
-    radiance = _radiance(forms, contributions, regions)
+    doubt = _bound_doubt(lines, regions, count)
+    radiance = _enclose_region_radiance(forms, contributions, regions)
     value = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
     max_difference = np.maximum(value, max_radiance[:, regions.cell] - value)
     region_error = np.minimum(radiance.radius + doubt, max_difference)
-    means = [sums_by_index(regions.cell, regions.area * channel, count) for channel in value]
+    means = [sum_by_index(regions.cell, regions.area * channel, count) for channel in value]
     mean = np.array(means)
     mean[:, is_unknown] = max_radiance[:, is_unknown] / 2
-    bound = sums_by_index(regions.cell, regions.area * region_error.max(axis=0), count)
-    bound += sums_by_index(lines.cell, lines.area * lines.jump, count) + loose_error
+    bound = sum_by_index(regions.cell, regions.area * region_error.max(axis=0), count)
+    bound += sum_by_index(lines.cell, lines.area * lines.jump, count) + loose_error
     bound[is_unknown] = np.inf
     bound = np.fmin(bound, np.maximum(mean, max_radiance - mean).max(axis=0))
     return Enclosure(lines, regions, radiance, doubt, loose, max_radiance, mean, bound)
@@ -236,9 +242,9 @@ def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
         Upper bounds in each channel; 0 in cells without a face.
     """
     bound_of_pair, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
-    add_runs(bound_of_pair, contributions.pair, contributions.radiance.size)
+    add_at_sorted_index(bound_of_pair, contributions.pair, contributions.radiance.max_abs)
     for channel, bound in zip(max_radiance, bound_of_pair, strict=True):
-        np.maximum.at(channel, cells.cell, bound)
+        np.maximum.at(channel, cells.pair_cell, bound)
     return max_radiance
 
 
@@ -266,12 +272,12 @@ def _strips_of_edges(
     lights = forms.cells.is_settled.shape[1]
     pair, light, form = forms.edge_functions()
     keys = contributions.pair * lights + contributions.light
-    position, cell = positions(keys, pair * lights + light), forms.cells.cell[pair]
+    position, cell = find_sorted(keys, pair * lights + light), forms.cells.pair_cell[pair]
     # The last element is for lights without a contribution.
-    jump_of_light = np.append(contributions.radiance.size.max(axis=0), 0)[position]
+    jump_of_light = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], jump_of_light)
     index = np.flatnonzero((jump > 0) & ~is_unknown[cell])
-    return strips(cell[index], form[index], jump[index])
+    return enclose_in_strips(cell[index], form[index], jump[index])
 
 
 def _is_loose(edges: Strips) -> Bools:
@@ -297,7 +303,7 @@ def _is_loose(edges: Strips) -> Bools:
     return is_loose
 
 
-def _doubt(lines: Strips, regions: Regions, count: int) -> Floats:
+def _bound_doubt(lines: Strips, regions: Regions, count: int) -> Floats:
     """Bound the error of the radiance in regions whose centroid lies in strips.
 
     Parameters
@@ -318,15 +324,17 @@ def _doubt(lines: Strips, regions: Regions, count: int) -> Floats:
     _, x, y, *_ = regions.mean
     first_line = lines.cell.searchsorted(np.arange(count + 1))
     length = np.diff(first_line)[regions.cell]
-    region, line = segment_indices(length, first_line[regions.cell])
+    region, line = list_segment_elements(length, first_line[regions.cell])
     z = lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line]
     is_in_strip = np.abs(z) <= lines.half_width[line]
-    doubt = sums_by_index(region, is_in_strip * lines.jump[line], x.size)
+    doubt = sum_by_index(region, is_in_strip * lines.jump[line], x.size)
     doubt[regions.area < MIN_AREA] = np.inf
     return doubt
 
 
-def _radiance(forms: CellForms, contributions: Contributions, regions: Regions) -> Form:
+def _enclose_region_radiance(
+    forms: CellForms, contributions: Contributions, regions: Regions
+) -> Form:
     """Enclose the radiance of regions, as a sample at the centroid of each region shows it.
 
     Parameters
@@ -345,18 +353,18 @@ def _radiance(forms: CellForms, contributions: Contributions, regions: Regions) 
         those of the others that reach the centroid.
     """
     _, x, y, *_ = regions.mean
-    pair, is_lit = _traced(forms, regions.cell, x, y)
+    pair, is_lit = _trace_centroids(forms, regions.cell, x, y)
     radiance = forms.cells.radiance[pair].coef
     radiance[..., pair < 0] = 0
     lights = forms.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
     keys = contributions.pair * lights + contributions.light
-    position = positions(keys, pair[region] * lights + light)
-    add_runs(radiance, region, contributions.radiance[position].coef)
+    position = find_sorted(keys, pair[region] * lights + light)
+    add_at_sorted_index(radiance, region, contributions.radiance[position].coef)
     return Form(radiance)
 
 
-def _traced(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
+def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
     """Trace one sample for each region, and find which pair it shows and which lights reach it.
 
     Parameters
@@ -381,10 +389,10 @@ def _traced(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, B
         If a sample shows a face that the cell rules out.
     """
     cells, faces, half = forms.cells, forms.faces, forms.cells.width / 2
-    hits, sample, face = faces.visible(cells.x[cell] + half * x, cells.y[cell] + half * y)
-    keys = cells.cell * faces.object_index.size + cells.face
+    hits, sample, face = faces.trace_samples(cells.x[cell] + half * x, cells.y[cell] + half * y)
+    keys = cells.pair_cell * faces.object_index.size + cells.pair_face
     order, pair = keys.argsort(), np.full(cell.size, -1)
-    position = positions(keys[order], cell[sample] * faces.object_index.size + face)
+    position = find_sorted(keys[order], cell[sample] * faces.object_index.size + face)
     if (position < 0).any():
         wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
         raise RuntimeError(wrong)
@@ -404,7 +412,7 @@ class _Picture:
         reach beyond the picture, so there are `MAX_WIDTH` more rows and columns.
     bound : (rows, columns) float array
         Bound on the error of `image`.
-    cells : int
+    cell_count : int
         Number of cells that were examined.
     """
 
@@ -420,11 +428,16 @@ class _Picture:
         codes : bool
             Whether a pixel is also finished if only one 8-bit code per channel is possible.
         """
-        self.faces, self.error, self.by_codes, self.cells = Faces(scene), error, codes, 0
+        self.faces, self.error, self.accepts_certain_codes, self.cell_count = (
+            Faces(scene),
+            error,
+            codes,
+            0,
+        )
         size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
-    def halves(self, cells: Cells) -> list[Cells]:
+    def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide cells into two groups if they are too many for one batch.
 
         Returns
@@ -432,14 +445,18 @@ class _Picture:
         groups : list of Cells
             One or two groups.  All cells of a pixel are in the same group.
         """
-        items = cells.cell.size + cells.triples.shape[1] + np.count_nonzero(~cells.is_settled)
+        items = cells.pair_cell.size + cells.triples.shape[1] + np.count_nonzero(~cells.is_settled)
         if items <= _ITEMS_PER_BATCH:
             return [cells]
-        pixel = self.pixels(cells)
+        pixel = self.pixel_index(cells)
         is_first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
-        return [cells.take(is_first), cells.take(~is_first)] if is_first.any() else [cells]
+        return (
+            [cells.select_cells(is_first), cells.select_cells(~is_first)]
+            if is_first.any()
+            else [cells]
+        )
 
-    def pixels(self, cells: Cells) -> Ints:
+    def pixel_index(self, cells: Cells) -> Ints:
         """Return the pixel of each cell.
 
         Returns
@@ -464,7 +481,7 @@ class _Picture:
             Radiance (8, 3, n) in the finished cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        first = self.pixels(cells)[index][:, None, None]
+        first = self.pixel_index(cells)[index][:, None, None]
         row, column = np.divmod(first, self.bound.shape[1])
         down, across = np.indices((pixels_across, pixels_across))
         pixel = row + down, column + across
@@ -476,30 +493,32 @@ class _Picture:
             np.add.at(channel, pixel, area * np.tensordot(coef[:Z], mean, ((0,), (0,))))
         np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
 
-    def refine(self, cells: Cells) -> Cells:
+    def add_accurate_cells(self, cells: Cells) -> Cells:
         """Examine cells, add those that are accurate enough to the picture, and return the others.
 
         Cells of at most one pixel are accurate enough if their enclosure is.  Wider cells are only
         if they show a single face, under the same lights everywhere.
         """
-        self.cells += cells.x.size
+        self.cell_count += cells.x.size
         forms = CellForms(self.faces, cells)
         cells = forms.cells
-        pair_count = np.bincount(cells.cell, minlength=cells.x.size)
+        pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # other cells are black
-        fills_cell = cells.covers & (pair_count[cells.cell] == 1) & (cells.width <= MAX_WIDTH)
+        fills_cell = (
+            cells.covers_cell & (pair_count[cells.pair_cell] == 1) & (cells.width <= MAX_WIDTH)
+        )
         contributions = forms.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
         smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
-        is_pending[cells.cell[smooth]] = False
-        self.add(cells, cells.cell[smooth], cells.radiance[smooth])
+        is_pending[cells.pair_cell[smooth]] = False
+        self.add(cells, cells.pair_cell[smooth], cells.radiance[smooth])
         if cells.width <= 1:
             enclosed = enclose(forms, contributions, ~is_pending, self.error)
             is_accurate = self.is_accurate(cells, enclosed.mean, enclosed.error, is_pending)
             finished = np.flatnonzero(is_pending & is_accurate)
-            radiance = constant(enclosed.mean[:, finished], enclosed.error[finished])
+            radiance = enclose_constant(enclosed.mean[:, finished], enclosed.error[finished])
             self.add(cells, finished, radiance)
             is_pending[finished] = False
-        return cells.take(is_pending)
+        return cells.select_cells(is_pending)
 
     def is_accurate(self, cells: Cells, mean: Floats, error: Floats, is_pending: Bools) -> Bools:
         """Decide which cells need not be divided.
@@ -526,11 +545,11 @@ class _Picture:
             Whether the cell is accurate enough.
         """
         weight, bound = is_pending * np.float64(cells.width**2), self.bound.reshape(-1)
-        pixel, index = np.unique(self.pixels(cells), return_inverse=True)
-        area, remaining = sums_by_index(index, weight, pixel.size), self.error - bound[pixel]
-        total_error = sums_by_index(index, weight * error, pixel.size)
-        if self.by_codes:
-            pending = [sums_by_index(index, channel * weight, pixel.size) for channel in mean]
+        pixel, index = np.unique(self.pixel_index(cells), return_inverse=True)
+        area, remaining = sum_by_index(index, weight, pixel.size), self.error - bound[pixel]
+        total_error = sum_by_index(index, weight * error, pixel.size)
+        if self.accepts_certain_codes:
+            pending = [sum_by_index(index, channel * weight, pixel.size) for channel in mean]
             value = (np.array(pending) + self.image.reshape(3, -1)[:, pixel]).T[None]
             radius = (bound[pixel] + total_error)[None, :, None]
             is_certain = to_codes(value - radius) == to_codes(value + radius)
@@ -579,15 +598,15 @@ def certify(
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, _ERROR_FOR_CELLS * error, codes)
-    stack = [first_cells(picture.faces, scene.width, scene.height)]
+    stack = [initial_cells(picture.faces, scene.width, scene.height)]
     total_area, finished_area = stack[0].area, 0.0
     while stack:
         cells = stack.pop()
-        halves = picture.halves(cells)
-        if len(halves) > 1:
-            stack += halves
+        parts = picture.split_if_large(cells)
+        if len(parts) > 1:
+            stack += parts
             continue
-        pending = picture.refine(cells.quarters(scene.width, scene.height))
+        pending = picture.add_accurate_cells(cells.split_into_quarters(scene.width, scene.height))
         finished_area += cells.area - pending.area
         progress(finished_area / total_area)
         if pending.x.size:
@@ -596,4 +615,4 @@ def certify(
     # Radiance is never negative, but a sum of enclosures may be, by a rounding error.
     image = picture.image[(slice(None), *size)].transpose(1, 2, 0).copy().clip(0)
     bound = picture.bound[size][:, :, None] + _ROUNDING * image.max(initial=0)
-    return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cells)
+    return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cell_count)

@@ -58,7 +58,7 @@ class Faces:
         The camera, and the scene that the tracer prepared for it.
     prepared_lights : Lights
         The lights that the tracer prepared.
-    spheres, count : int
+    sphere_count, object_count : int
         Number of spheres, and of all objects.
     light_position : (m, 3) float array
         Positions of the lights relative to the eye.
@@ -90,7 +90,7 @@ class Faces:
         around the eye, (2) inside any other object, or (3) behind the face's plane.
     to_center : (3, m, spheres) float array
         Vectors from the lights to the spheres' centres.
-    shadow : (5, 9, m, boxes) float array
+    shadow_volume : (5, 9, m, boxes) float array
         Nine half-spaces whose intersection is the shadow volume of a box: the points behind its
         three planes that face the light, and inside six planes through the light and the box's
         silhouette.
@@ -111,12 +111,12 @@ class Faces:
         self.prepared = prepared = PreparedScene(scene)
         self.frame = frame = prepared.frame
         self.prepared_lights = lights = prepared.prepare_lights()
-        balls, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
-        self.spheres, self.count = balls.objects.size, is_eye_inside.size
+        balls, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
+        self.sphere_count, self.object_count = balls.objects.size, eye_inside.size
         self.light_position = lights.local
         self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
-        on_box = is_eye_inside[self.spheres :] & np.any((low == 0) | (high == 0), axis=0)
+        on_box = eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or on_box.any():
             raise ValueError("the eye is on a surface; move it off")
         sizes = np.append(balls.radius, (boxes.max_pt - boxes.min_pt).ravel())
@@ -124,9 +124,9 @@ class Faces:
         if np.abs(self.light_position).max(initial=0) > max_distance:
             wrong = f"a light is more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object"
             raise ValueError(f"{wrong} is large; move it closer")
-        self._add_faces(low, high)
+        self._set_face_attributes(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
-        self._add_shadows(low, high)
+        self._set_shadow_volumes(low, high)
         # A light on a side of a box counts as outside.  But with the eye in the box, it reaches
         # other objects in the box.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
@@ -137,7 +137,7 @@ class Faces:
         is_unlit = is_dark | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 
-    def _add_faces(self, low: Floats, high: Floats) -> None:
+    def _set_face_attributes(self, low: Floats, high: Floats) -> None:
         """Set all attributes of the faces: see the class.
 
         Parameters
@@ -145,7 +145,7 @@ class Faces:
         low, high : (3, boxes) float arrays
             Corners of the boxes relative to the eye, along the scene's axes.
         """
-        prepared, axes, n = self.prepared, self.frame.axes, self.spheres
+        prepared, axes, n = self.prepared, self.frame.axes, self.sphere_count
         c, r, power, scene_center = self.center, self.radius, self.power, prepared.spheres.center
         # Lights, then the eye.
         points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
@@ -172,28 +172,30 @@ class Faces:
         for axis in range(3):
             bounding_box[:, axis, axis] = place[axis]
 
-        def joined(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
+        def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
             """Append sides of boxes to spheres, along the last axis."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        self.bounding_box = joined(np.array([scene_center - r, scene_center + r]), bounding_box)
-        self.equation = joined(np.array([*(-2 * c), power, np.abs(power)]), side)
-        self.k = joined(c / power, axes[:, :, None, None] / corner)
-        self.w = joined(1 / power, 0 * corner)
-        self.height = joined(sphere_height, side_height)
-        self.rim = joined(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
-        self.plane = joined(np.array([np.full(n, 3), np.arange(n)]), plane)
-        box = np.broadcast_to(np.arange(n, self.count), corner.shape)
-        self.object_index = joined(np.arange(n), box)
+        self.bounding_box = append_sides(
+            np.array([scene_center - r, scene_center + r]), bounding_box
+        )
+        self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), side)
+        self.k = append_sides(c / power, axes[:, :, None, None] / corner)
+        self.w = append_sides(1 / power, 0 * corner)
+        self.height = append_sides(sphere_height, side_height)
+        self.rim = append_sides(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
+        self.plane = append_sides(np.array([np.full(n, 3), np.arange(n)]), plane)
+        box = np.broadcast_to(np.arange(n, self.object_count), corner.shape)
+        self.object_index = append_sides(np.arange(n), box)
         self.is_planar = self.object_index >= n
-        may_be_visible = joined(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
+        may_be_visible = append_sides(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
         self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
         is_sheet = np.append(np.zeros(n, np.bool_), ~has_extent.all(axis=0))
         face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
-        self.sheet_face = np.full(self.count, -1)
+        self.sheet_face = np.full(self.object_count, -1)
         self.sheet_face[self.object_index[face]] = face
 
-    def _add_shadows(self, low: Floats, high: Floats) -> None:
+    def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
         """Set the attributes `shadow` and `has_shadow_edge`: the shadow volumes of the boxes.
 
         Each half-space n.x + b >= 0 touches its box: the minimum of n.x over the box's corners is
@@ -217,11 +219,11 @@ class Faces:
         offset, size = -ends.min(axis=0).sum(axis=0), np.abs(ends).max(axis=0).sum(axis=0)
         offset[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
         u, v, w = self.frame.vector_to_camera((n[0], n[1], n[2]))
-        self.shadow = np.array([u, v, w, offset, size])
+        self.shadow_volume = np.array([u, v, w, offset, size])
         cone_edges = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
         self.has_shadow_edge = np.append(is_on_plane, cone_edges, axis=0)
 
-    def occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
+    def find_occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
         """List the objects that may lie between parts of faces and lights.
 
         Parameters
@@ -239,8 +241,8 @@ class Faces:
             Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.
         """
         prepared, grid, codes = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
-        may_block = ~prepared.is_eye_inside & ~prepared.is_duplicate
-        shape = (*active.T.shape, self.count)
+        may_block = ~prepared.eye_inside & ~prepared.is_duplicate
+        shape = (*active.T.shape, self.object_count)
         if grid is not None and active.any():
             owner = self.object_index[face]
             for light, part, obj in grid.query(center, half_size[:, None], owner, active):
@@ -249,7 +251,7 @@ class Faces:
         # The grid may find an object in several octants, so duplicates are removed.
         return np.array(np.unravel_index(np.unique(np.concatenate(codes)), shape))
 
-    def visible(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
+    def trace_samples(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
         """Trace samples, and find the faces that they hit.
 
         Parameters
@@ -267,7 +269,7 @@ class Faces:
             The face of each hit.
         """
         samples, order = Scattered.from_positions(x, y)
-        hits, n = nearest_hits(self.prepared, samples), self.count - self.spheres
+        hits, n = nearest_hits(self.prepared, samples), self.object_count - self.sphere_count
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
             high = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]

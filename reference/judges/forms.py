@@ -1,9 +1,10 @@
 """Enclose functions on a cell of the picture by quadratic polynomials with an error bound.
 
-The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell.
-Interval arithmetic (Moore, 1966) does so by two numbers, but forgets that two quantities depend on
-the same position, so that its bounds soon become useless.  Affine arithmetic (Comba and Stolfi,
-1993) keeps the linear dependence.  This module keeps the quadratic dependence as well.
+The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell of
+the picture.  Interval arithmetic (Moore, 1966) encloses a quantity by two numbers.  But it forgets
+that two quantities depend on the same position, so its bounds soon become useless.  Affine
+arithmetic (Comba and Stolfi, 1993) keeps the linear dependence.  This module keeps the quadratic
+dependence as well.
 
 A cell has coordinates X and Y from -1 to 1.  A *form* represents a quantity by eight coefficients:
 for some Z between -1 and 1, the quantity differs by at most coef[R] from
@@ -13,7 +14,7 @@ for some Z between -1 and 1, the quantity differs by at most coef[R] from
 
 Z stands for the unknown part of the inverse distance of a surface.  All forms about one surface
 share the same Z, so unknown parts that are linear in the distance cancel.  Forms about different
-surfaces have different Z: see `difference`.
+surfaces have different Z: see `subtract_independent`.
 
 Why the result is right: each operation moves what it cannot represent (terms of degree three or
 four, products with Z, rounding errors) to the radius coef[R], with its largest absolute value.
@@ -48,7 +49,13 @@ _MIN_CHORD_WIDTH = 1e-6
 
 
 class Form:
-    """Forms: n quantities, each enclosed in one cell by a quadratic polynomial.
+    """Forms: n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
+
+    A cell has coordinates X and Y from -1 to 1.  For some Z between -1 and 1, which is the same for
+    all forms about one surface, a quantity differs by at most coef[R] from
+
+        coef[C] + coef[X] X + coef[Y] Y
+            + coef[XX] X^2 + coef[XY] X Y + coef[YY] Y^2 + coef[Z] Z.
 
     Attributes
     ----------
@@ -59,37 +66,58 @@ class Form:
     __slots__ = ("coef",)
 
     def __init__(self, coef: Floats) -> None:
-        """Wrap coefficients, without a copy."""
+        """Store the array of coefficients (8, ..., n), without copying it."""
         self.coef = coef
 
     def __getitem__(self, index: Index) -> Form:
-        """Select forms by indices or a mask (n,)."""
+        """Select forms along the last axis by indices (k,) or a mask (n,), and copy them."""
         # `take` needs half the time of indexing.
         index = np.flatnonzero(index) if index.dtype == np.bool_ else index
         return Form(self.coef.take(index, axis=-1))
 
     @property
     def radius(self) -> Floats:
-        """Bound (n,) on the difference between a quantity and its quadratic polynomial."""
+        """Upper bound (..., n) on the difference between a quantity and its polynomial."""
         radius: Floats = np.abs(self.coef[Z]) + self.coef[R]
         return radius
 
     @property
-    def size(self) -> Floats:
-        """Sum (n,) of the absolute coefficients, which bounds the quantity's absolute value."""
-        size: Floats = np.abs(self.coef).sum(axis=0)
-        return size
+    def max_abs(self) -> Floats:
+        """Upper bound (..., n) on the absolute value of each quantity."""
+        max_abs: Floats = np.abs(self.coef).sum(axis=0)
+        return max_abs
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Bound each quantity from below (n,) and from above (n,) in its cell."""
-        a, coef = np.abs(self.coef), self.coef
-        either_sign = a[X] + a[Y] + a[XY] + a[Z] + coef[R]  # X^2 and Y^2 are never negative
-        low = coef[C] - either_sign + np.minimum(coef[XX], 0) + np.minimum(coef[YY], 0)
-        high = coef[C] + either_sign + np.maximum(coef[XX], 0) + np.maximum(coef[YY], 0)
+        """Bound each quantity everywhere in its cell.
+
+        Returns
+        -------
+        low, high : (..., n) float arrays
+            A lower and an upper bound on each quantity.
+        """
+        coef, x2, y2 = self.coef, self.coef[XX], self.coef[YY]
+        # All terms but these two may have either sign: X^2 and Y^2 are never negative.
+        either_sign = np.abs(coef[[X, Y, XY, Z]]).sum(axis=0) + coef[R]
+        low = coef[C] - either_sign + np.minimum(x2, 0) + np.minimum(y2, 0)
+        high = coef[C] + either_sign + np.maximum(x2, 0) + np.maximum(y2, 0)
         return low, high
 
     def __add__(self, other: Form | Floats | float) -> Form:
-        """Add forms about the same surfaces, or numbers."""
+        """Add quantities of the same surfaces, or numbers.
+
+        The unknown parts Z of both forms are treated as equal.  For quantities of different
+        surfaces, whose unknown parts are independent, see `subtract_independent`.
+
+        Parameters
+        ----------
+        other : Form, or float array that broadcasts to (..., n)
+            Enclosures of the quantities to add, or the numbers to add.
+
+        Returns
+        -------
+        sum : Form
+            Enclosures (8, ..., n) of the sums.
+        """
         if isinstance(other, Form):
             return Form(self.coef + other.coef)
         coef = self.coef.copy()
@@ -98,11 +126,26 @@ class Form:
         return Form(coef)
 
     def __sub__(self, other: Form) -> Form:
-        """Subtract forms about the same surfaces."""
+        """Subtract quantities of the same surfaces; their equal unknown parts Z cancel."""
         return self + other * -1.0
 
     def __mul__(self, other: Form | Floats | float) -> Form:
-        """Multiply by forms about the same surfaces, or by numbers."""
+        """Multiply by quantities of the same surfaces, or by numbers.
+
+        A product of two forms has terms of degree three and four, and products with Z.  The largest
+        absolute value of each such term is added to the radius, and so is a bound on the rounding
+        errors.
+
+        Parameters
+        ----------
+        other : Form, or float array that broadcasts to (..., n)
+            Enclosures of the second factors, or numbers.
+
+        Returns
+        -------
+        product : Form
+            Enclosures (8, ..., n) of the products.
+        """
         if not isinstance(other, Form):
             coef = self.coef * other
             coef[R] = np.abs(coef[R])
@@ -125,26 +168,27 @@ class Form:
     def power(
         self, exponent: Floats | float, minimum: float = 0.0, maximum: float = np.inf
     ) -> Form:
-        """Enclose powers f(z) = z^exponent of the quantities z that these forms enclose.
+        """Enclose the powers f(z) = z^exponent of the quantities z that these forms enclose.
 
         Two enclosures are computed, and the one with the smaller radius is returned:
 
-        1. Taylor's polynomial of degree 2 around the centre c of the interval [c - w, c + w] of z.
+        1.  Taylor's polynomial of degree 2 around the centre c of the interval [c - w, c + w] of z.
            Its remainder is at most |f'''| w^3 / 6.  The maximum of |f'''| is at one end of the
            interval, because f''' is monotonic.
-        2. If the remainder is large: a line parallel to the chord of f.  As f is convex or concave,
-           it lies between the chord and the parallel tangent.  The line is at two thirds of the way
-           from the chord to the tangent, where a parabola has its mean.
+        2.  If the remainder is large: a line parallel to the chord of f.  As f is convex or
+           concave, it lies between the chord and the parallel tangent.  The line is at two thirds
+           of the way from the chord to the tangent, where a parabola has its mean.
 
-        Rounding: the power and each coefficient have a relative error of a few e.  They are
-        multiplied by at most |f'| w, f'' w^2 < |f'| w, or f.
+        Rounding: with e = 2^-53, the power and each coefficient have a relative error of a few e.
+        They are multiplied by at most |f'| w, f'' w^2 < |f'| w, or f.
 
         Parameters
         ----------
         exponent : float, or (n,) float array
-            The exponents.
+            The exponents, of either sign.
         minimum, maximum : float
-            Bounds on z that are known from elsewhere; minimum is at least 0.
+            Bounds on z that are known independently of the forms; minimum is at least 0.  The
+            interval of z is clipped to them.
 
         Returns
         -------
@@ -153,7 +197,7 @@ class Form:
         """
         low, high = (np.clip(end, minimum, maximum) for end in self.bounds())
         center, w = 0.5 * (low + high), 0.5 * (high - low)
-        f_low, f_high, f = (_power(z, exponent) for z in (low, high, center))
+        f_low, f_high, f = (_raise_to_power(z, exponent) for z in (low, high, center))
         first = exponent * f / center
         second = 0.5 * (exponent - 1) * first / center
         third = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
@@ -165,26 +209,30 @@ class Form:
         is_coarse = is_coarse & (w > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
         index = np.flatnonzero(is_coarse)
         low, high, f_low, f_high = (values[index] for values in (low, high, f_low, f_high))
-        line = self[index]._line(
+        line = self[index]._power_by_line(
             np.broadcast_to(exponent, w.shape)[index], low, high, f_low, f_high
         )
         is_better = ~(result.coef[R, index] < line.coef[R])
         result.coef[:, index[is_better]] = line.coef[:, is_better]
         return result
 
-    def _line(
+    def _power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Form:
-        """Enclose the powers of quantities by a line parallel to the chord; see `power`.
+        """Enclose the powers z^exponent of quantities z by a line parallel to the chord of the
+        power.
+
+        The chord joins the powers at both ends of the interval of z.  The line is at two thirds of
+        the way from the chord to the tangent with the same slope.
 
         Parameters
         ----------
         exponent : (n,) float array
             The exponents.
         low, high : (n,) float arrays
-            Bounds on the quantities.
+            Lower and upper bounds on the quantities z.
         f_low, f_high : (n,) float arrays
-            The powers of these bounds.
+            The powers of `low` and `high`.
 
         Returns
         -------
@@ -201,69 +249,88 @@ class Form:
         line.coef[R] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
         return line
 
-    def unit(self) -> Form:
-        """Replace forms that are wider than [0, 1] by [0, 1], for quantities that lie there."""
-        is_loose = ~(self.size < 2)
-        coef = np.where(is_loose, 0, self.coef)
-        coef[C, is_loose] = coef[R, is_loose] = 0.5
+    def clamp_to_unit_interval(self) -> Form:
+        """Replace each form that allows much more than [0, 1] by this interval.
+
+        Call this only for quantities that are certainly from 0 to 1, such as the cosines of angles
+        below 90 degrees.
+
+        Returns
+        -------
+        clamped : Form
+            The form itself if the sum of its absolute coefficients is below 2.  Otherwise, or if
+            the sum is NaN, the constant 0.5 with a radius of 0.5.
+        """
+        is_too_wide = ~(self.max_abs < 2)
+        coef = np.where(is_too_wide, 0, self.coef)
+        coef[C, is_too_wide] = coef[R, is_too_wide] = 0.5
         return Form(coef)
 
-    def quarters(self) -> Form:
+    def split_into_quarters(self) -> Form:
         """Express each quantity by the coordinates of each of the four quarters of its cell.
 
         Returns
         -------
         quarters : Form
-            Forms (8, ..., 4 n), quarter after quarter: upper left, upper right, lower left, lower
-            right.  In each quarter, X and Y run from -1 to 1.  The unknown Z becomes part of the
-            radius.  Each coefficient is a sum of at most six terms, and errs by 6 e of them.
+            Forms (8, ..., 4 n): for each form, its four quarters in the order upper left, upper
+            right, lower left, lower right.  In each quarter, X and Y run from -1 to 1.  The unknown
+            part Z is added to the radius.  Each coefficient is a sum of at most six terms, and its
+            rounding error is at most 6 * 2^-53 times the sum of their absolute values.  The radius
+            includes this error.
         """
         c, x, y, xx, xy, yy, _, _ = self.coef.repeat(4, axis=-1)
         quarter = np.arange(c.shape[-1]) % 4
-        a, b = (quarter & 1) - 0.5, (quarter >> 1) - 0.5  # the quarter's centre
-        radius = (self.radius + ROUNDING * self.size).repeat(4, axis=-1)
+        a, b = (quarter & 1) - 0.5, (quarter >> 1) - 0.5  # X and Y of the quarter's centre
+        radius = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
         center = c + a * (x + a * xx + b * xy) + b * (y + b * yy)
         across, down = x / 2 + a * xx + b * xy / 2, y / 2 + b * yy + a * xy / 2
         return Form(np.array([center, across, down, xx / 4, xy / 4, yy / 4, 0 * c, radius]))
 
 
-def _power(z: Floats, exponent: Floats | float) -> Floats:
-    """Compute z^exponent; square roots are much faster than other powers."""
+def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
+    """Compute z^exponent for positive z (n,), by square roots if the exponent is 0.5 or -0.5."""
     if isinstance(exponent, float) and abs(exponent) == 0.5:
         return np.sqrt(z) if exponent > 0 else 1 / np.sqrt(z)
     power: Floats = z**exponent
     return power
 
 
-def constant(value: Floats, radius: Floats | float = 0.0) -> Form:
-    """Make forms (8, ..., n) of quantities that are constant in a cell, within a radius.
+def enclose_constant(value: Floats, radius: Floats | float = 0.0) -> Form:
+    """Make forms (enclosures by polynomials) of quantities that are nearly constant in a cell.
 
     Parameters
     ----------
     value : (..., n) float array
         The constants.
     radius : float, or array that broadcasts to (..., n)
-        Bound on the difference between each quantity and its constant.
+        Upper bound on the difference between each quantity and its constant.
+
+    Returns
+    -------
+    constant : Form
+        Enclosures (8, ..., n) without terms in X, Y and Z.
     """
     coef = np.zeros((8, *value.shape))
     coef[C], coef[R] = value, radius
     return Form(coef)
 
 
-def difference(form: Form, other: Form) -> Form:
+def subtract_independent(form: Form, other: Form) -> Form:
     """Subtract quantities of different surfaces.
 
-    Their unknown parts Z are independent, so they do not cancel, but add to the radius.
+    A form encloses a quantity by a polynomial with an unknown part Z.  The unknown parts of
+    different surfaces are independent, so they do not cancel: both are added to the radius of the
+    difference.
 
     Parameters
     ----------
     form, other : Form
-        Enclosures (8, n) of the minuend and the subtrahend.
+        Enclosures (8, n) of the minuends and of the subtrahends.
 
     Returns
     -------
     difference : Form
-        Enclosures (8, n) of the differences, without Z.
+        Enclosures (8, n) of the differences, in which the coefficient of Z is 0.
     """
     coef = form.coef - other.coef
     coef[R], coef[Z] = form.radius + other.radius, 0

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.arrays import Floats, Index, Ints, sums_by_index
+from reference.judges.arrays import Floats, Index, Ints, sum_by_index
 from reference.judges.forms import XX, XY, YY, C, Form, X, Y
 
 MIN_AREA = 1e-12
@@ -63,7 +63,7 @@ class Strips(NamedTuple):
         return np.asarray(np.fmin(self.half_width / steepness, 1))
 
 
-def _foot_of_center(coef: Floats) -> tuple[Floats, Floats]:
+def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
     """Find a point near the zero of quadratic functions, along the gradient at the cell's centre.
 
     Parameters
@@ -87,10 +87,10 @@ def _foot_of_center(coef: Floats) -> tuple[Floats, Floats]:
     return step * coef[X], step * coef[Y]
 
 
-def strips(cell: Ints, form: Form, jump: Floats) -> Strips:
+def enclose_in_strips(cell: Ints, form: Form, jump: Floats) -> Strips:
     """Enclose the zeros of edge functions in strips.
 
-    At a point near the zero (`_foot_of_center`), let n be the coordinate along the gradient of
+    At a point near the zero (`_point_near_zero`), let n be the coordinate along the gradient of
     length g, and t the coordinate across it.  Without the form's radius, the function equals
     v + g n (1 + e) + h t^2 / 2, where v is its value at that point and h its second derivative
     along t.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
@@ -115,7 +115,7 @@ def strips(cell: Ints, form: Form, jump: Floats) -> Strips:
         cell have none.
     """
     coef = form.coef
-    x, y = _foot_of_center(coef)
+    x, y = _point_near_zero(coef)
     v = coef[C] + coef[X] * x + coef[Y] * y
     v = v + coef[XX] * x * x + coef[XY] * x * y + coef[YY] * y * y
     a = coef[X] + 2 * coef[XX] * x + coef[XY] * y
@@ -163,7 +163,7 @@ class Regions(NamedTuple):
     mean: Floats
 
 
-def divide(lines: Strips, count: int) -> Regions:
+def divide_into_regions(lines: Strips, count: int) -> Regions:
     """Divide cells into regions by the centre lines of their strips.
 
     Each cell begins as two triangles.  Line after line, a triangle with corners on both sides is
@@ -207,16 +207,16 @@ def divide(lines: Strips, count: int) -> Regions:
         signs[triangle] = signs_below | is_alone_above << bit
         signs = np.concatenate([signs, *[signs_below | ~is_alone_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
-    area, mean = _moments(corners)
+    area, mean = _triangle_moments(corners)
     key, region = np.unique(cell << line_count | signs, return_inverse=True)
-    total = sums_by_index(region, area, key.size)
+    total = sum_by_index(region, area, key.size)
     weight = area / np.maximum(total, MIN_AREA)[region]
-    means = [sums_by_index(region, weight * moment, key.size) for moment in mean]
+    means = [sum_by_index(region, weight * moment, key.size) for moment in mean]
     mean_of_region = np.array([np.ones(key.size), *means])
     return Regions(key >> line_count, key & ((1 << line_count) - 1), total, mean_of_region)
 
 
-def _moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Floats]]:
+def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Floats]]:
     """Compute areas of triangles, and means of coordinates and their products over the triangles.
 
     Parameters

@@ -20,12 +20,12 @@ import reference.judges
 from reference import command
 from reference.judges import cell_forms, certificate, forms
 from reference.judges import true_picture as truth
-from reference.judges.arrays import Floats, Ints, positions
+from reference.judges.arrays import Floats, Ints, find_sorted
 from reference.judges.cell_forms import CellForms, Contributions
 from reference.judges.certificate import MAX_AREA_BEYOND, Enclosure, certify
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, R, Z
-from reference.judges.regions import Strips, divide
+from reference.judges.regions import Strips, divide_into_regions
 from reference.judges.true_picture import supersampled, true_picture
 from reference.measured.workloads import crowd, resized
 from tracer import Box, Camera, Scene, Sphere, render
@@ -55,10 +55,10 @@ class SampledPoints:
 
         def checked_shade(forms: CellForms, *args: object) -> Contributions:
             contributions, cells = shade(forms, *args), forms.cells
-            is_alone = np.bincount(cells.cell, minlength=cells.x.size)[cells.cell] == 1
-            pair = np.flatnonzero(is_alone & cells.covers & cells.is_settled.all(axis=1))
+            is_alone = np.bincount(cells.pair_cell, minlength=cells.x.size)[cells.pair_cell] == 1
+            pair = np.flatnonzero(is_alone & cells.covers_cell & cells.is_settled.all(axis=1))
             for _ in range(4):
-                self.compare(cells.radiance[pair], *self.sample(forms, cells.cell[pair]))
+                self.compare(cells.radiance[pair], *self.sample(forms, cells.pair_cell[pair]))
             return contributions
 
         def checked_enclose(forms: CellForms, *args: object) -> Enclosure:
@@ -101,7 +101,7 @@ class SampledPoints:
             signs[cell] |= (z > 0) << bit
             allowed[cell] += (np.abs(z) <= lines.half_width[line]) * lines.jump[line]
         # Regions are sorted by cell and signs; very small ones may be missing.
-        region = positions(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
+        region = find_sorted(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
         cell = np.flatnonzero(region >= 0)
         form, more = result.radiance[region[cell]], result.doubt[region[cell]] + allowed[cell]
         self.compare(form, radiance[:, cell], x[cell], y[cell], more)
@@ -179,7 +179,7 @@ def without_last_edges(_: object, self: CellForms) -> None:
 
 
 def without_cone_planes(_: object, self: Faces, *__: object) -> None:
-    self.shadow[:, 5:] = 0
+    self.shadow_volume[:, 5:] = 0
 
 
 def without_third_occluders(triples: Ints, *_: object) -> Ints:
@@ -193,14 +193,14 @@ def lower(form: Form, *_: object) -> Form:
 BROKEN: dict[str, tuple[object, str, Callable[..., object]]] = {
     "narrow powers": (Form, "power", narrower),
     "narrow products": (Form, "__mul__", narrower),
-    "narrow strips": (certificate, "strips", scaled("half_width", 0.5)),
-    "small jumps": (certificate, "strips", scaled("jump", 0.7)),
-    "narrow cones": (cell_forms, "_cone", with_narrower_cones),
-    "planes of shadows missing": (Faces, "_add_shadows", without_cone_planes),
+    "narrow strips": (certificate, "enclose_in_strips", scaled("half_width", 0.5)),
+    "small jumps": (certificate, "enclose_in_strips", scaled("jump", 0.7)),
+    "narrow cones": (cell_forms, "_cone_function", with_narrower_cones),
+    "planes of shadows missing": (Faces, "_set_shadow_volumes", without_cone_planes),
     "no terminators": (CellForms, "_find_terminators", without_last_edges),
     "no intersections": (CellForms, "_find_intersections", without_last_edges),
-    "occluders missing": (Faces, "occluders", without_third_occluders),
-    "faces hidden too early": (cell_forms, "difference", lower),
+    "occluders missing": (Faces, "find_occluders", without_third_occluders),
+    "faces hidden too early": (cell_forms, "subtract_independent", lower),
 }
 """Functions of the certificate, each with a change to its results that makes bounds unsound."""
 
@@ -224,9 +224,9 @@ def test_the_area_that_a_line_cuts_off_beyond_the_centroid() -> None:
     worst = 0.0
     for slope, angle in product((-1.0, 0.0, 0.7), np.linspace(0, np.pi, 64)):
         first, a, b = np.array([slope, 1, slope]), np.cos(angle), np.sin(angle)
-        regions = divide(strips_of(first), 1)
+        regions = divide_into_regions(strips_of(first), 1)
         for sign, x, y in zip(regions.signs, *regions.mean[1:3], strict=True):
-            parts = divide(strips_of(first, np.array([a, b, -a * x - b * y])), 1)
+            parts = divide_into_regions(strips_of(first, np.array([a, b, -a * x - b * y])), 1)
             areas = parts.area[parts.signs & 1 == sign]
             worst = max(worst, areas.max() / areas.sum())
     assert MAX_AREA_BEYOND - 1e-3 < worst <= MAX_AREA_BEYOND + 1e-9
@@ -236,7 +236,7 @@ def test_a_region_is_doubtful_if_its_centroid_is_in_a_strip() -> None:
     # Strips around x = 0 and x = 0.02; the centroids are at -0.5, 0.01 and 0.51.
     lines = strips_of(np.array([1, 0, 0]), np.array([1, 0, -0.02]))
     lines = lines._replace(half_width=np.array([0.1, 0.001]), jump=np.array([3.0, 5.0]))
-    doubt = certificate._doubt(lines, divide(lines, 1), 1)
+    doubt = certificate._bound_doubt(lines, divide_into_regions(lines, 1), 1)
     assert doubt.tolist() == [0, 3, 0]
 
 
@@ -283,7 +283,7 @@ def test_the_rim_of_a_sheet_shows_its_face() -> None:
     """A ray through the rim hits a side of the sheet that has no area."""
     sheet = Box(min_pt=(-1, -1, -4), max_pt=(1, 1, -4))
     faces = Faces(scene_of(sheet, size=(8, 8), lights=(0, 0, 0)))
-    _, sample, face = faces.visible(np.array([4.0, 6.0, 2.0]), np.array([4.0, 4.0, 6.0]))
+    _, sample, face = faces.trace_samples(np.array([4.0, 6.0, 2.0]), np.array([4.0, 4.0, 6.0]))
     assert sorted(sample) == [0, 1, 2]
     assert faces.may_be_visible[face].all()
 
@@ -334,7 +334,7 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
 def test_codes() -> None:
     scene = small("room")
     codes_only, accurate = certify(scene, 1 / 8192, codes=True), certify(scene, 1 / 65536)
-    assert codes_only.cells < accurate.cells
+    assert codes_only.cell_count < accurate.cell_count
     assert codes_only.is_certain.mean() > 0.9
     both = codes_only.is_certain & accurate.is_certain
     np.testing.assert_array_equal(codes_only.codes[both], accurate.codes[both])
@@ -370,7 +370,7 @@ def test_true_pictures_are_stored_by_scene_error_and_code(
     first = true_picture(scene, 1 / 64)
     monkeypatch.setattr(truth, "certify", None)
     stored = true_picture(scene, 1 / 64)
-    for name in ("low", "high", "image", "cells"):
+    for name in ("low", "high", "image", "cell_count"):
         np.testing.assert_array_equal(getattr(stored, name), getattr(first, name))
     for other in ((scene, 1 / 128), (small("room", 16, 9), 1 / 64)):
         with pytest.raises(TypeError):

@@ -42,7 +42,7 @@ def test_a_picture_is_written_and_described(capsys):
     assert within.startswith("576 of 576 pixels are within 1/64; all within 0.01")
     count = certificate.is_certain.sum()
     assert certain == f"{count} of 576 pixels have certain codes, {count / 576:.2%}"
-    assert last.startswith(f"room.xml.certified.png: {certificate.cells} cells in ")
+    assert last.startswith(f"room.xml.certified.png: {certificate.cell_count} cells in ")
     with Image.open("room.xml.certified.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), certificate.codes)
 
