@@ -677,17 +677,20 @@ class CellForms:
         cell_start = cells.pair_cell[order].searchsorted(cells.pair_cell[order])
         # Each pair of a cell with all earlier pairs of the cell.
         segments = list_segment_elements(np.arange(order.size) - cell_start, cell_start)
-        a, b = (order[index] for index in segments)
-        a, b = np.where(faces.is_planar[cells.pair_face[a]], (b, a), (a, b))  # rectangles last
-        a_face, b_face = cells.pair_face[a], cells.pair_face[b]
-        is_other_object = faces.object_index[a_face] != faces.object_index[b_face]
-        is_other_plane = (faces.plane[:, a_face] != faces.plane[:, b_face]).any(axis=0)
-        index = np.flatnonzero(is_other_object & is_other_plane)
-        a, a_face, b_face = a[index], a_face[index], b_face[index]
-        plane, ball = faces.equation[:, b_face], np.flatnonzero(~faces.is_planar[b_face])
-        plane[:, ball] += faces.equation[:, a_face[ball]] * [[-1], [-1], [-1], [-1], [1]]
-        crossing = _Condition(np.arange(a.size), *self._half_space_function(a, plane), is_edge=True)
-        self._decide_conditions(a, -1, np.zeros(a.size, np.bool_), [crossing])
+        pair, other = (order[index] for index in segments)
+        # If only one of both faces is a sphere, it comes first.
+        is_planar = faces.is_planar[cells.pair_face[pair]]
+        pair, other = np.where(is_planar, (other, pair), (pair, other))
+        face, other_face = cells.pair_face[pair], cells.pair_face[other]
+        differs_in_object = faces.object_index[face] != faces.object_index[other_face]
+        differs_in_plane = (faces.plane[:, face] != faces.plane[:, other_face]).any(axis=0)
+        index = np.flatnonzero(differs_in_object & differs_in_plane)
+        pair, face, other_face = pair[index], face[index], other_face[index]
+        plane, ball = faces.equation[:, other_face], np.flatnonzero(~faces.is_planar[other_face])
+        plane[:, ball] += faces.equation[:, face[ball]] * [[-1], [-1], [-1], [-1], [1]]
+        function = self._half_space_function(pair, plane)
+        crossing = _Condition(np.arange(pair.size), *function, is_edge=True)
+        self._decide_conditions(pair, -1, np.zeros(pair.size, np.bool_), [crossing])
 
     def edge_functions(self) -> tuple[Ints, Ints, Form]:
         """Return all edge functions: the picture may have an edge only where one of them is zero.

@@ -111,16 +111,16 @@ _ROUNDING, _ERROR_FOR_CELLS = 1e-9, 0.999
 
 @dataclass(frozen=True)
 class Certificate:
-    """A picture, with bounds on the mean radiance of every pixel.
+    """A picture, with proved bounds on the mean radiance of every pixel.
 
     Attributes
     ----------
     low, high : (height, width, 3) float arrays
         Lower and upper bounds on the mean linear RGB radiance of each pixel.
     image : (height, width, 3) float array
-        The best estimate, which lies between the bounds.
+        The best estimate of the mean radiance, which lies between the bounds.
     cell_count : int
-        Number of cells that were examined.
+        Number of cells (square parts of the picture) that were examined.
     """
 
     low: Floats
@@ -130,100 +130,115 @@ class Certificate:
 
     @property
     def error(self) -> Floats:
-        """Bound (height, width) on the error of the image, in any channel."""
+        """For each pixel (height, width), an upper bound on the error of `image` in any channel."""
         return np.asarray((self.high - self.image).max(axis=2))
 
     @property
     def codes(self) -> NDArray[np.uint8]:
-        """8-bit codes (height, width, 3) of the image."""
+        """The 8-bit codes (height, width, 3) of `image`."""
         return to_codes(self.image)
 
     @property
     def is_certain(self) -> Bools:
-        """Whether both bounds have the same 8-bit codes, for each pixel (height, width)."""
+        """For each pixel (height, width), whether both bounds have the same 8-bit codes."""
         return np.asarray((to_codes(self.low) == to_codes(self.high)).all(axis=2))
 
 
 class Enclosure(NamedTuple):
-    """Enclosures of the radiance in c cells, which edges divide into n regions.
+    """Enclosures of the radiance in c cells, which edges divide into n convex regions.
+
+    An edge lies in a strip between two parallel lines.  An edge is loose if it does not divide its
+    cell.  Its jump is a bound on the change of radiance across it.
 
     Attributes
     ----------
     lines : Strips
-        The edges that divide cells.
+        The strips whose centre lines divide cells.
     regions : Regions
         The regions.
     radiance : Form
-        Radiance (8, 3, n) in each region, unless the point is in a strip.
+        Enclosures (8, 3, n) of the radiance of all points of each region that lie in no strip.
     doubt : (n,) float array
-        Additional error of the radiance anywhere in a region, because its sample is in a strip.
-    loose : (c,) float array
-        Additional error of the radiance anywhere in a cell, because of loose edges.
+        Additional error of the radiance anywhere in a region: the sum of the jumps of all strips
+        that contain the region's centroid, where the region's sample is traced.
+    loose_jump : (c,) float array
+        Additional error of the radiance anywhere in a cell: the sum of the jumps of its loose
+        edges.
     max_radiance : (3, c) float array
-        Bound on the radiance of all points in a cell.
+        Upper bound on the radiance of all points in a cell.
     mean, error : (3, c) and (c,) float arrays
-        Mean radiance of each cell, and the bound on its error in any channel.
+        Estimate of the mean radiance of each cell, and an upper bound on its error in any channel.
     """
 
     lines: Strips
     regions: Regions
     radiance: Form
     doubt: Floats
-    loose: Floats
+    loose_jump: Floats
     max_radiance: Floats
     mean: Floats
     error: Floats
 
 
 def enclose(
-    forms: CellForms, contributions: Contributions, is_unknown: Bools, error: float
+    forms: CellForms, contributions: Contributions, is_skipped: Bools, error: float
 ) -> Enclosure:
-    """Enclose the mean radiance of cells.
+    """Estimate the mean radiance of each cell, and bound the error of the estimate.
+
+    Edges divide a cell into regions, and one sample is traced at the centroid of each region.  A
+    pair consists of a cell and a face (a sphere, or a side of a box) that may be visible in it.
 
     Parameters
     ----------
     forms : CellForms
-        The cells, with their edge functions.
+        The c cells, with their pairs and edge functions.
     contributions : Contributions
-        Radiance of all lights that are not settled.
-    is_unknown : (c,) bool array
-        Cells to skip: the result for them has only the bounds 0 and `max_radiance`.
+        For each pair, the radiance of all lights that are not settled, which means that they are
+        not known to reach all or nothing of the face in the cell.
+    is_skipped : (c,) bool array
+        Cells for which no sample is traced.  Their mean is half of `max_radiance`, with the same
+        error.
     error : float
-        Permitted error of a pixel's mean.  Cells that would exceed it alone, because of loose
-        edges, are skipped, too.
+        Permitted error of a pixel's mean radiance.  Cells that would exceed it alone, because of
+        loose edges (edges that do not divide their cell), are skipped, too.
 
     Returns
     -------
     enclosure : Enclosure
-        Bounds in all cells.
+        The means and errors of all cells, and the regions from which they were computed.
+
+    Raises
+    ------
+    RuntimeError
+        If a sample shows a face that the cell rules out.
     """
-    cells, count = forms.cells, forms.cells.x.size
+    cells, cell_count = forms.cells, forms.cells.x.size
     max_radiance = _max_radiance(cells, contributions)
-    edges = _strips_of_edges(forms, contributions, max_radiance, is_unknown)
+    edges = _strips_of_edges(forms, contributions, max_radiance, is_skipped)
     is_loose = _is_loose(edges)
     loose_edges = edges.take(is_loose)
-    loose = sum_by_index(loose_edges.cell, loose_edges.jump, count)
+    loose_jump = sum_by_index(loose_edges.cell, loose_edges.jump, cell_count)
     wrong_area = np.minimum(loose_edges.area + MAX_AREA_BEYOND, 1)
-    loose_error = sum_by_index(loose_edges.cell, wrong_area * loose_edges.jump, count)
+    loose_error = sum_by_index(loose_edges.cell, wrong_area * loose_edges.jump, cell_count)
     is_black = max_radiance.max(axis=0) == 0
-    is_unknown = is_unknown | (loose_error * cells.width**2 > error) | is_black
-    lines = edges.take(~is_loose & ~is_unknown[edges.cell])
-    known, new_index = np.flatnonzero(~is_unknown), np.cumsum(~is_unknown) - 1
+    is_skipped = is_skipped | (loose_error * cells.width**2 > error) | is_black
+    lines = edges.take(~is_loose & ~is_skipped[edges.cell])
+    known, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
     regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), known.size)
     regions = regions._replace(cell=known[regions.cell])
-    doubt = _bound_doubt(lines, regions, count)
+    doubt = _bound_doubt(lines, regions, cell_count)
     radiance = _enclose_region_radiance(forms, contributions, regions)
-    value = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
-    max_difference = np.maximum(value, max_radiance[:, regions.cell] - value)
+    region_mean = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
+    max_difference = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
     region_error = np.minimum(radiance.radius + doubt, max_difference)
-    means = [sum_by_index(regions.cell, regions.area * channel, count) for channel in value]
-    mean = np.array(means)
-    mean[:, is_unknown] = max_radiance[:, is_unknown] / 2
-    bound = sum_by_index(regions.cell, regions.area * region_error.max(axis=0), count)
-    bound += sum_by_index(lines.cell, lines.area * lines.jump, count) + loose_error
-    bound[is_unknown] = np.inf
-    bound = np.fmin(bound, np.maximum(mean, max_radiance - mean).max(axis=0))
-    return Enclosure(lines, regions, radiance, doubt, loose, max_radiance, mean, bound)
+    weighted = regions.area * region_mean
+    mean = np.array([sum_by_index(regions.cell, channel, cell_count) for channel in weighted])
+    mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
+    cell_error = sum_by_index(regions.cell, regions.area * region_error.max(axis=0), cell_count)
+    cell_error += sum_by_index(lines.cell, lines.area * lines.jump, cell_count) + loose_error
+    cell_error[is_skipped] = np.inf
+    cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
+    return Enclosure(lines, regions, radiance, doubt, loose_jump, max_radiance, mean, cell_error)
 
 
 def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
@@ -232,9 +247,9 @@ def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
     Parameters
     ----------
     cells : Cells
-        The c cells, and the radiance of settled lights.
+        The c cells, and the radiance that settled lights add to faces in them.
     contributions : Contributions
-        Radiance of all lights that are not settled.
+        The radiance that each other light adds to a face where it reaches it.
 
     Returns
     -------
@@ -249,34 +264,37 @@ def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
 
 
 def _strips_of_edges(
-    forms: CellForms, contributions: Contributions, max_radiance: Floats, is_unknown: Bools
+    forms: CellForms, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
 ) -> Strips:
     """Enclose all edges in strips, with bounds on the jump of radiance across each edge.
+
+    A strip is the part of a cell between two parallel lines.
 
     Parameters
     ----------
     forms : CellForms
-        The c cells, with their edge functions.
+        The c cells, with their edge functions, which are zero on edges.
     contributions : Contributions
-        Radiance of all lights that are not settled, which bounds jumps at the edges of shadows.
-    is_unknown : (c,) bool array
-        Cells to skip.
+        Radiance of all lights that are not settled, which bounds the jumps at the edges of shadows.
     max_radiance : (3, c) float array
-        Bound on the radiance in each cell, which bounds jumps where another face is visible.
+        Bound on the radiance in each cell, which bounds the jumps where another face becomes
+        visible.
+    is_skipped : (c,) bool array
+        Cells whose edges are omitted.
 
     Returns
     -------
     strips : Strips
-        The strips, except those without a jump and those in skipped cells.
+        The strips, sorted by cell.  Edges without a jump have none.
     """
-    lights = forms.cells.is_settled.shape[1]
+    light_count = forms.cells.is_settled.shape[1]
     pair, light, form = forms.edge_functions()
-    keys = contributions.pair * lights + contributions.light
-    position, cell = find_sorted(keys, pair * lights + light), forms.cells.pair_cell[pair]
+    keys = contributions.pair * light_count + contributions.light
+    position, cell = find_sorted(keys, pair * light_count + light), forms.cells.pair_cell[pair]
     # The last element is for lights without a contribution.
     jump_of_light = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], jump_of_light)
-    index = np.flatnonzero((jump > 0) & ~is_unknown[cell])
+    index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
     return enclose_in_strips(cell[index], form[index], jump[index])
 
 
@@ -289,7 +307,7 @@ def _is_loose(edges: Strips) -> Bools:
     Parameters
     ----------
     edges : Strips
-        Strips (n,) around the edges, sorted by cell.
+        Strips (n,) that contain the edges, sorted by cell.
 
     Returns
     -------
@@ -303,16 +321,19 @@ def _is_loose(edges: Strips) -> Bools:
     return is_loose
 
 
-def _bound_doubt(lines: Strips, regions: Regions, count: int) -> Floats:
+def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
     """Bound the error of the radiance in regions whose centroid lies in strips.
+
+    A strip contains an edge.  If the centroid is in the strip, the sample at the centroid may be on
+    the wrong side of the edge, and then the whole region may be wrong by the jump of radiance.
 
     Parameters
     ----------
     lines : Strips
-        The edges that divide cells.
+        The edges that divide cells into regions, sorted by cell.
     regions : Regions
         The n regions.
-    count : int
+    cell_count : int
         Number of cells.
 
     Returns
@@ -322,11 +343,11 @@ def _bound_doubt(lines: Strips, regions: Regions, count: int) -> Floats:
         small that its centroid is unknown because of rounding errors.
     """
     _, x, y, *_ = regions.mean
-    first_line = lines.cell.searchsorted(np.arange(count + 1))
+    first_line = lines.cell.searchsorted(np.arange(cell_count + 1))
     length = np.diff(first_line)[regions.cell]
     region, line = list_segment_elements(length, first_line[regions.cell])
-    z = lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line]
-    is_in_strip = np.abs(z) <= lines.half_width[line]
+    side = lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line]
+    is_in_strip = np.abs(side) <= lines.half_width[line]
     doubt = sum_by_index(region, is_in_strip * lines.jump[line], x.size)
     doubt[regions.area < MIN_AREA] = np.inf
     return doubt
@@ -335,42 +356,49 @@ def _bound_doubt(lines: Strips, regions: Regions, count: int) -> Floats:
 def _enclose_region_radiance(
     forms: CellForms, contributions: Contributions, regions: Regions
 ) -> Form:
-    """Enclose the radiance of regions, as a sample at the centroid of each region shows it.
+    """Enclose the radiance of each region by tracing one sample at its centroid.
+
+    The sample shows which face is visible in the region, and which lights reach it.
 
     Parameters
     ----------
     forms : CellForms
-        The cells.
+        The cells, with the radiance of settled lights.
     contributions : Contributions
         Radiance of all lights that are not settled.
     regions : Regions
-        The n regions.
+        The n regions of the cells.
 
     Returns
     -------
     radiance : Form
-        Enclosures (8, 3, n): the radiance of the visible face from all settled lights, and from
-        those of the others that reach the centroid.
+        Enclosures (8, 3, n) of the radiance of the visible face from all settled lights, and from
+        those other lights that reach the centroid.  Regions that show the background have zeros.
+
+    Raises
+    ------
+    RuntimeError
+        If a sample shows a face that the cell rules out.
     """
     _, x, y, *_ = regions.mean
     pair, is_lit = _trace_centroids(forms, regions.cell, x, y)
     radiance = forms.cells.radiance[pair].coef
     radiance[..., pair < 0] = 0
-    lights = forms.cells.is_settled.shape[1]
+    light_count = forms.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
-    keys = contributions.pair * lights + contributions.light
-    position = find_sorted(keys, pair[region] * lights + light)
+    keys = contributions.pair * light_count + contributions.light
+    position = find_sorted(keys, pair[region] * light_count + light)
     add_at_sorted_index(radiance, region, contributions.radiance[position].coef)
     return Form(radiance)
 
 
 def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace one sample for each region, and find which pair it shows and which lights reach it.
+    """Trace one sample in each region, and find which face it shows and which lights reach it.
 
     Parameters
     ----------
     forms : CellForms
-        The cells.
+        The cells, with the pairs of a cell and a face that may be visible in it.
     cell : (n,) int array
         The cell of each sample.
     x, y : (n,) float arrays
@@ -381,7 +409,7 @@ def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tupl
     pair : (n,) int array
         The pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether the light reaches the face there; False for lights that are settled.
+        Whether the light reaches the visible face at the sample; False for lights that are settled.
 
     Raises
     ------
@@ -394,8 +422,8 @@ def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tupl
     order, pair = keys.argsort(), np.full(cell.size, -1)
     position = find_sorted(keys[order], cell[sample] * faces.object_index.size + face)
     if (position < 0).any():
-        wrong = "a sample contradicts its cell: the certificate or the tracer is wrong"
-        raise RuntimeError(wrong)
+        message = "a sample contradicts its cell: the certificate or the tracer is wrong"
+        raise RuntimeError(message)
     pair[sample] = visible_pair = order[position]
     is_lit = np.zeros((cells.is_settled.shape[1], cell.size), dtype=np.bool_)
     is_lit[:, sample] = faces.is_lit(hits, ~cells.is_settled[visible_pair].T)
@@ -403,21 +431,27 @@ def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tupl
 
 
 class _Picture:
-    """A picture to which finished cells are added.
+    """A picture to which cells are added as soon as their radiance is known accurately enough.
 
     Attributes
     ----------
+    faces : Faces
+        The spheres and the sides of boxes in the scene.
+    error : float
+        Permitted error of each pixel's mean radiance.
+    accepts_certain_codes : bool
+        Whether a pixel is also finished if only one 8-bit code per channel is possible.
     image : (3, rows, columns) float array
-        For each pixel, mean radiance of its finished cells, weighted by their areas.  Cells may
-        reach beyond the picture, so there are `MAX_WIDTH` more rows and columns.
+        For each pixel, the sum of the mean radiance of its finished cells, weighted by their areas.
+        Cells may reach beyond the picture, so there are `MAX_WIDTH` more rows and columns.
     bound : (rows, columns) float array
-        Bound on the error of `image`.
+        Upper bound on the error of `image` in any channel.
     cell_count : int
         Number of cells that were examined.
     """
 
     def __init__(self, scene: Scene, error: float, codes: bool) -> None:
-        """Begin a black picture.
+        """Prepare a scene, and set all pixels to black and to an error of 0.
 
         Parameters
         ----------
@@ -427,42 +461,47 @@ class _Picture:
             Permitted error of each pixel's mean radiance.
         codes : bool
             Whether a pixel is also finished if only one 8-bit code per channel is possible.
+
+        Raises
+        ------
+        ValueError
+            If the eye is on a surface, or a light is too far away.
         """
-        self.faces, self.error, self.accepts_certain_codes, self.cell_count = (
-            Faces(scene),
-            error,
-            codes,
-            0,
-        )
+        self.faces, self.error, self.accepts_certain_codes = Faces(scene), error, codes
+        self.cell_count = 0
         size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide cells into two groups if they are too many for one batch.
 
+        Parameters
+        ----------
+        cells : Cells
+            The cells.
+
         Returns
         -------
         groups : list of Cells
             One or two groups.  All cells of a pixel are in the same group.
         """
-        items = cells.pair_cell.size + cells.triples.shape[1] + np.count_nonzero(~cells.is_settled)
-        if items <= _ITEMS_PER_BATCH:
+        unsettled_count = np.count_nonzero(~cells.is_settled)
+        item_count = cells.pair_cell.size + cells.triples.shape[1] + unsettled_count
+        if item_count <= _ITEMS_PER_BATCH:
             return [cells]
         pixel = self.pixel_index(cells)
-        is_first = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
-        return (
-            [cells.select_cells(is_first), cells.select_cells(~is_first)]
-            if is_first.any()
-            else [cells]
-        )
+        is_below_median = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
+        groups = [cells.select_cells(kept) for kept in (is_below_median, ~is_below_median)]
+        return groups if is_below_median.any() else [cells]
 
     def pixel_index(self, cells: Cells) -> Ints:
-        """Return the pixel of each cell.
+        """Return, for each of c cells, the pixel that contains it.
 
         Returns
         -------
         pixel : (c,) int array
-            Flat indices into `bound`.  For a cell that covers several pixels, the upper left one.
+            Indices into the flat array `bound`.  For a cell that covers several pixels, the upper
+            left one.
         """
         half = cells.width / 2 if cells.width > 1 else 0
         row, column = (np.floor(center - half).astype(np.intp) for center in (cells.y, cells.x))
@@ -476,13 +515,13 @@ class _Picture:
         cells : Cells
             Cells, which may be narrower or wider than a pixel.
         index : (n,) int array
-            Indices of the finished cells.
+            Indices of the finished cells in `cells`.
         radiance : Form
-            Radiance (8, 3, n) in the finished cells.
+            Enclosures (8, 3, n) of the radiance in the finished cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        first = self.pixel_index(cells)[index][:, None, None]
-        row, column = np.divmod(first, self.bound.shape[1])
+        upper_left = self.pixel_index(cells)[index][:, None, None]
+        row, column = np.divmod(upper_left, self.bound.shape[1])
         down, across = np.indices((pixels_across, pixels_across))
         pixel = row + down, column + across
         # Means of the powers of X and Y over each pixel of a cell: X^2 varies about its centre.
@@ -496,17 +535,32 @@ class _Picture:
     def add_accurate_cells(self, cells: Cells) -> Cells:
         """Examine cells, add those that are accurate enough to the picture, and return the others.
 
-        Cells of at most one pixel are accurate enough if their enclosure is.  Wider cells are only
-        if they show a single face, under the same lights everywhere.
+        A cell of at most one pixel is accurate enough if `is_accurate` accepts its error.  A wider
+        cell is accurate enough if it shows a single face, and each light reaches all or nothing of
+        this face.
+
+        Parameters
+        ----------
+        cells : Cells
+            Cells of which no part has been added to the picture.
+
+        Returns
+        -------
+        pending : Cells
+            The cells that must be divided, without pairs and triples that proved to be irrelevant.
+
+        Raises
+        ------
+        RuntimeError
+            If a sample shows a face that its cell rules out.
         """
         self.cell_count += cells.x.size
         forms = CellForms(self.faces, cells)
         cells = forms.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # other cells are black
-        fills_cell = (
-            cells.covers_cell & (pair_count[cells.pair_cell] == 1) & (cells.width <= MAX_WIDTH)
-        )
+        is_alone = pair_count[cells.pair_cell] == 1
+        fills_cell = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
         contributions = forms.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
         smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[smooth]] = False
@@ -525,19 +579,21 @@ class _Picture:
 
         A cell is accurate enough if one of these is true:
 
-        1. With all pending cells of its pixel as they are, the pixel's error is within the limit,
-           or (if 8-bit codes are sought) the pixel's codes are certain.
-        2. Its error is at most the average that remains to the pixel's pending cells.
-        3. It has the minimum width, or its pixel has `_MAX_PENDING_CELLS` pending cells.
+        1.  If all pending cells of its pixel were added now, the pixel's error would be within the
+           limit, or (if certain codes are accepted) the pixel's 8-bit codes would be certain.
+        2.  Its error is at most the average error that is still permitted to the pending cells of
+           its pixel.
+        3.  It has the minimum width, or its pixel has at least `_MAX_PENDING_CELLS` cells in
+           `cells`.
 
         Parameters
         ----------
         cells : Cells
             The c cells, at most one pixel wide.
         mean, error : (3, c) and (c,) float arrays
-            Mean radiance of each cell, and the bound on its error.
+            Mean radiance of each cell, and the bound on its error in any channel.
         is_pending : (c,) bool array
-            The cells that are not finished.
+            The cells that have not been added to the picture.
 
         Returns
         -------
@@ -567,16 +623,18 @@ def certify(
     codes: bool = False,
     progress: Callable[[float], object] = lambda fraction: None,
 ) -> Certificate:
-    """Render a scene, and bound the mean radiance of every pixel.
+    """Render a scene, and prove bounds on the mean radiance of every pixel.
+
+    The picture is divided into cells, and cells are divided into quarters, until second-order
+    affine arithmetic proves that the mean radiance of each pixel is accurate enough.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     error : float
-        Permitted error of a pixel's mean, in linear radiance.  Pixels are divided until their
-        bounds are so narrow.  Where edges touch each other, they may stay wider: see
-        `Certificate.error`.
+        Permitted error of a pixel's mean, in linear radiance; more than 0.  Pixels in which edges
+        touch each other may exceed it: see `Certificate.error`.
     codes : bool
         If True, a pixel is also finished as soon as only one 8-bit code per channel is possible.
     progress : callable
@@ -602,9 +660,9 @@ def certify(
     total_area, finished_area = stack[0].area, 0.0
     while stack:
         cells = stack.pop()
-        parts = picture.split_if_large(cells)
-        if len(parts) > 1:
-            stack += parts
+        groups = picture.split_if_large(cells)
+        if len(groups) > 1:
+            stack += groups
             continue
         pending = picture.add_accurate_cells(cells.split_into_quarters(scene.width, scene.height))
         finished_area += cells.area - pending.area

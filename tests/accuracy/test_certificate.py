@@ -93,7 +93,7 @@ class SampledPoints:
         lines, regions, n = result.lines, result.regions, forms.cells.x.size
         radiance, x, y = self.sample(forms, np.arange(n))
         first_line = lines.cell.searchsorted(np.arange(n + 1))
-        signs, allowed = np.zeros(n, dtype=int), result.loose.copy()
+        signs, allowed = np.zeros(n, dtype=int), result.loose_jump.copy()
         for bit in range(int(np.diff(first_line).max(initial=0))):
             cell = np.flatnonzero(first_line[:-1] + bit < first_line[1:])
             line = first_line[cell] + bit
@@ -252,7 +252,7 @@ def test_means_of_cells_with_loose_edges(monkeypatch: Patch) -> None:
 
     def checked(forms: CellForms, *args: object) -> Enclosure:
         result, half = enclose(forms, *args), forms.cells.width / 2
-        for cell in np.flatnonzero(result.loose)[:20]:
+        for cell in np.flatnonzero(result.loose_jump)[:20]:
             center_x, center_y = forms.cells.x[cell], forms.cells.y[cell]
             samples, _ = Scattered.from_positions(center_x + half * x, center_y + half * y)
             mean = radiance_at(forms.faces.prepared, samples).mean(axis=1)
