@@ -1,4 +1,5 @@
-"""The scene as the certificate sees it: faces, lights and shadows, in the camera's axes.
+"""The scene in the form that the certificate needs: faces, lights and shadows, in the camera's
+axes.
 
 Which functions decide what a pixel shows, and how can they be bounded?  A *face* is a sphere, or a
 rectangular side of a box.  Everything that the certificate needs to know about a face is linear or
@@ -49,8 +50,15 @@ _MAX_LIGHT_DISTANCE = 1e14
 class Faces:
     """The f faces, m lights and n objects (spheres first) of a scene, in the camera's axes.
 
-    Faces are numbered as follows: all spheres, then all boxes' low sides along x, all boxes' high
-    sides along x, and the same for y and z.
+    A face is a sphere, or a side of a box.  Faces are numbered as follows: all spheres, then the
+    low sides of all boxes along x, their high sides along x, and the same for y and z.
+
+    A camera ray with direction d meets a face at t d, relative to the eye, with 1 / t = k.d + s.
+    For a side of a box, s = 0.  For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x
+    d|^2).
+
+    A half-space is the set of points x with n.x + b >= 0.  It is stored as five numbers: the three
+    components of n, then b, then a bound on the size of the terms that were added up to compute b.
 
     Attributes
     ----------
@@ -62,27 +70,32 @@ class Faces:
         Number of spheres, and of all objects.
     light_position : (m, 3) float array
         Positions of the lights relative to the eye.
-    center, radius, power : (3, spheres), (spheres,) and (spheres,) float arrays
-        Centres and radii of the spheres, and the power p of the eye: see the module.
+    center, radius : (3, spheres) and (spheres,) float arrays
+        Centres, relative to the eye, and radii of the spheres.
+    power : (spheres,) float array
+        Power of the eye, |center|^2 - radius^2, which is negative if the eye is inside the sphere.
     object_index : (f,) int array
         The object to which a face belongs.
-    is_planar, may_be_visible : (f,) bool arrays
-        Whether the face is a rectangle; whether the eye can see it if nothing is in between.
+    is_planar : (f,) bool array
+        Whether the face is a side of a box.
+    may_be_visible : (f,) bool array
+        Whether the face is visible from the eye, apart from other objects that may hide it.
     sheet_face : (n,) int array
-        For a box without extent along one axis, its only face with area that the eye may see; for
+        For a box without extent along one axis, its only face with area that may be visible; for
         other objects, -1.
     plane : (2, f) float array
-        Faces in the same plane have the same two numbers.  Where two of them overlap, the first in
-        the file is visible.
+        Two numbers that identify the plane of a face: only faces in the same plane have the same
+        two.  Where two of them overlap, the first in the scene file is visible.
     k, w : (3, f) and (f,) float arrays
-        Coefficients of the inverse distance: see the module.
+        Coefficients of the inverse distance: see above.  For a side of a box, w = 0.
     equation : (5, f) float array
-        For a rectangle, the half-space beyond its plane.  For a sphere, the part of its equation
-        that differs from the equations of other spheres, -2 c.x + p = 0 without x^2.
+        For a side of a box, the half-space beyond its plane.  For a sphere, the part of its
+        equation that differs from the equations of other spheres, -2 c.x + p = 0 without x^2.
     height : (5, m + 1, f) float array
-        Half-spaces whose functions are the heights of the m lights and of the eye above the face.
+        For each light, and last for the eye: the half-space whose function n.d + b / t is the
+        height above the tangent plane of the face, divided by t.
     rim : (5, 4, f) float array
-        Four half-spaces whose intersection with the plane of a rectangle is the rectangle.
+        Four half-spaces whose intersection with the plane of a side of a box is this side.
     bounding_box : (2, 3, f) float array
         Lower and upper corners of bounding boxes, in the scene's axes.
     is_unlit : (m, f) bool array
@@ -91,39 +104,49 @@ class Faces:
     to_center : (3, m, spheres) float array
         Vectors from the lights to the spheres' centres.
     shadow_volume : (5, 9, m, boxes) float array
-        Nine half-spaces whose intersection is the shadow volume of a box: the points behind its
-        three planes that face the light, and inside six planes through the light and the box's
-        silhouette.
+        Nine half-spaces whose intersection is the shadow volume of a box.  The first three are
+        behind the planes that face the light.  The other six are inside planes through the light
+        and the box's silhouette.
     has_shadow_edge : (9, m, boxes) bool array
-        Whether the plane of the half-space may be an edge of the shadow.  The planes that face the
-        light are none, unless the light is on them: where the shadow volume meets them, it meets
-        the box itself.
+        Whether the plane of the half-space may be an edge of the shadow.  A plane that faces the
+        light is no edge, unless the light is on it: where the shadow volume meets it, it meets the
+        box.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Compute everything above.
+        """Prepare a scene with the tracer, and compute all attributes.
+
+        Parameters
+        ----------
+        scene : Scene
+            The scene.
 
         Raises
         ------
         ValueError
-            If the eye is on a surface, or a light is too far away.
+            If the eye is on a surface, or if a light is more than 1e14 times as far away as the
+            smallest object is large.
         """
         self.prepared = prepared = PreparedScene(scene)
         self.frame = frame = prepared.frame
         self.prepared_lights = lights = prepared.prepare_lights()
-        balls, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
-        self.sphere_count, self.object_count = balls.objects.size, eye_inside.size
+        spheres, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
+        self.sphere_count, self.object_count = spheres.objects.size, eye_inside.size
         self.light_position = lights.local
-        self.center, self.radius, self.power = np.array(balls.local), balls.radius, balls.power
+        self.center, self.radius, self.power = (
+            np.array(spheres.local),
+            spheres.radius,
+            spheres.power,
+        )
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
-        on_box = eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
-        if np.any(self.power == 0) or on_box.any():
+        is_on_box = eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
+        if np.any(self.power == 0) or is_on_box.any():
             raise ValueError("the eye is on a surface; move it off")
-        sizes = np.append(balls.radius, (boxes.max_pt - boxes.min_pt).ravel())
+        sizes = np.append(spheres.radius, (boxes.max_pt - boxes.min_pt).ravel())
         max_distance = _MAX_LIGHT_DISTANCE * sizes[sizes > 0].min(initial=np.inf)
         if np.abs(self.light_position).max(initial=0) > max_distance:
-            wrong = f"a light is more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object"
-            raise ValueError(f"{wrong} is large; move it closer")
+            message = f"a light is more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object"
+            raise ValueError(f"{message} is large; move it closer")
         self._set_face_attributes(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._set_shadow_volumes(low, high)
@@ -132,18 +155,18 @@ class Faces:
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box = boxes.objects.indices()
         side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
-        is_dark = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
+        is_enclosed = np.any(np.where(eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # It does not reach the box itself, whose sides are seen from within.
-        is_unlit = is_dark | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
+        is_unlit = is_enclosed | (eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
-        """Set all attributes of the faces: see the class.
+        """Compute all attributes that have one item for each face (a sphere, or a side of a box).
 
         Parameters
         ----------
         low, high : (3, boxes) float arrays
-            Corners of the boxes relative to the eye, along the scene's axes.
+            Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
         prepared, axes, n = self.prepared, self.frame.axes, self.sphere_count
         c, r, power, scene_center = self.center, self.radius, self.power, prepared.spheres.center
@@ -156,24 +179,24 @@ class Faces:
         sphere_height = np.array([*(g * (q - c[:, None])), g * b, size]) / r
         # Arrays of boxes have three axes: along x, y or z; low or high side; number of the box.
         corner = np.stack([low, high], axis=1)
-        place = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
-        inward = np.where(prepared.is_eye_inside[n:], 1, -1) * [[-1], [1]]
+        position = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
+        inward = np.where(prepared.eye_inside[n:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
-        above = np.sign(corner) * (place - points)
+        above = np.sign(corner) * (position - points)
         side_height = np.array([*np.zeros((3, *above.shape)), above, np.abs(above)])
         side = np.empty((5, *corner.shape))  # half-spaces whose intersection is the box
         side[:3] = axes[:, :, None, None] * [[1], [-1]]
         side[3:] = corner * [[-1], [1]], np.abs(corner)
         rim = side[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
-        plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], place.shape), place])
+        plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], position.shape), position])
         bounding_box = np.empty((2, 3, *corner.shape))
-        bounding_box[:] = place.swapaxes(0, 1)[:, :, None, None]
+        bounding_box[:] = position.swapaxes(0, 1)[:, :, None, None]
         for axis in range(3):
-            bounding_box[:, axis, axis] = place[axis]
+            bounding_box[:, axis, axis] = position[axis]
 
         def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
-            """Append sides of boxes to spheres, along the last axis."""
+            """Append an array of sides of boxes to one of spheres, along the last axis."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
         self.bounding_box = append_sides(
@@ -196,7 +219,7 @@ class Faces:
         self.sheet_face[self.object_index[face]] = face
 
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
-        """Set the attributes `shadow` and `has_shadow_edge`: the shadow volumes of the boxes.
+        """Compute the attributes `shadow_volume` and `has_shadow_edge`, for each box and light.
 
         Each half-space n.x + b >= 0 touches its box: the minimum of n.x over the box's corners is
         -b.  The corners are relative to the eye, not to the light, so that nothing cancels in n.x,
@@ -205,7 +228,7 @@ class Faces:
         Parameters
         ----------
         low, high : (3, boxes) float arrays
-            Corners of the boxes relative to the eye, along the scene's axes.
+            Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
         lights = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
         low, high = low[:, None], high[:, None]
@@ -213,10 +236,10 @@ class Faces:
         cone = np.array(silhouette_planes(a.reshape(3, -1), b.reshape(3, -1)))
         is_edge_on, is_on_plane = (a == 0) & (b == 0), (a == 0) | (b == 0)
         side = np.where(is_edge_on, 0, np.where(a >= 0, 1, np.where(b <= 0, -1, 0)))
-        facing = np.eye(3)[:, :, None, None] * side
-        n = np.append(facing, cone.reshape(3, 6, *a.shape[1:]), axis=1)
-        ends = np.array([n * low[:, None], n * high[:, None]])
-        offset, size = -ends.min(axis=0).sum(axis=0), np.abs(ends).max(axis=0).sum(axis=0)
+        front_side = np.eye(3)[:, :, None, None] * side
+        n = np.append(front_side, cone.reshape(3, 6, *a.shape[1:]), axis=1)
+        dots = np.array([n * low[:, None], n * high[:, None]])
+        offset, size = -dots.min(axis=0).sum(axis=0), np.abs(dots).max(axis=0).sum(axis=0)
         offset[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
         u, v, w = self.frame.vector_to_camera((n[0], n[1], n[2]))
         self.shadow_volume = np.array([u, v, w, offset, size])
@@ -224,12 +247,15 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, cone_edges, axis=0)
 
     def find_occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
-        """List the objects that may lie between parts of faces and lights.
+        """List the objects that may block light on its way to parts of faces (spheres or sides of
+        boxes).
+
+        The tracer's light grid lists the objects near the segments between a part and a light.
 
         Parameters
         ----------
         center, half_size : (3, k) float arrays
-            Bounding boxes of the parts, in the scene's axes.
+            Centres and half sizes of the bounding boxes of the parts, in the scene's axes.
         face : (k,) int array
             The face of each part.
         active : (m, k) bool array
@@ -238,49 +264,53 @@ class Faces:
         Returns
         -------
         triples : (3, q) int array
-            Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.
+            Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.  Each triple
+            occurs once, and the triples are sorted.
         """
-        prepared, grid, codes = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
+        prepared, grid, keys = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
         may_block = ~prepared.eye_inside & ~prepared.is_duplicate
         shape = (*active.T.shape, self.object_count)
         if grid is not None and active.any():
             owner = self.object_index[face]
             for light, part, obj in grid.query(center, half_size[:, None], owner, active):
-                code = np.ravel_multi_index((part, light, obj), shape)
-                codes.append(code[may_block[obj]])
+                key = np.ravel_multi_index((part, light, obj), shape)
+                keys.append(key[may_block[obj]])
         # The grid may find an object in several octants, so duplicates are removed.
-        return np.array(np.unravel_index(np.unique(np.concatenate(codes)), shape))
+        return np.array(np.unravel_index(np.unique(np.concatenate(keys)), shape))
 
     def trace_samples(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
-        """Trace samples, and find the faces that they hit.
+        """Trace camera rays through positions in the picture, and find the faces that they hit.
 
         Parameters
         ----------
         x, y : (k,) float arrays
-            Positions of the samples in the picture, in pixels from the upper left corner.
+            Positions in the picture, in pixels to the right of its upper left corner and below it.
 
         Returns
         -------
         hits : Hits
-            Where h of the samples hit an object.
+            The h nearest intersections.  A ray that meets no object has none.
         sample : (h,) int array
-            The sample of each hit, as an index into `x`.
+            The ray of each hit, as an index into `x`.
         face : (h,) int array
-            The face of each hit.
+            The face (a sphere, or a side of a box) of each hit.
         """
         samples, order = Scattered.from_positions(x, y)
-        hits, n = nearest_hits(self.prepared, samples), self.object_count - self.sphere_count
+        hits = nearest_hits(self.prepared, samples)
+        box_count = self.object_count - self.sphere_count
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            high = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]
-            side = group.run_object + group.shape.is_planar * n * (2 * group.face + high)
+            is_high_side = (group.sign > 0) ^ self.prepared.eye_inside[group.run_object]
+            side = group.run_object + group.shape.is_planar * box_count * (
+                2 * group.face + is_high_side
+            )
             face[group.interval] = group.repeat_runs(side)
         # A ray through the rim of a sheet may hit a side that has no area.
         sheet_face = self.sheet_face[self.object_index[face]]
         return hits, order[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
 
     def is_lit(self, hits: Hits, active: Bools) -> Bools:
-        """Test which of the `active` lights reach hits.
+        """Test which lights reach hits, by tracing shadow rays.
 
         Parameters
         ----------
@@ -292,7 +322,8 @@ class Faces:
         Returns
         -------
         is_lit : (m, h) bool array
-            Whether the pair is active, and the light reaches the hit.
+            Whether (1) the pair is active, (2) the light is in front of the surface, and (3) no
+            object blocks the segment between them.
         """
         may_reach = active & (light_geometry(hits, self.prepared_lights).n_dot_l > 0)
         return may_reach & ~occlusion(hits, self.prepared_lights, may_reach)

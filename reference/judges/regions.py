@@ -31,7 +31,10 @@ MIN_AREA = 1e-12
 
 
 class Strips(NamedTuple):
-    """Strips (n,) around lines a X + b Y + c = 0 with |a| + |b| = 1, sorted by cell.
+    """Strips (n,) in cells of the picture, each of which contains an edge, sorted by cell.
+
+    A strip is the part of a cell near a line a X + b Y + c = 0 with |a| + |b| = 1.  A cell has
+    coordinates X and Y from -1 to 1.
 
     Attributes
     ----------
@@ -42,7 +45,7 @@ class Strips(NamedTuple):
     half_width : (n,) float array
         A point is in the strip if |a X + b Y + c| is at most this.
     jump : (n,) float array
-        Bound on the change of radiance across the edge, in any channel.
+        Upper bound on the change of radiance across the edge, in any channel.
     """
 
     cell: Ints
@@ -53,34 +56,40 @@ class Strips(NamedTuple):
     jump: Floats
 
     def take(self, index: Index) -> Strips:
-        """Select strips by indices or a mask (n,)."""
+        """Select strips by indices (k,) or a mask (n,), and copy them."""
         return self._replace(**{name: values[index] for name, values in self._asdict().items()})
 
     @property
     def area(self) -> Floats:
-        """Upper bound (n,) on the fraction of its cell that each strip covers."""
+        """For each strip (n,), an upper bound on the fraction of the cell's area that it covers."""
         steepness = np.maximum(np.abs(self.a), np.abs(self.b))
         return np.asarray(np.fmin(self.half_width / steepness, 1))
 
 
 def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
-    """Find a point near the zero of quadratic functions, along the gradient at the cell's centre.
+    """Find a point near the zero of each quadratic function, along the gradient at the cell's
+    centre.
+
+    The function is expanded to second order along the gradient.  The zero of this expansion that is
+    closest to the centre is moved into the cell.  Any point is valid, but the closer it is to the
+    zero of the function, the narrower is the strip that `enclose_in_strips` computes from it.
 
     Parameters
     ----------
     coef : (8, n) float array
-        Coefficients of the functions: see `forms`.
+        Coefficients of the functions of X and Y, in the order of `Form.coef`.
 
     Returns
     -------
     x, y : (n,) float arrays
-        The zero of the function's second-order expansion along the gradient, moved into the cell.
-        Any point would be valid; the better this one is, the narrower the strip.
+        The points, from -1 to 1.
     """
     steepness2 = coef[X] ** 2 + coef[Y] ** 2
-    bend = coef[X] ** 2 * coef[XX] + coef[X] * coef[Y] * coef[XY] + coef[Y] ** 2 * coef[YY]
-    bend = 2 * bend / steepness2
-    root = np.sqrt(np.abs(steepness2 * (steepness2 - 2 * coef[C] * bend)))
+    second_derivative = (
+        coef[X] ** 2 * coef[XX] + coef[X] * coef[Y] * coef[XY] + coef[Y] ** 2 * coef[YY]
+    )
+    second_derivative = 2 * second_derivative / steepness2
+    root = np.sqrt(np.abs(steepness2 * (steepness2 - 2 * coef[C] * second_derivative)))
     step = -2 * coef[C] / (steepness2 + root)
     max_step = 1 / np.maximum(np.abs(coef[X]), np.abs(coef[Y]))
     step = np.where(steepness2 > 0, np.clip(step, -max_step, max_step), 0)
@@ -88,31 +97,32 @@ def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
 
 
 def enclose_in_strips(cell: Ints, form: Form, jump: Floats) -> Strips:
-    """Enclose the zeros of edge functions in strips.
+    """Enclose the zeros of edge functions in strips between two parallel lines.
 
-    At a point near the zero (`_point_near_zero`), let n be the coordinate along the gradient of
-    length g, and t the coordinate across it.  Without the form's radius, the function equals
-    v + g n (1 + e) + h t^2 / 2, where v is its value at that point and h its second derivative
-    along t.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
+    The picture may have an edge where an edge function is zero.  At a point near the zero
+    (`_point_near_zero`), let n be the coordinate along the gradient of length g, and t the
+    coordinate perpendicular to it.  Without the form's radius, the function equals v + g n (1 + e)
+    + h t^2 / 2, where v is its value at that point and h its second derivative along t.  Here |e|
+    is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
 
-    Let T be the maximum of |t|.  Then h t^2 / 2 differs from h T^2 / 6 by at most |h| T^2 / 3.
-    Let d be this difference plus the form's radius, and w = v + h T^2 / 6.  Then the function is
-    zero only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
+    Let T be the maximum of |t|.  Then h t^2 / 2 differs from h T^2 / 6 by at most |h| T^2 / 3.  Let
+    d be this difference plus the form's radius, and w = v + h T^2 / 6.  Then the function is zero
+    only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
 
     Parameters
     ----------
     cell : (n,) int array
         The cell of each edge function.
     form : Form
-        Enclosures (8, n) of the edge functions.
+        Enclosures (8, n) of the edge functions by polynomials in the cell's coordinates X and Y.
     jump : (n,) float array
-        Bound on the change of radiance where the function is zero.
+        Upper bound on the change of radiance where the function is zero.
 
     Returns
     -------
     strips : Strips
-        Strips that contain all zeros, sorted by cell.  Edge functions that have no zero in their
-        cell have none.
+        Strips that contain all zeros, sorted by cell.  An edge function that certainly has no zero
+        in its cell gets no strip.
     """
     coef = form.coef
     x, y = _point_near_zero(coef)
@@ -143,7 +153,10 @@ def enclose_in_strips(cell: Ints, form: Form, jump: Floats) -> Strips:
 
 
 class Regions(NamedTuple):
-    """Convex regions (n,) between the centre lines of strips, sorted by cell and `signs`.
+    """Convex regions (n,) into which the centre lines of strips divide cells, sorted by cell and
+    `signs`.
+
+    A cell has coordinates X and Y from -1 to 1.
 
     Attributes
     ----------
@@ -152,7 +165,7 @@ class Regions(NamedTuple):
     signs : (n,) int array
         Bit i is set if the region is on the positive side of the i-th line of its cell.
     area : (n,) float array
-        Area of the region as a fraction of its cell's.
+        Area of the region, as a fraction of the cell's area.
     mean : (6, n) float array
         Means of 1, X, Y, X^2, X Y and Y^2 over the region.
     """
@@ -163,35 +176,35 @@ class Regions(NamedTuple):
     mean: Floats
 
 
-def divide_into_regions(lines: Strips, count: int) -> Regions:
-    """Divide cells into regions by the centre lines of their strips.
+def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
+    """Divide cells into convex regions by the centre lines of strips.
 
     Each cell begins as two triangles.  Line after line, a triangle with corners on both sides is
-    cut into three.
+    cut into three.  Triangles on the same sides of all lines form a region.
 
     Parameters
     ----------
     lines : Strips
-        Strips (n,) in the cells 0 to count - 1.
-    count : int
-        Number of cells.
+        Strips (n,) in the cells 0 to cell_count - 1, sorted by cell.
+    cell_count : int
+        Number of cells, including those without strips.
 
     Returns
     -------
     regions : Regions
         All regions of all cells.  Regions without area may be missing.
     """
-    first_line = lines.cell.searchsorted(np.arange(count + 1))
-    line_count = int(np.diff(first_line).max(initial=0))
-    cell, signs = np.arange(count).repeat(2), np.zeros(2 * count, dtype=np.intp)
+    first_line = lines.cell.searchsorted(np.arange(cell_count + 1))
+    max_line_count = int(np.diff(first_line).max(initial=0))
+    cell, signs = np.arange(cell_count).repeat(2), np.zeros(2 * cell_count, dtype=np.intp)
     # Complex numbers x + i y, of three corners of each triangle.
-    corners = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], count)
-    for bit in range(line_count):
+    corners = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], cell_count)
+    for bit in range(max_line_count):
         line = first_line[cell] + bit
         triangle = np.flatnonzero(line < first_line[cell + 1])
         corner, line = corners[:, triangle], line[triangle]
-        z = lines.a[line] * corner.real + lines.b[line] * corner.imag + lines.c[line]
-        is_above = z > 0
+        height = lines.a[line] * corner.real + lines.b[line] * corner.imag + lines.c[line]
+        is_above = height > 0
         above_count = is_above.sum(axis=0)
         signs[triangle[above_count == 3]] |= 1 << bit
         cut = np.flatnonzero((above_count == 1) | (above_count == 2))
@@ -199,8 +212,9 @@ def divide_into_regions(lines: Strips, count: int) -> Regions:
         is_alone_above, triangle = above_count[cut] == 1, triangle[cut]
         alone = np.argmax(is_above[:, cut] == is_alone_above, axis=0)
         rotated = (alone + np.arange(3)[:, None]) % 3
-        (a, b, c), (z_a, z_b, z_c) = corners[rotated, triangle], z[rotated, cut]
-        p, q = a + z_a / (z_a - z_b) * (b - a), a + z_a / (z_a - z_c) * (c - a)
+        (a, b, c), (h_a, h_b, h_c) = corners[rotated, triangle], height[rotated, cut]
+        # The line meets the triangle's sides at p and q.
+        p, q = a + h_a / (h_a - h_b) * (b - a), a + h_a / (h_a - h_c) * (c - a)
         corners[:, triangle] = a, p, q
         corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
         signs_below = signs[triangle]
@@ -208,28 +222,31 @@ def divide_into_regions(lines: Strips, count: int) -> Regions:
         signs = np.concatenate([signs, *[signs_below | ~is_alone_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
     area, mean = _triangle_moments(corners)
-    key, region = np.unique(cell << line_count | signs, return_inverse=True)
-    total = sum_by_index(region, area, key.size)
-    weight = area / np.maximum(total, MIN_AREA)[region]
+    key, region = np.unique(cell << max_line_count | signs, return_inverse=True)
+    area_of_region = sum_by_index(region, area, key.size)
+    weight = area / np.maximum(area_of_region, MIN_AREA)[region]
     means = [sum_by_index(region, weight * moment, key.size) for moment in mean]
     mean_of_region = np.array([np.ones(key.size), *means])
-    return Regions(key >> line_count, key & ((1 << line_count) - 1), total, mean_of_region)
+    return Regions(
+        key >> max_line_count, key & ((1 << max_line_count) - 1), area_of_region, mean_of_region
+    )
 
 
 def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Floats]]:
-    """Compute areas of triangles, and means of coordinates and their products over the triangles.
+    """Compute areas of triangles, and means of coordinates and of their products over the
+    triangles.
 
     Parameters
     ----------
     corners : (3, n) complex array
-        Corners x + i y of the triangles.
+        Corners X + i Y of each triangle, in the coordinates of a cell (-1 to 1).
 
     Returns
     -------
     area : (n,) float array
-        Areas as fractions of a cell's.
+        Areas, as fractions of the cell's area of 4.
     mean : list of five (n,) float arrays
-        Means of X, Y, X^2, X Y and Y^2.
+        Means of X, Y, X^2, X Y and Y^2 over each triangle.
     """
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
