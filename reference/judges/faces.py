@@ -130,8 +130,8 @@ class Faces:
         self.prepared = prepared = PreparedScene(scene)
         self.frame = frame = prepared.frame
         self.prepared_lights = lights = prepared.prepare_lights()
-        spheres, boxes, eye_inside = prepared.spheres, prepared.boxes, prepared.eye_inside
-        self.sphere_count, self.object_count = spheres.objects.size, eye_inside.size
+        spheres, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
+        self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
         self.light_position = lights.local
         self.center, self.radius, self.power = (
             np.array(spheres.local),
@@ -139,7 +139,7 @@ class Faces:
             spheres.power,
         )
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
-        is_on_box = eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
+        is_on_box = is_eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or is_on_box.any():
             raise ValueError("the eye is on a surface; move it off")
         sizes = np.append(spheres.radius, (boxes.max_pt - boxes.min_pt).ravel())
@@ -155,9 +155,9 @@ class Faces:
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box = boxes.objects.indices()
         side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
-        is_enclosed = np.any(np.where(eye_inside, side > 0, side < 0), axis=1, keepdims=True)
+        is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # It does not reach the box itself, whose sides are seen from within.
-        is_unlit = is_enclosed | (eye_inside & (lights.side >= 0))[:, self.object_index]
+        is_unlit = is_enclosed | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
@@ -180,7 +180,7 @@ class Faces:
         # Arrays of boxes have three axes: along x, y or z; low or high side; number of the box.
         corner = np.stack([low, high], axis=1)
         position = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
-        inward = np.where(prepared.eye_inside[n:], 1, -1) * [[-1], [1]]
+        inward = np.where(prepared.is_eye_inside[n:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         above = np.sign(corner) * (position - points)
@@ -268,7 +268,7 @@ class Faces:
             occurs once, and the triples are sorted.
         """
         prepared, grid, keys = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
-        may_block = ~prepared.eye_inside & ~prepared.is_duplicate
+        may_block = ~prepared.is_eye_inside & ~prepared.is_duplicate
         shape = (*active.T.shape, self.object_count)
         if grid is not None and active.any():
             owner = self.object_index[face]
@@ -300,7 +300,7 @@ class Faces:
         box_count = self.object_count - self.sphere_count
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            is_high_side = (group.sign > 0) ^ self.prepared.eye_inside[group.run_object]
+            is_high_side = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]
             side = group.run_object + group.shape.is_planar * box_count * (
                 2 * group.face + is_high_side
             )
