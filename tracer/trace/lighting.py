@@ -27,7 +27,10 @@ _MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
 
 
 class LightGeometry(NamedTuple):
-    """Vectors and angles between n hits and a batch of lights, regardless of occluders.
+    """Dot products of normals and light vectors, for n hits and a batch of lights.
+
+    Here n is the unit normal at the hit, and l the vector from the hit to the light, which is not
+    of unit length.  Occluders are ignored.
 
     Attributes
     ----------
@@ -36,10 +39,10 @@ class LightGeometry(NamedTuple):
     lights : Lights
         The lights.
     n_dot_l : (lights, n) float array
-        n . l, with the unit normal n and the vector l to the light, which is not of unit length.
-        It is -inf if the eye is inside the hit's object and the light is not: no light enters.
+        n . l for each pair.  It is -inf if the eye is inside the hit's object and the light is
+        outside: no light enters the object.
     length2 : (lights, n) float array
-        l . l
+        l . l for each pair: the squared distance of the light.
     """
 
     hits: Hits
@@ -48,21 +51,24 @@ class LightGeometry(NamedTuple):
     length2: Floats
 
     def highlight_strength(self, light: int, group: ShapeHits, index: Ints) -> Floats:
-        """Compute the strength (n.h)^exponent of the highlight of one light at some hits.
+        """Compute the strength (n.h)^exponent of one light's highlight at k hits.
+
+        Here n is the unit normal, and h the unit half vector between the directions to the light
+        and to the eye.
 
         Parameters
         ----------
         light : int
             Index of the light in this batch.
         group : ShapeHits
-            Hits on objects of one shape.
+            Hits on objects of one shape, which contain the k hits.
         index : (k,) int array
-            Indices of hits within the group.  They must face the light.
+            Indices of the k hits within the group.  Their surfaces must face the light.
 
         Returns
         -------
         strength : (k,) float array
-            The strength at each of these hits.
+            The strength at each hit.
         """
         local = take3(self.hits.local[:, group.interval], index)
         x, y, z = self.lights.local[light].tolist()
@@ -71,7 +77,11 @@ class LightGeometry(NamedTuple):
         distance = np.sqrt(dot(local, local))
 
         def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
-            """Return normals, and directions to the light and to the eye, at selected hits."""
+            """Compute unit vectors at hits that are selected by index (j,) from the k hits.
+
+            The result has three items: the normals, the directions to the light, and the directions
+            to the eye, each as a tuple of three (j,) arrays.
+            """
             light_direction = scale3(take3(to_light, selected), 1 / length[selected])
             eye_direction = scale3(take3(local, selected), -1 / distance[selected])
             normal = take3(map3(group.per_hit, group.normal), index[selected])
@@ -87,7 +97,7 @@ class LightGeometry(NamedTuple):
 
 
 class Shading:
-    """The sum, over lights, of the radiance from n hits towards the eye.
+    """The radiance that n hits reflect towards the eye, summed over lights.
 
     Parameters
     ----------
@@ -99,7 +109,8 @@ class Shading:
     Attributes
     ----------
     ids : (n,) int array
-        Encodes the object, its face, and the lights that reach the hit; empty without `with_ids`.
+        For each hit, a number that encodes the object, its face, and the lights visible from the
+        hit.  If `with_ids` is False, the array is empty.
     """
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
@@ -112,20 +123,20 @@ class Shading:
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add a batch of lights.
+        """Add the light of a batch of lights to the sum, and encode their visibility in `ids`.
 
         Parameters
         ----------
         geometry : LightGeometry
-            The lights, and the same hits.
+            The lights, and the hits of this object.
         is_lit : (lights, n) bool array
-            Whether each light reaches each hit.
+            Whether the light is visible from the hit.
         """
-        for bits in is_lit if self._with_ids else ():
+        for light_is_lit in is_lit if self._with_ids else ():
             # The factor is odd: with more lights than bits, the first lights still count.
-            self.ids = self.ids * 3 + bits
-        for group, glossy in zip(self._hits.groups, self._is_glossy, strict=True):
-            interval, any_glossy = group.interval, glossy.any()
+            self.ids = self.ids * 3 + light_is_lit
+        for group, is_glossy in zip(self._hits.groups, self._is_glossy, strict=True):
+            interval, any_glossy = group.interval, is_glossy.any()
             for light, lit in enumerate(is_lit[:, interval]):
                 if not lit.any():
                     continue
@@ -135,44 +146,51 @@ class Shading:
                 for channel, factor in zip(self._diffuse, intensity, strict=True):
                     channel[interval] += factor * cosine
                 if any_glossy:
-                    strength, index = np.zeros(lit.size), indices(lit & glossy)
+                    strength, index = np.zeros(lit.size), indices(lit & is_glossy)
                     strength[index] = geometry.highlight_strength(light, group, index)
                     for channel, factor in zip(self._specular, intensity, strict=True):
                         channel[interval] += factor * strength
 
     def reflection_terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
-        """Yield the diffuse and the specular term of the radiance, for each channel.
+        """Yield the diffuse and the specular radiance, for each shape and each colour channel.
 
         Yields
         ------
         sample : (k,) int array
-            The samples of the hits on objects of one shape.
+            Indices of the samples whose rays hit objects of one shape.
         channel : int
             0 for red, 1 for green, 2 for blue.
         diffuse : (k,) float array
-            Sum over lights of I kd n.l.
+            Sum over visible lights of I kd n.l, where I is the light's intensity, kd the object's
+            diffuse colour, n the normal, and l the direction to the light.
         specular : (k,) float array or None
-            Sum over lights of I ks (n.h)^exponent; None if no object of this shape has highlights.
+            Sum over visible lights of I ks (n.h)^exponent, where ks is the object's specular
+            colour, and h the half vector; None if none of the hit objects has highlights.
         """
         prepared = self._hits.prepared
-        for (group, glossy), k in product(
+        for (group, is_glossy), channel in product(
             zip(self._hits.groups, self._is_glossy, strict=True), range(3)
         ):
-            diffuse = self._diffuse[k, group.interval] * group.object_values(prepared.diffuse[k])
-            specular = None
-            if glossy.any():
-                specular = self._specular[k, group.interval] * group.object_values(
-                    prepared.specular[k]
-                )
-            yield group.sample, k, diffuse, specular
+            interval, specular = group.interval, None
+            kd = group.object_values(prepared.diffuse[channel])
+            diffuse = self._diffuse[channel, interval] * kd
+            if is_glossy.any():
+                ks = group.object_values(prepared.specular[channel])
+                specular = self._specular[channel, interval] * ks
+            yield group.sample, channel, diffuse, specular
 
     def radiance(self, out: Floats | None = None) -> Floats:
-        """Return the radiance (3, samples) towards the eye; 0 for samples without a hit.
+        """Compute the radiance towards the eye, at each sample.
 
         Parameters
         ----------
         out : (3, samples) float array of zeros, optional
-            Receives the result: a picture is too large for a copy.
+            Array that receives the result, and is returned.
+
+        Returns
+        -------
+        radiance : (3, samples) float array
+            Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
         for sample, channel, diffuse, specular in self.reflection_terms():
@@ -186,10 +204,22 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     """Compute n . l and l . l for all pairs of a light and a hit, regardless of occluders.
 
     Here n is the unit normal at the hit, and l the vector from the hit to the light.
+
+    Parameters
+    ----------
+    hits : Hits
+        The hits.
+    lights : Lights
+        A batch of lights.
+
+    Returns
+    -------
+    geometry : LightGeometry
+        The dot products, as arrays (lights, hits).
     """
     geometry = LightGeometry(hits, lights, *np.empty((2, len(lights.local), hits.local.shape[1])))
     for light, (x, y, z) in enumerate(lights.local.tolist()):
-        # If the eye is inside an object, the object blocks all lights that are not inside, too.
+        # If the eye is inside an object, the object blocks all lights outside of it.
         is_blocked = hits.prepared.is_eye_inside & (lights.side[light] != INSIDE)
         for group in hits.groups:
             local = hits.local[:, group.interval]
@@ -208,40 +238,41 @@ def find_narrow_highlights(
 ) -> Iterator[Ints]:
     """Find hits whose footprint may contain a highlight too narrow for a single sample.
 
-    The footprint is the part of the surface around the hit that a cell of the picture sees.  Around
-    its centre, a highlight is the bell exp(-p a^2 / 2), with the exponent p and the angle a between
-    the normal and the half vector.  The angle changes over the footprint as the surface curves, and
-    as the directions to the light and to the eye turn.
+    The footprint is the part of the surface around the hit that a cell of the picture covers.
+    Around the centre of a highlight, its strength is about exp(-p a^2 / 2), with the exponent p and
+    the angle a between the normal and the half vector.  The angle changes over the footprint
+    because the surface curves, and because the directions to the light and to the eye turn.
 
     Parameters
     ----------
     geometry : LightGeometry
         The n hits and the lights.
     frontlit : (lights, n) bool array
-        Whether the surface at the hit faces the light.  A light that does not reach the hit may
-        still reach other points of its footprint.
+        Whether the surface at the hit faces the light.  Occluders are ignored: a light that is not
+        visible from the hit may still be visible from other points of the footprint.
     footprint : (n,) float array
         Radius of each footprint, in the scene's unit of length.
 
     Yields
     ------
     index : (k,) int array
-        Indices of hits; the same hit may occur for several lights.
+        Indices of hits that one light may cause to have a narrow highlight.  A hit may be yielded
+        again for another light.
     """
     prepared, distance = geometry.hits.prepared, geometry.hits.distance
     for group in geometry.hits.groups:
-        glossy, interval = group.object_values(prepared.is_glossy), group.interval
-        if not np.any(glossy):
+        is_glossy, interval = group.object_values(prepared.is_glossy), group.interval
+        if not np.any(is_glossy):
             continue
         eye_turn = 1 / distance[interval] + group.object_values(prepared.curvature)
-        scale = np.where(glossy, np.sqrt(group.object_values(prepared.exponent) / 2), 0)
+        scale = np.where(is_glossy, np.sqrt(group.object_values(prepared.exponent) / 2), 0)
         for light, faces_light in enumerate(frontlit[:, interval]):
             turn = eye_turn + 1 / np.sqrt(geometry.length2[light, interval])
             step = footprint[interval] * turn * scale
             index = indices((step > _MAX_LOBE_STEP) & faces_light)
             if index.size:
-                power = geometry.highlight_strength(light, group, index)
-                position = np.minimum(np.sqrt(-np.log(power)), _LOBE_UNDERFLOW)
+                strength = geometry.highlight_strength(light, group, index)
+                position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
                 is_visible = position - step[index] < _LOBE_CUTOFF
                 yield interval.start + index[is_visible]
 
@@ -253,12 +284,12 @@ def _stable_highlight(
     exponent: Floats,
     unit_vectors: Callable[[Ints], tuple[Triple, Triple, Triple]],
 ) -> Floats:
-    """Compute (n.h)^exponent, with the unit normal n and the half vector h.
+    """Compute (n.h)^p accurately, with the unit normal n, the unit half vector h and exponent p.
 
-    l and v are the directions to the light and to the eye.  As n.h = (n.l + n.v) / |l + v| and
-    |l + v|^2 = 2 + 2 l.v, three cosines suffice for most hits.  They do not suffice if a large
-    exponent amplifies the rounding error of n.h, or if l and v almost cancel.  Then the result is
-    computed from the vectors: with e = n - h, the cosine is 1 - e.e / 2, and
+    Let l and v be the directions to the light and to the eye.  As n.h = (n.l + n.v) / |l + v| and
+    |l + v|^2 = 2 + 2 l.v, three cosines suffice for most hits.  They do not suffice if (1) a large
+    exponent amplifies the rounding error of n.h, or (2) l and v almost cancel.  In both cases, the
+    result is computed from the vectors: with e = n - h, the cosine is 1 - e.e / 2, and
     exp(p log1p(-e.e / 2)) keeps the digits that n.h has lost.
 
     For exponents up to 1e6, the error is at most 1e-12 if |l + v| > 0.3, and at most 1e-10 if
@@ -269,30 +300,30 @@ def _stable_highlight(
     n_dot_l, n_dot_v, l_dot_v : (n,) float arrays
         Dot products of the unit vectors n, l and v; n.l is positive.
     exponent : (n,) float array
-        The exponent at each hit.
+        The exponent p at each hit.
     unit_vectors : callable
-        Returns, for an array of k indices of hits, the unit vectors n, l and v at these hits, each
+        Takes the indices (k,) of hits, and returns the unit vectors n, l and v at these hits, each
         as a tuple of three (k,) arrays.
 
     Returns
     -------
-    power : (n,) float array
-        (n.h)^exponent.
+    strength : (n,) float array
+        (n.h)^p at each hit.
     """
-    half2 = 1 + l_dot_v
-    square = n_dot_l + n_dot_v
-    square *= square
-    square /= 2 * half2
-    power: Floats = np.exp(0.5 * exponent * np.log(square))
-    index = indices((half2 < MIN_HALF_SQUARE) | (exponent * power > MAX_AMPLIFICATION))
+    half_square = 1 + l_dot_v  # |l + v|^2 / 2
+    cosine2 = n_dot_l + n_dot_v
+    cosine2 *= cosine2
+    cosine2 /= 2 * half_square
+    strength: Floats = np.exp(0.5 * exponent * np.log(cosine2))
+    index = indices((half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION))
     if not index.size:
-        return power
-    n, light, eye = unit_vectors(index)
-    h = map3(np.add, light, eye)
-    length2, p = dot(h, h), exponent[index]
-    e = map3(np.subtract, n, scale3(h, 1 / np.sqrt(length2)))
+        return strength
+    normal, to_light, to_eye = unit_vectors(index)
+    l_plus_v = map3(np.add, to_light, to_eye)
+    length2, p = dot(l_plus_v, l_plus_v), exponent[index]
+    e = map3(np.subtract, normal, scale3(l_plus_v, 1 / np.sqrt(length2)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     accurate = np.where(p == 0, 1.0, np.exp(p * np.log1p(-0.5 * dot(e, e))))
-    # If l = -v, the light grazes the surface, and h consists of rounding errors.
-    power[index] = np.where(length2 > MIN_HALF_LENGTH2, accurate, 0.0)
-    return power
+    # If l = -v, the light grazes the surface, and l + v consists of rounding errors.
+    strength[index] = np.where(length2 > MIN_HALF_LENGTH2, accurate, 0.0)
+    return strength

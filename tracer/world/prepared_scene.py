@@ -40,18 +40,19 @@ _PACKET_SCALE = 0.75
 
 
 class Lights(NamedTuple):
-    """A batch of lights, prepared for the n objects of a scene.
+    """A batch of lights, with data that shadow tests of a scene's n objects need.
 
     Attributes
     ----------
     position : (lights, 3) float array
-        Positions of the lights, in the axes of the scene.
+        Positions of the lights, in scene axes.
     local : (lights, 3) float array
-        Vectors from the eye to the lights, in the axes of the camera.
+        Vectors from the eye to the lights, in camera axes.
     intensity : (lights, 3) float array
         Linear RGB intensities.
     side : (lights, n) int8 array
-        Side of each object's surface on which the light lies: see `Spheres.side_of_light`.
+        Side of each object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`, from
+        `Spheres.side_of_light`.
     grid : LightGrid or None
         Lists of objects by their direction from each light; None if no object can be in shadow.
     """
@@ -64,22 +65,22 @@ class Lights(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """Size of the largest arrays, in bytes."""
+        """Number of bytes in the arrays that grow with the number of objects."""
         arrays = [self.side, *(self.grid or ())]
         return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 class PreparedScene:
-    """A scene with n objects, prepared for its camera.
+    """A scene with n objects, with all data that tracing needs and that no sample changes.
 
-    Objects have indices: see `ObjectRange`.
+    Objects have indices from 0 to n - 1: see `ObjectRange`.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     offset : (float, float)
-        Moves every ray by this number of pixels to the right, and down.
+        Displacement of every ray to the right and down, in pixels.
 
     Attributes
     ----------
@@ -88,22 +89,22 @@ class PreparedScene:
     frame : CameraFrame
         The rays of the camera.
     spheres, boxes : Spheres, Boxes
-        The objects.
+        The objects of each shape.
     shapes : tuple of Spheres and Boxes
-        Those of `spheres` and `boxes` that contain objects.
+        `spheres` and `boxes`, except for those without objects.
     bounds : ScreenBounds
         Bounding rectangles of all objects in the picture.
     is_eye_inside : (n,) bool array
         Whether the eye is inside the object, or on its surface.
     curvature : (n,) float array
-        1 / radius of spheres, and 0 for boxes.
+        Curvature of each object's surface: 1 / radius for spheres, and 0 for boxes.
     is_duplicate : (n,) bool array
         Whether the object is equal to an object earlier in the file.  Such an object is never
-        visible, and casts no shadow that the other object does not cast.
+        visible, and its shadow is that of the other object.
     depth_complexity : float
-        Bound on the mean number of objects behind a sample in any row of the picture.
+        Upper bound, over all rows of the picture, on the mean number of objects on a ray.
     window : (slice, slice)
-        Rows and columns of the picture outside of which no object is visible.
+        Rows and columns of pixels that contain all visible objects.
     light_count : int
         Number of lights in the scene.
     diffuse, specular : (3, n) float arrays
@@ -115,7 +116,7 @@ class PreparedScene:
     position_error : (n,) float array
         Upper bound on the rounding errors of points on each object.
     packet_width : float
-        Width of a packet, a group of neighbouring hits, in pixels.
+        Width of a packet (a group of neighbouring hits), in pixels.
     """
 
     def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -139,29 +140,53 @@ class PreparedScene:
         table = np.array(colors).reshape(-1, 7).T.take(surfaces.shader_index, axis=1)
         self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
         self.is_glossy = np.any(table[3:6] > 0, axis=0)
-        size = np.concatenate([shape.coordinate_size for shape in shapes])
-        self.position_error = POSITION_ROUNDING * (size + np.abs(frame.eye).sum())
+        coordinate_size = np.concatenate([shape.coordinate_size for shape in shapes])
+        self.position_error = POSITION_ROUNDING * (coordinate_size + np.abs(frame.eye).sum())
         # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
         # pixels are lower than wide, there are more packets instead.
-        pixels = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
-        self.packet_width = _PACKET_SCALE * sqrt(pixels / max(size.size, 1))
+        pixel_count = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
+        self.packet_width = _PACKET_SCALE * sqrt(pixel_count / max(coordinate_size.size, 1))
         self._lights, self.light_count = scene.lights, len(scene.lights)
         self._cache, self._lock = dict[int, Lights](), Lock()
 
     def batch_size(self, max_samples: int) -> int:
-        """Return how many samples, at most `max_samples`, to trace together to limit memory."""
+        """Choose the number of samples to trace together, so that memory is limited.
+
+        Parameters
+        ----------
+        max_samples : int
+            Maximum number of samples.
+
+        Returns
+        -------
+        sample_count : int
+            A number from 1 to `max_samples`, smaller if many objects lie on each ray.
+        """
         return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """All lights of the scene, in batches; the number of lights in a batch limits memory."""
+        """Iterator over all lights of the scene, in small batches, which limit memory."""
         object_count = max(self.curvature.size, 1)
         step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, step):
             yield self._light_batch(slice(start, start + step))
 
     def _light_batch(self, index: slice) -> Lights:
-        """Return a batch of lights, given by a slice, from the cache if possible."""
+        """Return a batch of lights from the cache, or prepare it.
+
+        A prepared batch is added to the cache, unless the cache is full.
+
+        Parameters
+        ----------
+        index : slice
+            The lights in the batch, in the order of the file.
+
+        Returns
+        -------
+        lights : Lights
+            The batch; it may be shared with other callers.
+        """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
             if index.start in self._cache:
@@ -171,7 +196,18 @@ class PreparedScene:
         return self.prepare_lights(index)
 
     def prepare_lights(self, index: slice = slice(None)) -> Lights:
-        """Prepare lights of the scene, by default all of them, without use of the cache."""
+        """Compute what shadow tests need of lights.  The cache of batches is not used.
+
+        Parameters
+        ----------
+        index : slice
+            The lights to prepare, in the order of the file; by default, all.
+
+        Returns
+        -------
+        lights : Lights
+            Positions, intensities, and light grid of these lights.
+        """
         lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
@@ -193,20 +229,26 @@ class PreparedScene:
 
 
 def _find_duplicates(surfaces: Surfaces) -> Bools:
-    """Find objects that are equal to objects earlier in the file.
+    """Find objects whose geometry is equal to that of an object earlier in the file.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        The n surfaces of the scene.
 
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether an equal object has a smaller `file_index`.
+        Whether an object with the same geometry has a smaller `file_index`.  Spheres come first,
+        then boxes.
     """
     radius, corners = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
     # Six numbers for each object.  No box has a corner at infinity, so no sphere equals a box.
     spheres = [*surfaces.center.T, radius, radius, radius + np.inf]
-    numbers = np.concatenate([spheres, corners], axis=1)
+    geometry = np.concatenate([spheres, corners], axis=1)
     # Sort by a hash: duplicates become neighbours, and the first in the file comes first.
-    number_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * numbers[:5]).sum(axis=0)
-    order = np.lexsort((surfaces.file_index, number_hash))
+    geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
+    order = np.lexsort((surfaces.file_index, geometry_hash))
     is_duplicate = np.empty(order.size, dtype=np.bool_)
-    is_duplicate[order] = ~run_starts(*numbers[:, order])
+    is_duplicate[order] = ~run_starts(*geometry[:, order])
     return is_duplicate
