@@ -53,7 +53,6 @@ from tracer.arrays import (
 )
 from tracer.geometry.rounding import ON
 from tracer.trace.hits import Hits
-from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import Lights, Shape
 
 # Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
@@ -543,7 +542,7 @@ def _build_row_packets(
     offset *= max_hits
     start, count = hits.run_start[run] + offset, np.minimum(run_size[run] - offset, max_hits)
     object_index, is_lit = hits.run_object[run], np.logical_or.reduceat(frontlit, start, axis=1)
-    center, radius = _bounding_spheres(hits, start, count)
+    center, radius = _bounding_spheres(hits, start)
     radius += hits.prepared.position_error[object_index]
     if footprint is not None:
         radius += np.maximum.reduceat(footprint, start)
@@ -590,16 +589,17 @@ def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[
     return _merge_row_packets(row_packets, start, count), row_packets
 
 
-def _bounding_spheres(hits: Hits, start: Ints, count: Ints) -> tuple[Floats, Floats]:
+def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
+
+    The sphere is that around the bounding box of the group's hits in the axes of the camera.
 
     Parameters
     ----------
     hits : Hits
-        All hits.  The hits of one group lie on the same object, in the same row of samples.
-    start, count : (m,) int arrays
-        Group i contains the hits start[i] to start[i] + count[i] - 1, and groups follow each other
-        without gaps.
+        All hits.
+    start : (m,) int array
+        Group i contains the hits from start[i] up to the start of the next group.
 
     Returns
     -------
@@ -608,15 +608,7 @@ def _bounding_spheres(hits: Hits, start: Ints, count: Ints) -> tuple[Floats, Flo
     radius : (m,) float array
         Radii of the spheres.
     """
-    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.is_eye_inside.any():
-        corner, opposite = (f.reduceat(hits.local, start, axis=1) for f in (np.minimum, np.maximum))
-    else:
-        # Hits in one row of samples lie on a straight line, or on an arc of less than half a
-        # circle.  A sphere whose diameter is the chord from the first to the last contains both.
-        corner, opposite = (
-            hits.local.take(start, axis=1),
-            hits.local.take(start + count - 1, axis=1),
-        )
+    corner, opposite = (f.reduceat(hits.local, start, axis=1) for f in (np.minimum, np.maximum))
     half_diagonal = 0.5 * (opposite - corner)
     center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
