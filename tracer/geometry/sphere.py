@@ -240,18 +240,16 @@ class Spheres:
         sphere = self.objects.positions(object_index)
         ray_ahead2, u, ahead, disc_radius2 = self._cut_discs(sphere, self.radius[sphere], g)
         ray_ahead = np.sqrt(ray_ahead2)
-        power = self.power[sphere]
         length2 = s * s + repeat_runs(ray_ahead2, ray_count)
         # Cross product and dot product of the centre (u, ahead) and the ray (s, ray_ahead).
         cross_product = repeat_runs(u * ray_ahead, ray_count) - repeat_runs(ahead, ray_count) * s
         root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
         dot_product = repeat_runs(u, ray_count) * s + repeat_runs(ahead * ray_ahead, ray_count)
         divisor = dot_product + root
-        is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
-        t = power / divisor
-        if not is_eye_outside_all:  # the farther root, in the form with less cancellation
-            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
-            t = np.where(power > 0, t, far_t)
+        power = repeat_runs(self.power[sphere], ray_count)
+        # If the eye is inside, the farther root, in the form with less cancellation.
+        far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
+        t = np.where(power > 0, power / divisor, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
         return np.where(t > 0, t, np.inf), root
 
