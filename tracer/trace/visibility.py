@@ -235,8 +235,6 @@ def _select_visible(
         distance, the intersection with the first of them in the scene file.
     """
     visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
-    if sum(g.t.size for g in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
-        return visible  # no sample has two
     file_index = prepared.surfaces.file_index
     file_positions = [repeat_runs(file_index.take(g.object_index), g.sample_count) for g in visible]
     first = np.full(nearest.size, file_index.size)
