@@ -31,8 +31,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, fit_lines, rays
-from tracer.antialias.edges import Apexes, CellSurfaces, edge_batches, footprints_of, silhouettes
+from tracer.antialias.edge_functions import (
+    EdgeValues,
+    InverseDepth,
+    Lines,
+    fit_lines,
+    rays_through_cells,
+)
+from tracer.antialias.edges import (
+    Apexes,
+    CellSurfaces,
+    compute_footprints,
+    edge_batches,
+    silhouettes,
+)
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, indices
@@ -73,7 +85,8 @@ class Cells(NamedTuple):
     center_x, center_y : (n,) float arrays
         Centres of the cells, in pixels from the upper left corner of the picture.
     pair_cell, pair_object : (m,) int arrays
-        Pairs of a cell and an object, as indices: the object's silhouette may cross the cell.
+        Pairs of a cell and an object, as indices.  The pairs are those in which the silhouette of
+        the object may cross the cell.
     """
 
     width: float
@@ -90,7 +103,7 @@ class Cells(NamedTuple):
         Parameters
         ----------
         cell : (k,) int array
-            Index of the cell of each point.
+            Index of the cell (a pixel, or a square part of a pixel) that contains each point.
         point : (k,) complex array
             Points x + iy relative to the centres of their cells, in widths of a cell: x and y are
             between -1/2 and 1/2.
@@ -104,18 +117,19 @@ class Cells(NamedTuple):
         return x, self.center_y[cell] + self.width * point.imag
 
     def quarters(self, index: Ints) -> Cells:
-        """Divide cells into quarters of half their width.
+        """Divide square cells into quarters of half their width.
 
         Parameters
         ----------
         index : (k,) int array
-            Indices of the cells to divide.
+            Indices of the cells to divide, all different.
 
         Returns
         -------
         quarters : Cells
             The 4 k quarters: the four of the first cell, then the four of the second cell, and so
-            on.  Each quarter is paired with all objects with which its cell is paired.
+            on.  Each quarter is paired with all objects with which its cell is paired.  The number
+            of samples along a side is half that of the cells, rounded up.
         """
         count = index.size
         x, y = self.positions(index.repeat(4), np.tile(Lattice(2, 2).points(), count))
@@ -157,8 +171,11 @@ def classify(
 ) -> Classification:
     """Decide which cells are smooth, which are crossed by straight edges, and which by other edges.
 
-    A cell is a pixel or a square part of a pixel.  One sample is traced through its centre.  Its
-    edges are silhouettes, creases, intersections of surfaces, shadow edges and terminators.
+    A cell is a pixel, or a square part of a pixel.  It is smooth if no edge crosses it.  Edges are
+    silhouettes, creases between faces, intersections of surfaces, shadow edges, and terminators
+    (where a surface turns away from a light).  One sample is traced through the centre of each
+    cell, and edges are searched for around its hit.  Silhouettes are also searched for in all
+    pairs of a cell and an object in `cells`, so an object is found even if no sample hits it.
 
     Parameters
     ----------
@@ -174,18 +191,20 @@ def classify(
     Returns
     -------
     classification : Classification
-        Its field `center` describes the sample of each cell; `lines` contains straight lines along
-        the edges; `is_unresolved` (n,) is True for cells with other edges; and `is_crowded` (n,) is
-        True for cells with too many edges.  A cell is smooth if it has no lines and is not
+        Properties of the n cells, in the order of `cells`.  The field `center` contains radiance
+        and id of the sample of each cell.  `lines` contains straight lines along edges, at most
+        `MAX_LINES` in each cell.  `is_unresolved` (n,) is True for cells that may contain something
+        other than straight edges.  `is_crowded` (n,) is True for cells in which finding all edges
+        would cost more than a lattice of samples.  A cell is smooth if it has no lines and is not
         unresolved.
     """
     count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
     is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
     hits, hidden_hits = nearest_and_hidden_hits(prepared, samples)
-    hit_cell, footprint = sample_cell[hits.sample], footprints_of(hits, cells.width)
+    hit_cell, footprint = sample_cell[hits.sample], compute_footprints(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
-    outlines = _visible_silhouettes(prepared, cells)
+    outlines = _silhouettes_from_eye(prepared, cells)
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
     lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
@@ -200,7 +219,7 @@ def classify(
     lines = Lines.joined(all_lines).distinct()
     if prepared.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell, minlength=count) > MAX_LINES
-    lines = lines.first(MAX_LINES)
+    lines = lines.limit_per_cell(MAX_LINES)
     center = CenterSamples(radiance, center_id)
     return Classification(cells, center, lines, is_unresolved, is_crowded)
 
@@ -208,16 +227,17 @@ def classify(
 def _add_lights(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add the light of a batch of lights to the shading, and find the edges that they cause.
+    """Add the light of a batch of lights to the radiance of hits, and find the edges of this light.
 
-    The edges are shadow edges and terminators (where a surface turns away from the light).
+    The edges are shadow edges and terminators (where a surface turns away from the light).  They
+    are searched for in the cell of each hit, which is a pixel or a square part of a pixel.
 
     Parameters
     ----------
     shading : Shading
-        Sum of the light that reaches the hits; this function adds to it.
+        Sum of the light that reaches the hits.  This function adds to it.
     surfaces : CellSurfaces
-        The surface that is visible in each cell, around the hit of the cell's center sample.
+        For each cell, the surface where the ray through the cell's centre hits it.
     lights : Lights
         The lights to add.
     tolerance : float
@@ -228,10 +248,12 @@ def _add_lights(
     lines : Lines
         Straight lines along the edges.
     unresolved_cell : (k,) int array
-        Indices of cells that may contain something other than straight edges: a curved edge, an
-        edge that was not searched for, too many shadow edges, or a narrow highlight.
+        Indices of cells that may contain something other than straight edges: a curved edge, a
+        shadow edge that was not searched for, too many shadow edges, or a narrow highlight.  An
+        index may be repeated.
     crowded_cell : (j,) int array
-        Indices of cells with too many shadow edges.
+        Indices of cells with so many shadow edges that a lattice of samples costs less than finding
+        them.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = light_geometry(hits, lights)
@@ -239,11 +261,11 @@ def _add_lights(
     # A cell with a wide footprint will be divided in any case, so its shadow edges are not needed.
     is_wide = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(is_wide, 0, footprint)
-    is_blocked, shadows, is_crowded = shadow_edges(hits, lights, frontlit, search_radius)
+    is_blocked, edge_triples, is_crowded = shadow_edges(hits, lights, frontlit, search_radius)
     shading.add(geometry, frontlit & ~is_blocked)
     apexes = _light_positions(hits.prepared.frame, lights)
     terminators = surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2)
-    edges = chain(surfaces.shadows(apexes, *shadows), terminators)
+    edges = chain(surfaces.shadow_silhouettes(apexes, *edge_triples), terminators)
     lines, curved_cell = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, frontlit, footprint)
     narrow_cells = [hit_cell[narrow_hit] for narrow_hit in highlights]
@@ -251,46 +273,55 @@ def _add_lights(
     return lines, unresolved_cell, hit_cell[is_crowded]
 
 
-def _visible_silhouettes(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield, in batches, the silhouettes that may cross each cell, as visible from the eye.
+def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
+    """Yield, in batches, the silhouettes of objects that may cross cells, as seen from the eye.
+
+    A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function,
+    which is a smooth function on the picture that is zero at the silhouette.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
     cells : Cells
-        Pixels or square parts of pixels, with the objects whose silhouettes may cross each.
+        The cells.  Their pairs of a cell and an object show which silhouettes may cross each cell.
 
     Yields
     ------
     cell : (k,) int array
-        Index of the cell of each silhouette.
+        Index of the cell that each silhouette may cross.  A box has up to six silhouettes, one for
+        each edge.
     values : (6, k) float array
-        Values of the silhouette's edge function at six points of the cell.
+        Values of the edge function at six points of the cell: the centre; the centres of the right,
+        left, lower and upper side; and the lower right corner.
     """
     frame = prepared.frame
     eye = Apexes(frame.eye[None], np.zeros((1, 3)))
     for batch in edge_batches(np.arange(cells.pair_cell.size)):
         cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
-        across, down = frame.ray_s(cells.center_x[cell]), frame.ray_g(cells.center_y[cell])
-        ray = rays(frame, across, down, cells.width)
+        ray_x, ray_y = frame.ray_s(cells.center_x[cell]), frame.ray_g(cells.center_y[cell])
+        ray = rays_through_cells(frame, ray_x, ray_y, cells.width)
         yield from silhouettes(prepared, eye, np.zeros_like(cell), cell, object_index, ray)
 
 
 def _light_positions(frame: CameraFrame, lights: Lights) -> Apexes:
     """Return the positions of lights, with distant lights moved closer as in the light grid.
 
+    The light grid moves a distant light towards the scene.  Shadow edges are computed for the same
+    positions, which differ from the lights' own by a negligible angle.
+
     Parameters
     ----------
     frame : CameraFrame
         The camera, to convert positions to its axes.
     lights : Lights
-        The lights; if they have no light grid, their positions are unchanged.
+        The m lights.  If they have no light grid, their positions are unchanged.
 
     Returns
     -------
     apexes : Apexes
-        The positions, in the axes of the scene and in those of the camera.
+        The positions, as `position` (m, 3) in the axes of the scene, and as `local` (m, 3) relative
+        to the eye in the axes of the camera.
     """
     if lights.grid is None:
         return Apexes(lights.position, lights.local)

@@ -48,8 +48,8 @@ from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
 EdgeValues: TypeAlias = tuple[Ints, Floats]
-"""Cells (n,) of n edges, and the values (6, n) of their edge functions at the six points of the
-cell; NaN where unknown."""
+"""Indices (n,) of the cells that n edges may cross, and the values (6, n) of the edge functions at
+the six points of the cell; NaN where unknown."""
 
 # The six points of a cell, in widths of the cell from its centre: the centre; the centres of the
 # right, left, lower and upper side; and the lower right corner.
@@ -64,14 +64,15 @@ _MAX_TURN, _TURN_PER_TOLERANCE = 0.5, 500.0
 
 
 class Lines(NamedTuple):
-    """Straight lines c + a x + b y = 0 that cross cells.
+    """Straight lines c + a x + b y = 0 that cross cells (pixels, or square parts of pixels).
 
-    The coordinates x and y are relative to the centre of the cell, in widths of the cell.
+    The coordinates x and y are relative to the centre of the cell, in widths of the cell.  The
+    y-axis points down.
 
     Attributes
     ----------
     cell : (n,) int array
-        The cell of each line.
+        Index of the cell that each line crosses.
     a, b, c : (n,) float arrays
         Coefficients, scaled so that the maximum of |a x + b y| in the cell is 1, with a > 0, or
         with a = 0 and b > 0.
@@ -84,28 +85,34 @@ class Lines(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Iterable[Lines]) -> Lines:
-        """Return the lines of all parts, one part after the other."""
+        """Concatenate several sets of lines, at least one, in their order."""
         return cls._make(map(np.concatenate, zip(*parts, strict=True)))
 
     def take(self, index: Ints | slice) -> Lines:
-        """Select lines by index."""
+        """Return the lines with the given indices, in their order."""
         return Lines._make(field[index] for field in self)
 
     def distinct(self) -> Lines:
-        """Sort lines by cell and coefficients, and keep one of equal lines.
+        """Return the lines without duplicates, sorted by cell and coefficients.
 
-        So the order in which lines were found does not change the result.
+        The order makes the result independent of the order in which the lines were found.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
         return lines.take(indices(run_starts(*lines)))
 
-    def first(self, max_lines: int) -> Lines:
-        """Return the first `max_lines` lines of each cell; the lines must be sorted by cell."""
+    def limit_per_cell(self, max_lines: int) -> Lines:
+        """Return the first lines of each cell, at most `max_lines`.
+
+        The lines must be sorted by cell.
+        """
         return self.take(indices(join_ranges(0, run_lengths(self.cell)[1]) < max_lines))
 
 
-def rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
-    """Compute rays from the eye through the six points of cells.
+def rays_through_cells(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
+    """Compute the rays from the eye through six points of each cell.
+
+    A cell is a pixel, or a square part of a pixel.  The six points are, in this order: the centre;
+    the centres of the right, left, lower and upper side; and the lower right corner.
 
     Parameters
     ----------
@@ -119,25 +126,33 @@ def rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
 
     Returns
     -------
-    ray : tuple of three (6, n) or (1, n) float arrays
-        Components of the rays; the third is the same for all six points.
+    ray_x, ray_y : (6, n) float arrays
+        First and second components of the rays, in the axes of the camera.
+    ray_z : (1, n) float array
+        Third component of the rays, which is the same for all six points.
     """
-    across, down = _X * (frame.step_u * cell_width), _Y * (frame.step_v * cell_width)
-    return x + across, y + down, np.full((1, x.size), frame.depth)
+    offset_x, offset_y = _X * (frame.step_u * cell_width), _Y * (frame.step_v * cell_width)
+    return x + offset_x, y + offset_y, np.full((1, x.size), frame.depth)
 
 
-def value_range(values: Floats) -> Floats:
-    """Bound the difference between an edge function in a cell and its value at the centre.
+def bound_variation(values: Floats) -> Floats:
+    """Bound how far an edge function in a cell differs from its value at the cell's centre.
+
+    A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
+    picture that is zero at an edge.  Here it is approximated by the quadratic polynomial through
+    its values at six points, so the bound ignores its third derivatives.
 
     Parameters
     ----------
     values : (6, ...) float array
-        Values of the edge functions at the six points of their cells.
+        Values of edge functions at six points of their cells: the centre; the centres of the right,
+        left, lower and upper side; and the lower right corner.
 
     Returns
     -------
-    maximum : (...) float array
-        Bound on the absolute difference, from the first and second differences.
+    max_difference : (...) float array
+        Upper bound on the absolute difference of the polynomial, anywhere in the cell, from its
+        value at the centre.
     """
     center, right, left, below, above, corner = values
     linear = np.abs(right - left) + np.abs(below - above)
@@ -147,83 +162,104 @@ def value_range(values: Floats) -> Floats:
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
-    """Fit straight lines to edges, and find the cells of edges that are not straight.
+    """Fit straight lines to edges in cells, and find the cells of edges that are not straight.
+
+    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, which
+    is a smooth function on the picture that is zero at the edge.
 
     Parameters
     ----------
     edges : iterable of (cell, values)
-        In batches: the cells (n,) of edges, and the values (6, n) of their edge functions.
+        Batches of edges.  `cell` (n,) contains the index of a cell for each edge.  `values` (6, n)
+        contains the values of the edge function at six points of this cell: the centre; the centres
+        of the right, left, lower and upper side; and the lower right corner.  Unknown values are
+        NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
     Returns
     -------
     lines : Lines
-        Lines that represent the edges, except for edges that certainly do not cross their cells,
-        and for edges that turn too much.
+        A line for each edge that crosses its cell, except for edges that turn by more than
+        `_MAX_TURN` radians.
     curved_cell : (k,) int array
-        Cells with edges that are not straight, or are unknown.
+        Indices of cells that an edge may cross which is unknown, or is too curved for the error of
+        its line to be within the tolerance.  An index may be repeated.
     """
     no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
-    fits = (_fit(cell, values, tolerance) for cell, values in chain([no_edges], edges))
+    fits = (_fit_batch(cell, values, tolerance) for cell, values in chain([no_edges], edges))
     lines, curved_cell = zip(*fits, strict=True)
     return Lines.joined(lines), np.concatenate(curved_cell)
 
 
-def _fit(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
+def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each edge of one batch, and find the cells of curved edges.
 
-    The edge function is approximated by f(x) = c + g . x + x . H x / 2, with the gradient g and the
-    matrix H of second derivatives at the centre of the cell.  The line is computed in two steps:
+    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f,
+    which is a smooth function on the picture that is zero at the edge.  It is approximated by
+    f(x) = c + g . x + x . H x / 2, with the gradient g and the matrix H of second derivatives at
+    the centre of the cell.  The line is computed in two steps:
 
     1. On the straight line x = s g through the centre, f is c + s g^2 + s^2 (g . H g) / 2.  It is
-       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  In this point, or the nearest point to
-       it on x = s g in the cell, f is replaced by its tangent plane c + a x + b y.
-    2. Along the unit vector t of the line, f differs from the tangent plane by u^2 (t . H t) / 2,
-       at the distance u from the point.  This is t . H t / 24 on average, for -1/2 < u < 1/2, and
-       is added to c.
+       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  At this point, or at the point of
+       x = s g in the cell that is nearest to it, f is replaced by its tangent plane c + a x + b y.
+    2. Along the unit vector t of the line c + a x + b y = 0, f differs from the tangent plane by
+       u^2 (t . H t) / 2, at the distance u from the point.  The average for -1/2 < u < 1/2, which
+       is t . H t / 24, is added to c.
 
-    The curvature of the edge is |t . H t| / |g|, so this is also its turn over a length of 1.
+    The curvature of the edge is |t . H t| / |g|.  This is also the angle, in radians, by which the
+    edge turns over a length of 1.
 
     Parameters
     ----------
     cell : (n,) int array
-        The cell of each edge.
+        Index of the cell that each edge may cross.
     values : (6, n) float array
-        Values of the edge functions at the six points of the cells.
+        Values of the edge functions at six points of the cell: the centre; the centres of the
+        right, left, lower and upper side; and the lower right corner.  Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
     Returns
     -------
-    lines, curved_cell : Lines, (k,) int array
-        See `fit_lines`.
+    lines : Lines
+        A line for each edge that crosses its cell, except for edges that turn by more than
+        `_MAX_TURN` radians.
+    curved_cell : (k,) int array
+        Indices of cells that an edge may cross which is unknown, or is too curved for the error of
+        its line to be within the tolerance.  An index may be repeated.
     """
     # So powers of the derivatives are finite, whatever the scene's unit of length.
-    center, right, left, below, above, corner = values / value_range(values)
+    center, right, left, below, above, corner = values / bound_variation(values)
+    # The components (a, b) of g, and the elements of H.
     a, b = right - left, below - above
-    xx, yy = 4 * (right + left - 2 * center), 4 * (below + above - 2 * center)
-    xy = 4 * (corner - right - below + center)
+    h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (below + above - 2 * center)
+    h_xy = 4 * (corner - right - below + center)
     slope2 = a * a + b * b
-    bend = (a * a * xx + 2 * a * b * xy + b * b * yy) / slope2
-    step = -2 * center / (slope2 + np.sqrt(np.abs(slope2 * (slope2 - 2 * center * bend))))
-    max_step = 0.5 / np.maximum(np.abs(a), np.abs(b))
-    step = np.clip(step, -max_step, max_step)
-    x, y = step * a, step * b
-    c = center + a * x + b * y + 0.5 * (x * (xx * x + 2 * xy * y) + y * yy * y)
-    a, b = a + xx * x + xy * y, b + xy * x + yy * y
+    # In the direction of g: g . H g / g^2
+    second_derivative_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope2
+    root = np.sqrt(np.abs(slope2 * (slope2 - 2 * center * second_derivative_across)))
+    s = -2 * center / (slope2 + root)
+    max_s = 0.5 / np.maximum(np.abs(a), np.abs(b))
+    s = np.clip(s, -max_s, max_s)
+    x, y = s * a, s * b
+    c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
+    a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
     c -= a * x + b * y
     slope2 = a * a + b * b
-    sag = (b * b * xx - 2 * a * b * xy + a * a * yy) / slope2
+    # In the direction of the unit vector t: t . H t
+    second_derivative_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope2
     maximum = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale3((a, b, c + sag / 24), sign / maximum))
+    lines = Lines(cell, *scale3((a, b, c + second_derivative_along / 24), sign / maximum))
     # If the slope changes much across the edge, the far side of a small object may be in the cell.
-    turn = np.maximum(np.abs(sag), np.abs(bend)) / np.sqrt(slope2)
+    turn = np.maximum(np.abs(second_derivative_along), np.abs(second_derivative_across)) / np.sqrt(
+        slope2
+    )
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  NaN counts as an edge in the cell.
-    is_near = np.where(has_line, crosses, ~(np.abs(center) > 1))
-    is_curved = is_near & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
+    may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))
+    is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
     return lines.take(indices(has_line & crosses)), cell[indices(is_curved)]
 
 
@@ -238,7 +274,7 @@ class InverseDepth(NamedTuple):
     - for a plane, k = n / (n . p) and w = 0, without the square root;
     - for a sphere, k = C / P and w = 1 / P.
 
-    A ray that misses the sphere counts as one that touches it.
+    A ray that misses the sphere is treated as one that touches it.
 
     Attributes
     ----------
@@ -253,7 +289,7 @@ class InverseDepth(NamedTuple):
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
-        """Return the surfaces at n hits."""
+        """Return the surface at each of n hits: the face of a box as a plane, or the sphere."""
         spheres = hits.prepared.spheres
         k, w = np.empty(hits.local.shape), np.zeros(hits.local.shape[1])
         for group in hits.groups:
@@ -268,18 +304,27 @@ class InverseDepth(NamedTuple):
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> InverseDepth:
-        """Select surfaces by index."""
+        """Return the surfaces with the given indices, in their order."""
         return InverseDepth(take3(self.k, index), self.w[index])
 
-    def inverse(self, ray: Triple) -> Floats:
-        """Compute 1 / t (6, n) for rays, whose three components are (6, n) float arrays.
+    def evaluate(self, ray: Triple) -> Floats:
+        """Compute 1 / t for each of six rays per surface, where t times the ray is on the surface.
 
-        Column i contains six rays that meet the surface i.
+        Parameters
+        ----------
+        ray : tuple of three (6, n) float arrays
+            Components of rays from the eye, in the axes of the camera.  Column i contains six rays
+            for surface i.  An array may have one row, which is then that of all six rays.
+
+        Returns
+        -------
+        inverse_t : (6, n) float array
+            1 / t of each ray.
         """
-        values = dot(self.k, ray)
-        index = indices(self.w)
-        if index.size:
-            sphere_ray = map3(lambda x: x[:, index], ray)
-            square = values[:, index] ** 2 - self.w[index] * dot(sphere_ray, sphere_ray)
-            values[:, index] += np.sqrt(np.maximum(square, 0))
-        return values
+        inverse_t = dot(self.k, ray)
+        sphere = indices(self.w)
+        if sphere.size:
+            sphere_ray = map3(lambda component: component[:, sphere], ray)
+            square = inverse_t[:, sphere] ** 2 - self.w[sphere] * dot(sphere_ray, sphere_ray)
+            inverse_t[:, sphere] += np.sqrt(np.maximum(square, 0))
+        return inverse_t

@@ -20,7 +20,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, rays, value_range
+from tracer.antialias.edge_functions import (
+    EdgeValues,
+    InverseDepth,
+    bound_variation,
+    rays_through_cells,
+)
 from tracer.arrays import (
     BATCH_SIZE,
     Bools,
@@ -61,25 +66,39 @@ class Apexes(NamedTuple):
 
 
 def edge_batches(index: Ints) -> Iterator[Ints]:
-    """Yield consecutive parts (k,) of an array of indices (n,), each for one batch of edges."""
+    """Divide indices of edges into batches, which limit the memory of one computation.
+
+    Parameters
+    ----------
+    index : (n,) int array
+        Indices of edges.
+
+    Yields
+    ------
+    batch : (k,) int array
+        The next elements of `index`, at most `BATCH_SIZE`.  Nothing is yielded if `index` is empty.
+    """
     for start in range(0, index.size, BATCH_SIZE):
         yield index[start : start + BATCH_SIZE]
 
 
-def footprints_of(hits: Hits, cell_width: float) -> Floats:
-    """Compute the radius around each hit of the part of the surface that is visible in its cell.
+def compute_footprints(hits: Hits, cell_width: float) -> Floats:
+    """Compute, for each hit, the radius of the part of its surface that is visible in its cell.
+
+    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
+    the cell meets a surface.
 
     Parameters
     ----------
     hits : Hits
-        The n hits of rays through the centres of cells.
+        The n hits.
     cell_width : float
         Width of the cells, in pixels.
 
     Returns
     -------
     footprint : (n,) float array
-        Radius around each hit, in the scene's unit of length.
+        Radius of the visible part around each hit, in the scene's unit of length.
     """
     frame = hits.prepared.frame
     angle = _half_diagonal(frame, cell_width)
@@ -99,20 +118,35 @@ def footprints_of(hits: Hits, cell_width: float) -> Floats:
 
 
 def _half_diagonal(frame: CameraFrame, cell_width: float) -> float:
-    """Return half the diagonal of a cell as an angle from the eye, in radians.
+    """Return half the diagonal of a square cell of the picture, as an angle from the eye.
 
-    `cell_width` is the width of the cell, in pixels.
+    Parameters
+    ----------
+    frame : CameraFrame
+        The camera.
+    cell_width : float
+        Width of the cell, in pixels.
+
+    Returns
+    -------
+    angle : float
+        The angle in radians, for a cell where the window's plane is nearest to the eye: there the
+        angle is largest.
     """
     return 0.5 * cell_width * float(np.hypot(frame.step_u, frame.step_v)) / frame.depth
 
 
 def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
-    """Compute the footprints of cells on planar faces.
+    """Compute the radius of the part of a planar face that is visible in each cell.
+
+    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
+    the cell meets the face.
 
     Parameters
     ----------
     radius : (n,) float array
-        Half the diagonal of the cell at the distance of the hit, perpendicular to the ray.
+        Half the diagonal of the cell at the distance of the hit, perpendicular to the ray, in the
+        scene's unit of length.
     n_dot_v : (n,) float array
         Cosine between the normal of the face and the direction to the eye, at the hit.
     angle : float
@@ -121,7 +155,7 @@ def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
     Returns
     -------
     footprint : (n,) float array
-        Radius around the hit of the part of the face that is visible in the cell.
+        Radius of the visible part around each hit, in the scene's unit of length.
     """
     # At the far end of the cell, the cosine is smaller by at most the angle.
     return radius / (n_dot_v * np.maximum(1 - angle / n_dot_v, _MIN_COSINE_RATIO))
@@ -141,17 +175,18 @@ def silhouette_pixels(
     prepared : PreparedScene
         The scene, prepared for the camera.
     rows, columns : slice
-        The rectangle of pixels to search.
+        Rows and columns of the rectangle of pixels to search.
 
     Returns
     -------
     row, column : (n,) int arrays
-        The pixel of each pair: its row and column in the picture.
+        Row and column in the picture of the pixel of each pair.
     object_index : (n,) int array
-        The object of each pair.
+        Index of the object of each pair.
     """
     lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
     top, bottom = prepared.bounds.top, prepared.bounds.bottom
+    # Of each interval: row, object, and the columns at which it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in prepared.shapes:
         limits = columns.start, columns.stop
@@ -170,16 +205,23 @@ def silhouette_pixels(
         inner_start = np.where(covers_row, inner_start, stop).clip(start, stop)
         inner_stop = np.where(covers_row, inner_stop, stop).clip(inner_start, stop)
         intervals += [(row, owner, start, inner_start), (row, owner, inner_stop, stop)]
-    row, owner, left, right = (np.concatenate(field) for field in zip(*intervals, strict=True))
-    start, stop = (x.clip(columns.start, columns.stop).astype(np.intp) for x in (left, right))
-    interval, column = segment_indices(stop - start, start)
-    return row[interval] + rows.start, column, owner[interval]
+    all_row, all_owner, *ends = (np.concatenate(field) for field in zip(*intervals, strict=True))
+    start_column, stop_column = (
+        end.clip(columns.start, columns.stop).astype(np.intp) for end in ends
+    )
+    interval, column = segment_indices(stop_column - start_column, start_column)
+    return all_row[interval] + rows.start, column, all_owner[interval]
 
 
 def silhouettes(
     prepared: PreparedScene, apexes: Apexes, apex: Ints, cell: Ints, owner: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Yield the silhouettes of objects, as seen from apexes (the eye, or lights).
+    """Yield the edge functions of the silhouettes of objects, as seen from apexes.
+
+    An apex is the eye or a light.  An edge function is a smooth function on the picture that is
+    zero at an edge.  It is evaluated at six points of a cell (a pixel, or a square part of a
+    pixel): the centre; the centres of the right, left, lower and upper side; and the lower right
+    corner.
 
     Parameters
     ----------
@@ -188,56 +230,63 @@ def silhouettes(
     apexes : Apexes
         The points from which silhouettes are seen.
     apex, cell, owner : (n,) int arrays
-        Triples of an apex, a cell, and the object whose silhouette may cross the cell.
+        Indices of n triples: an apex, a cell, and an object whose silhouette may cross the cell.
     ray : tuple of three (6, n) float arrays
-        Vectors from the apex through the six points of the cell, in the axes of the camera.
+        Components, in the axes of the camera, of the vectors from the apex towards the surface
+        points that are visible at the six points of the cell.  An array may have one row, which
+        is then that of all six points.
 
     Yields
     ------
     cell : (k,) int array
-        The cell of each silhouette.  A box has up to six silhouettes, one for each edge.
+        Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge.
+        Silhouettes of boxes that do not cross the cell are excluded.
     values : (6, k) float array
-        Values of the edge function at the six points of the cell.
+        Values of the edge function of the silhouette at the six points of the cell.
     """
     spheres, boxes = prepared.spheres, prepared.boxes
     index = indices(spheres.objects.contains(owner))
     if index.size:
-        sphere, sphere_ray = owner[index], map3(lambda x: x[:, index], ray)
+        sphere, sphere_ray = owner[index], map3(lambda component: component[:, index], ray)
         sphere_apex = take3(apexes.local.T, apex[index])
         center = map3(np.subtract, take3(spheres.local, sphere), sphere_apex)
         yield cell[index], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
     index = indices(boxes.objects.contains(owner))
     if index.size:
         # Planes are computed once for each pair of an apex and a box.
-        pair = apex[index] * boxes.objects.size + boxes.objects.positions(owner[index])
-        pair, pair_index = np.unique(pair, return_inverse=True)
-        pair_apex, box = np.divmod(pair, boxes.objects.size)
+        box = boxes.objects.positions(owner[index])
+        pair_key, pair = np.unique(apex[index] * boxes.objects.size + box, return_inverse=True)
+        pair_apex, pair_box = np.divmod(pair_key, boxes.objects.size)
         position = apexes.position.T[:, pair_apex]
-        low, high = boxes.min_pt[:, box] - position, boxes.max_pt[:, box] - position
+        low, high = boxes.min_pt[:, pair_box] - position, boxes.max_pt[:, pair_box] - position
         planes = prepared.frame.vector_to_camera(silhouette_planes(low, high))
-        box_ray = map3(lambda x: x[:, index], ray)
-        values = box_edge_functions(map3(lambda x: x[:, pair_index], planes), box_ray)
-        maximum, center_value = value_range(values), values[0]
+        box_ray = map3(lambda component: component[:, index], ray)
+        values = box_edge_functions(map3(lambda component: component[:, pair], planes), box_ray)
+        variation, center_value = bound_variation(values), values[0]
         # An edge of the box ends where the planes through the neighbouring edges begin.
-        is_near = (np.abs(center_value) <= maximum) & (center_value >= -maximum).all(axis=0)
+        is_near = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
         # A plane that is zero bounds nothing.  If all six are zero, nothing is known of the box.
-        is_near &= (maximum > 0) | ~(maximum > 0).any(axis=0)
+        is_near &= (variation > 0) | ~(variation > 0).any(axis=0)
         yield cell[index[is_near.nonzero()[1]]], values[:, is_near]
 
 
 class CellSurfaces(NamedTuple):
-    """The surfaces that are visible in cells, at n hits of rays through the centres of cells.
+    """The surfaces that are visible in cells (pixels, or square parts of pixels), at n hits.
+
+    A hit is where the ray through the centre of a cell meets a surface.  The methods yield the
+    edges on the surfaces that may cross the cells, as edge functions.  An edge function is a smooth
+    function on the picture that is zero at an edge.
 
     Attributes
     ----------
     hits : Hits
-        The hits.
+        The hits, at most one in each cell.
     inverse_depth : InverseDepth
         The surface at each hit, as a function on the picture.
     cell : (n,) int array
-        The cell of each hit.
+        Index of the cell of each hit.
     footprint : (n,) float array
-        Radius around each hit of the part of the surface that is visible in its cell.
+        Radius, around each hit, of the part of the surface that is visible in its cell.
     cell_width : float
         Width of the cells, in pixels.
     """
@@ -248,8 +297,12 @@ class CellSurfaces(NamedTuple):
     footprint: Floats
     cell_width: float
 
-    def rays(self, index: Ints) -> tuple[Triple, Floats]:
-        """Compute where rays through the six points of cells meet the surfaces at the hits.
+    def trace_rays(self, index: Ints) -> tuple[Triple, Floats]:
+        """Compute rays through six points of cells, and where they meet the surfaces of the hits.
+
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The six points
+        are: the centre; the centres of the right, left, lower and upper side; and the lower right
+        corner.  Each ray is intersected with the surface of the cell's hit only.
 
         Parameters
         ----------
@@ -259,65 +312,81 @@ class CellSurfaces(NamedTuple):
         Returns
         -------
         ray : tuple of three (6, k) float arrays
-            Rays from the eye through the six points of each cell, in the axes of the camera.
-        inverse : (6, k) float array
-            1 / t of each ray, which meets the surface at t times the ray.
+            Components of the rays from the eye, in the axes of the camera.  The third array has one
+            row, which is that of all six points.
+        inverse_t : (6, k) float array
+            1 / t for each ray: t times the ray is the vector from the eye to the surface.
         """
         frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.local, index)
         scale = frame.depth / z
-        ray = rays(frame, x * scale, y * scale, self.cell_width)
-        return ray, self.inverse_depth.take(index).inverse(ray)
+        ray = rays_through_cells(frame, x * scale, y * scale, self.cell_width)
+        return ray, self.inverse_depth.take(index).evaluate(ray)
 
     def intersections(self, hidden: Hits) -> Iterator[EdgeValues]:
-        """Yield edges where the visible surface of a cell may meet a surface behind it.
+        """Yield the edges where the visible surface of a cell may meet the surface behind it.
+
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  An edge
+        function is a smooth function on the picture that is zero at an edge.
 
         Parameters
         ----------
         hidden : Hits
-            Hits behind the visible surfaces, of the same samples.
+            Hits of other surfaces, behind the visible hits of the same samples.
 
         Yields
         ------
         cell : (k,) int array
-            The cell of each edge.
+            Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is the difference of 1 / t of the two surfaces.
+            Values of the edge function at six points of the cell: the centre; the centres of the
+            right, left, lower and upper side; and the lower right corner.  The function is the
+            difference of 1 / t of the two surfaces, where a ray meets each surface at t times the
+            ray.
         """
         sample = self.hits.sample
         hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
         hit_of_sample[sample] = np.arange(sample.size)
         visible = hit_of_sample[hidden.sample]
         # Two surfaces that meet within the cell are no farther from each other than this.
-        max_gap = self.footprint[visible] + footprints_of(hidden, self.cell_width)
+        max_gap = self.footprint[visible] + compute_footprints(hidden, self.cell_width)
         is_close = hidden.distance - self.hits.distance[visible] <= max_gap
         hidden_depth = InverseDepth.from_hits(hidden)
         for batch in edge_batches(indices(is_close)):
-            ray, inverse = self.rays(visible[batch])
-            yield self.cell[visible[batch]], inverse - hidden_depth.take(batch).inverse(ray)
+            ray, inverse_t = self.trace_rays(visible[batch])
+            hidden_inverse_t = hidden_depth.take(batch).evaluate(ray)
+            yield self.cell[visible[batch]], inverse_t - hidden_inverse_t
         yield from self._intersections_with_other_faces(hidden, visible, is_close)
 
     def _intersections_with_other_faces(
         self, hidden: Hits, visible: Ints, is_close: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield edges where another face of a hidden box may meet the visible surface of a cell.
+        """Yield the edges where visible surfaces of cells may meet other faces of hidden boxes.
 
-        A crease between the face at the hidden hit and the other face may be hidden as well, so
-        the other face can be visible in the cell although no sample hits it.
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  Behind
+        it, the same ray has a hidden hit on a face of a box.  A crease between this face and
+        another face of the box may be hidden as well, so the other face can be visible in the cell
+        although no sample hits it.  The face of the hidden hit is one of those tested, so its edge
+        may be yielded a second time.
 
         Parameters
         ----------
         hidden : Hits
-            The n hits behind visible surfaces.
+            The n hidden hits.
         visible : (n,) int array
-            For each hidden hit, the index of the visible hit of the same sample.
+            Index of the visible hit of the same sample as each hidden hit.
         is_close : (n,) bool array
-            Whether the face at the hidden hit may meet the visible surface in the cell.  If it may
-            not, then another face of the box may, if the eye is inside the box.
+            Whether the face of the hidden hit may meet the visible surface in the cell.  Other hits
+            are skipped, except for those on boxes that contain the eye.
 
         Yields
         ------
-        cell, values : arrays
-            See `intersections`.
+        cell : (k,) int array
+            Index of the cell of each edge.
+        values : (6, k) float array
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the difference of 1 / t of the visible surface and
+            the face, where a ray meets each of them at t times the ray.
         """
         prepared, owner = hidden.prepared, hidden.hit_object
         frame, boxes = prepared.frame, prepared.boxes
@@ -331,87 +400,103 @@ class CellSurfaces(NamedTuple):
             height = frame.scene_component(hit, axis)
             low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
             is_high = prepared.is_eye_inside[owner] == (height > 0)
-            level = np.where(is_high, high, low) - frame.eye[axis]
+            face_height = np.where(is_high, high, low) - frame.eye[axis]
             # The ray meets the plane of the other face at this factor times the hidden hit.
-            factor = level / height
+            factor = face_height / height
             n_dot_v = np.abs(height) / distance
             face_footprint = _footprint_on_face(factor * hit[2] * angle, n_dot_v, angle)
             gap = np.abs(factor * distance - visible_distance)
             for batch in edge_batches(indices(gap <= footprint + face_footprint)):
-                ray, inverse = self.rays(visible[batch])
-                face_inverse = frame.scene_component(ray, axis) / level[batch]
-                yield self.cell[visible[batch]], inverse - face_inverse
+                ray, inverse_t = self.trace_rays(visible[batch])
+                face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
+                yield self.cell[visible[batch]], inverse_t - face_inverse_t
 
-    def shadows(
-        self, apexes: Apexes, light: Ints, hit: Ints, occluder: Ints
+    def shadow_silhouettes(
+        self, apexes: Apexes, light_index: Ints, hit_index: Ints, occluder: Ints
     ) -> Iterator[EdgeValues]:
-        """Yield the edges of shadows: silhouettes of objects, seen from lights.
+        """Yield the edges of shadows: the silhouettes of occluders, as seen from lights.
+
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
 
         Parameters
         ----------
         apexes : Apexes
             Positions of the lights.
-        light, hit, occluder : (n,) int arrays
-            Triples of a light, a hit, and an object whose shadow may have an edge near the hit.
+        light_index, hit_index, occluder : (n,) int arrays
+            Indices of n triples: a light, a hit, and an object whose shadow may have an edge within
+            the footprint of the hit (the part of the surface that is visible in the cell).
 
         Yields
         ------
         cell : (k,) int array
-            The cell of each edge.
+            Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function at the six points of the cell.
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.
         """
-        for batch in edge_batches(np.arange(light.size)):
-            batch_hit, batch_light = hit[batch], light[batch]
-            ray, inverse = self.rays(batch_hit)
+        prepared = self.hits.prepared
+        for batch in edge_batches(np.arange(light_index.size)):
+            light, cell = light_index[batch], self.cell[hit_index[batch]]
+            ray, inverse_t = self.trace_rays(hit_index[batch])
             # Vectors from the light to the surface, divided by t.
-            light_position = take3(apexes.local.T, batch_light)
-            light_ray = map3(np.subtract, ray, scale3(light_position, inverse))
-            triples = batch_light, self.cell[batch_hit], occluder[batch]
-            yield from silhouettes(self.hits.prepared, apexes, *triples, light_ray)
+            scaled_light = scale3(take3(apexes.local.T, light), inverse_t)
+            light_ray = map3(np.subtract, ray, scaled_light)
+            yield from silhouettes(prepared, apexes, light, cell, occluder[batch], light_ray)
 
     def terminators(self, apexes: Apexes, n_dot_l: Floats, length2: Floats) -> Iterator[EdgeValues]:
-        """Yield the terminators of spheres: the lines where the surface turns away from a light.
+        """Yield the edges where spheres turn away from lights, called terminators.
+
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Terminators are
+        searched for within the footprint of the hit (the part of the surface that is visible in
+        the cell).
 
         Parameters
         ----------
         apexes : Apexes
             Positions of the lights.
         n_dot_l : (lights, n) float array
-            n . l, with the unit normal n at each hit, and the vector l to the light.
+            n . l, with the unit normal n at each hit, and the vector l from the hit to the light.
         length2 : (lights, n) float array
             l . l
 
         Yields
         ------
         cell : (k,) int array
-            The cell of each edge.
+            Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is the cosine between n and l.
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the cosine between n and l.
         """
         prepared, owner = self.hits.prepared, self.hits.hit_object
         # The normal turns by this angle within the footprint, in radians.
         turn = self.footprint * prepared.curvature[owner]
         for pair in edge_batches(indices(n_dot_l**2 < turn * turn * length2)):
-            light, hit = np.divmod(pair, turn.size)
-            ray, inverse = self.rays(hit)
-            # The rays meet the sphere at ray / inverse.  All vectors are multiplied by `inverse`.
-            center = scale3(take3(prepared.spheres.local, owner[hit]), inverse)
+            light_index, hit_index = np.divmod(pair, turn.size)
+            ray, inverse_t = self.trace_rays(hit_index)
+            # The rays meet the sphere at ray / inverse_t.  All vectors are multiplied by inverse_t.
+            center = scale3(take3(prepared.spheres.local, owner[hit_index]), inverse_t)
             normal = map3(np.subtract, ray, center)
-            light_position = scale3(take3(apexes.local.T, light), inverse)
-            to_light = map3(np.subtract, light_position, ray)
+            light = scale3(take3(apexes.local.T, light_index), inverse_t)
+            to_light = map3(np.subtract, light, ray)
             length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-            yield self.cell[hit], dot(normal, to_light) / length
+            yield self.cell[hit_index], dot(normal, to_light) / length
 
     def creases(self) -> Iterator[EdgeValues]:
-        """Yield the edges between two visible faces of the same box.
+        """Yield the creases near hits: the edges between two visible faces of the same box.
+
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
 
         Yields
         ------
         cell : (k,) int array
-            The cell of each edge.
+            Index of the cell of each crease.
         values : (6, k) float array
-            Values of the edge function, which is the difference of 1 / t of the two faces.
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the difference of 1 / t of the two faces, where a
+            ray meets each of them at t times the ray.
         """
         prepared, frame = self.hits.prepared, self.hits.prepared.frame
         corners = prepared.boxes.min_pt, prepared.boxes.max_pt
@@ -422,12 +507,12 @@ class CellSurfaces(NamedTuple):
             height = frame.scene_component(take3(self.hits.local, group.interval), axis)
             box = prepared.boxes.objects.positions(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
-                level = corner[axis, box] - frame.eye[axis]
-                is_visible = prepared.is_eye_inside[group.run_object] | (sign * level < 0)
+                run_height = corner[axis, box] - frame.eye[axis]
+                is_visible = prepared.is_eye_inside[group.run_object] | (sign * run_height < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
-                level = group.repeat_runs(level)
-                is_near = np.abs(height - level) < self.footprint[group.interval]
+                face_height = group.repeat_runs(run_height)
+                is_near = np.abs(height - face_height) < self.footprint[group.interval]
                 for batch in edge_batches(indices(is_near & is_visible)):
-                    ray, inverse = self.rays(group.interval.start + batch)
-                    face_inverse = frame.scene_component(ray, axis) / level[batch]
-                    yield self.cell[group.interval][batch], inverse - face_inverse
+                    ray, inverse_t = self.trace_rays(group.interval.start + batch)
+                    face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
+                    yield self.cell[group.interval][batch], inverse_t - face_inverse_t
