@@ -33,6 +33,7 @@ from tracer.command.arguments import (
     CommandParser,
     file_name,
     make_output_folder,
+    module_docstring,
     output_paths,
     whole_number,
 )
@@ -175,7 +176,7 @@ def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = CommandParser(
         prog="python -m converters.to_mitsuba",
-        description=__doc__,
+        description=module_docstring(__name__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_scene_arguments(parser)

@@ -308,7 +308,7 @@ SECTIONS = (whole_process, rendering, objects, frames)
 
 def main() -> None:
     """Measure, print each section when it is measured, and write the page."""
-    arguments = parser("reference.benchmark", __doc__, "small sizes").parse_args()
+    arguments = parser("reference.benchmark", "small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
     page = [
         "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"

@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     """Make the parser of the command line."""
-    command_parser = parser("reference.certify", __doc__)
+    command_parser = parser("reference.certify")
     add = command_parser.add_argument
     add("scene", type=file_name, metavar="SCENE.xml", help="the scene file")
     default = f"{_DEFAULT_ERROR}; {_DEFAULT_ERROR_OF_CODES} with --codes"

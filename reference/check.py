@@ -530,7 +530,7 @@ def _near_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    used = parser("reference.check", __doc__)
+    used = parser("reference.check")
     add_scene_arguments(used)
     used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
     options = used.parse_args(arguments)

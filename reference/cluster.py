@@ -53,7 +53,7 @@ def _scheduler_seconds(count: int) -> float:
 
 def main() -> None:
     """Measure, and write the page."""
-    arguments = parser("reference.cluster", __doc__, "few and small frames").parse_args()
+    arguments = parser("reference.cluster", "few and small frames").parse_args()
     count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
     commands = frame_commands(count, size)
     cpu = {name: _cpu_seconds(commands[name]) / count for name in _RENDERERS if name in commands}

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from tracer.command.arguments import CommandParser, real_path
+from tracer.command.arguments import CommandParser, module_docstring, real_path
 from tracer.command.process import MISUSED
 from tracer.messages import printable
 
@@ -27,21 +27,19 @@ def built(name: str) -> Path:
     return BUILD / name
 
 
-def parser(module: str, doc: str | None, quick: str | None = None) -> argparse.ArgumentParser:
+def parser(module: str, quick: str | None = None) -> argparse.ArgumentParser:
     """Make the parser of the arguments of `python -m module`.
 
     Parameters
     ----------
     module : str
-        Name of the module.
-    doc : str or None
-        The module's docstring, which describes the command in its help.
+        Full name of the module, which has been imported.  Its docstring describes the command.
     quick : str, optional
         What the option `--quick` does, for the help.  Without it, there is no such option.
     """
     new_parser = CommandParser(
         prog=f"python -m {module}",
-        description=doc,
+        description=module_docstring(module),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     if quick:

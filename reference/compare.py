@@ -68,7 +68,7 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     matched : list of HandIn
         The hand-ins, and the missing ones.
     """
-    command_parser = parser("reference.compare", __doc__)
+    command_parser = parser("reference.compare")
     add, error = command_parser.add_argument, command_parser.error
     add("a", metavar="HAND-IN", type=Path, help="the picture in question, or a folder")
     add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")

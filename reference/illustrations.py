@@ -239,7 +239,7 @@ def _save(name: str) -> None:
 @np.errstate(all="ignore")  # as the tracer does when it renders
 def main() -> None:
     """Draw all illustrations."""
-    parser("reference.illustrations", __doc__).parse_args()
+    parser("reference.illustrations").parse_args()
     draw_spans()
     draw_packets()
     draw_light_grid()

@@ -87,7 +87,7 @@ def _rendered(scene: Scene, height: int) -> Image.Image:
 
 def main() -> None:
     """Render everything again."""
-    parser("reference.regenerate", __doc__).parse_args()
+    parser("reference.regenerate").parse_args()
     sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
     large = _rendered(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
     large.save(HERE / "sunflower.png", optimize=True)

@@ -162,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Failure
         If Mitsuba cannot run, or the page cannot be written.
     """
-    command_parser = parser("reference.report", __doc__)
+    command_parser = parser("reference.report")
     add = command_parser.add_argument
     add("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="scene files (all scenes/)")
     text = "the page to write, or a folder for it, which may end in / (build/report.html)"

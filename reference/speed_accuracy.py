@@ -219,4 +219,4 @@ def main() -> None:
         " the certified tracer, errors of at most 1/8, 1/32, ... in every pixel."
     )
     texts = ("Time against error: lower left is better", note)
-    make_chart("speed_accuracy", __doc__, _COLUMNS, _measure_all, _draw, texts)
+    make_chart("speed_accuracy", _COLUMNS, _measure_all, _draw, texts)

@@ -360,4 +360,4 @@ def main() -> None:
         " (at most 1) or by the percentage of pixels that are wrongly lit or dark."
     )
     texts = ("Where usual methods of ray tracing fail", note)
-    make_chart("stability", __doc__, columns, _measure_all, _draw, texts)
+    make_chart("stability", columns, _measure_all, _draw, texts)

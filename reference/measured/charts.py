@@ -43,7 +43,6 @@ plt.rcParams["axes.prop_cycle"] = (
 
 def make_chart(
     name: str,
-    doc: str | None,
     columns: Sequence[str],
     measure: Callable[[bool], Iterable[Sequence[object]]],
     draw: Callable[[Sequence[Sequence[str]]], Any],
@@ -55,8 +54,6 @@ def make_chart(
     ----------
     name : str
         NAME; the table and the chart are NAME.csv and NAME.svg.
-    doc : str or None
-        The module's docstring, which describes the command in its help.
     columns : sequence of str
         Titles of the table's columns.
     measure : callable
@@ -67,7 +64,7 @@ def make_chart(
     texts : (str, str)
         The chart's title and a note below the title.
     """
-    command_parser = parser(f"reference.{name}", doc, "fewer points")
+    command_parser = parser(f"reference.{name}", "fewer points")
     text = "draw the stored table again, without measuring"
     command_parser.add_argument("--redraw", action="store_true", help=text)
     arguments = command_parser.parse_args()

@@ -22,6 +22,17 @@ def test_a_command_without_its_packages_says_what_to_install(tmp_path, module, m
     assert (status, out, drop_jit(err)) == (2, "", error)
 
 
+MODULES = ["tracer", "converters.to_mitsuba", *(f"reference.{m}" for m in ("certify", "compare"))]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_help_is_the_same_without_docstrings(module):
+    """`python -OO` removes docstrings, which describe most commands."""
+    status, out, err = run("--help", python=("-m", module))
+    assert (status, drop_jit(err)) == (0, "")
+    assert run("--help", python=("-OO", "-m", module))[:2] == (status, out)
+
+
 START = "the command cannot start: not enough memory; give it more memory, or install it again\n"
 # The number of threads is 1, unless the user has chosen another.
 THREADS = "return int(os.environ['OPENBLAS_NUM_THREADS'])"

@@ -15,6 +15,21 @@ OTHER_NAME = "choose another with -o"
 """Suggested fix for a result that cannot be written."""
 
 
+def module_docstring(module: str) -> str:
+    """Read the docstring of a module from its source, because `python -OO` does not keep it.
+
+    Parameters
+    ----------
+    module : str
+        Full name of the module, which has been imported.
+    """
+    import ast  # importing it takes milliseconds, which the tracer's own command does not need
+
+    path = sys.modules[module].__file__
+    with open(path or "", encoding="utf-8") as file:
+        return ast.get_docstring(ast.parse(file.read())) or ""
+
+
 class CommandParser(argparse.ArgumentParser):
     """A command-line parser whose error messages explain how to write names that begin with "-"."""
 
