@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
-from math import gcd
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import BATCH_SIZE, Floats, Ints, batches, indices
+from tracer.arrays import BATCH_SIZE, CACHE_SIZE, Floats, Ints, batches, indices
 from tracer.geometry.rounding import LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
 from tracer.scene.schema import number_text
@@ -31,9 +30,6 @@ _MAX_ASPECT = 1.05
 # for lights inside surfaces.
 _MAX_PAIRS = BATCH_SIZE
 
-# Maximum number of pixels in one rectangle of the picture that are examined for clipping.
-_MAX_EXAMINED_PIXELS = 1 << 12
-
 
 class SceneWarning(UserWarning):
     """The warning that a valid scene looks like a mistake.
@@ -47,16 +43,12 @@ class Exposure(NamedTuple):
 
     Attributes
     ----------
-    is_black : bool
-        Whether all pixels are black.
     lit_count : int
-        Number of pixels that are not black; an estimate if there are many pixels.
+        Number of pixels that are not black.
     clipped_count : int
-        Number of pixels with a component larger than 1, which a PNG file cannot represent; an
-        estimate if there are many pixels.
+        Number of pixels with a component larger than 1, which a PNG file cannot represent.
     """
 
-    is_black: bool = True
     lit_count: int = 0
     clipped_count: int = 0
 
@@ -72,26 +64,20 @@ class Exposure(NamedTuple):
         Returns
         -------
         exposure : Exposure
-            Of more than `_MAX_EXAMINED_PIXELS` pixels, only every n-th is examined, and its counts
-            are multiplied by n.
+            The counts.
         """
-        height, width, _ = radiance.shape
-        step = max(1, -(-height * width // _MAX_EXAMINED_PIXELS))
-        while gcd(step, width) > 1:  # otherwise only some of the columns would be examined
-            step += 1
-        red, green, blue = radiance.reshape(-1, 3)[::step].T
-        maximum = np.maximum(np.maximum(red, green), blue)
-        lit_count, clipped_count = (step * np.count_nonzero(maximum > limit) for limit in (0, 1))
-        # Row by row, because this search ends at the first row that is not black.
-        return cls(not any(row.any() for row in radiance), int(lit_count), int(clipped_count))
+        lit_count, clipped_count, pixels = 0, 0, radiance.reshape(-1, 3)
+        for start in range(0, len(pixels), CACHE_SIZE):
+            red, green, blue = pixels[start : start + CACHE_SIZE].T
+            maximum = np.maximum(np.maximum(red, green), blue)
+            lit_count += int(np.count_nonzero(maximum))
+            clipped_count += int(np.count_nonzero(maximum > 1))
+        return cls(lit_count, clipped_count)
 
     def merged(self, other: Exposure) -> Exposure:
         """Return the exposure of two parts of a picture together: the sums of their counts."""
-        return Exposure(
-            self.is_black and other.is_black,
-            self.lit_count + other.lit_count,
-            self.clipped_count + other.clipped_count,
-        )
+        lit_count = self.lit_count + other.lit_count
+        return Exposure(lit_count, self.clipped_count + other.clipped_count)
 
 
 def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) -> Iterator[str]:
@@ -115,7 +101,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     yield from code_warnings
     yield from _shader_warnings(scene.surfaces)
     yield from _aspect_warnings(scene)
-    if exposure.is_black:
+    if not exposure.lit_count:
         reason, remedy = _explain_black(scene, prepared)
         yield f"{reason}: the picture is black; {remedy}"
         return
