@@ -31,7 +31,7 @@ from reference.command import SCENES, built
 from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
-from reference.judges.true_picture import rmse, supersampled, true_picture
+from reference.judges.true_picture import rmse, render_supersampled, true_picture
 from reference.measured.charts import CHART_WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized
@@ -112,7 +112,7 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
         # Numbers of samples that are not powers of four: 9, 36, 144, ...
         (_OURS, 9): partial(render, scene, 9 * 4**k),
         (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
-        (_GRID, 1): partial(supersampled, scene, 2**k),
+        (_GRID, 1): partial(render_supersampled, scene, 2**k),
         (_ALL_PAIRS, 1): partial(_all_pairs, scene, 2**k),
         (_MITSUBA, 1): lambda: np.array(mi.render(loaded)),
     }

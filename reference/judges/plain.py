@@ -39,126 +39,148 @@ _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMI
 ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Any], float]] = {
     "float64": (partial(np.asarray, dtype=np.float64), 0),
     "float32": (partial(np.asarray, dtype=np.float32), 0),
-    "decimal": (lambda v: np.frompyfunc(Decimal, 1, 1)(np.asarray(v, dtype=np.float64)), 1e-50),
+    "decimal": (
+        lambda values: np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64)),
+        1e-50,
+    ),
 }
 """For each arithmetic, the function that converts numbers to it, and the length, relative to the
 scene's largest coordinate, up to which lengths count as 0."""
 
 
 def _dot(a: Array, b: Array) -> Any:
-    """Compute the dot products of vectors (3, n)."""
+    """Compute the dot product of each pair of vectors (3, n) in numbers of any arithmetic."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _norm(a: Array) -> Any:
-    """Compute the lengths of vectors (3, n)."""
-    return np.sqrt(_dot(a, a))
+def _norm(vectors: Array) -> Any:
+    """Compute the length of each vector (3, n) in numbers of any arithmetic."""
+    return np.sqrt(_dot(vectors, vectors))
 
 
-def _unit(a: Array) -> Any:
-    """Normalise vectors (3, n)."""
-    return a / _norm(a)
+def _normalise(vectors: Array) -> Any:
+    """Divide each vector (3, n) by its length."""
+    return vectors / _norm(vectors)
 
 
-def closest_approach(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
-    """Intersect rays with a sphere by way of the point closest to the centre.
+def intersect_by_closest_approach(
+    origin: Array, direction: Array, center: Array, radius: Array
+) -> tuple[Array, Array]:
+    """Intersect rays with a sphere by way of the point on the ray that is closest to the centre.
 
-    The error grows as eps D with the distance D in radii (Haines, Günther and Akenine-Möller,
-    Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable
-    form of the roots does not cancel on huge spheres (Press et al., Numerical Recipes, 5.6).
+    The error grows in proportion to the distance (Haines, Günther and Akenine-Möller, Precision
+    Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable form of the
+    roots does not cancel on huge spheres (Press et al., Numerical Recipes, 5.6).
 
     Parameters
     ----------
-    o, d : (3, n) arrays
-        Origins and directions of the rays.
-    c, r : (3, 1) and () arrays
+    origin, direction : (3, n) arrays
+        Origins and directions of the rays.  Directions may have any length.
+    center, radius : (3, 1) and () arrays
         Centre and radius of the sphere.
 
     Returns
     -------
     near, far : (n,) arrays
-        t of the intersections o + t d; NaN if the ray misses the sphere.
+        t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
-    m = c - o
-    a, b = _dot(d, d), _dot(m, d)
-    offset = m - b / a * d
-    root = np.sqrt(a * (r * r - _dot(offset, offset)))
+    to_center = center - origin
+    a, b = _dot(direction, direction), _dot(to_center, direction)
+    perpendicular = to_center - b / a * direction
+    root = np.sqrt(a * (radius * radius - _dot(perpendicular, perpendicular)))
     q = np.where(b < 0, b - root, b + root)
-    t, other = q / a, (_dot(m, m) - r * r) / q
-    return np.minimum(t, other), np.maximum(t, other)
+    t, other_t = q / a, (_dot(to_center, to_center) - radius * radius) / q
+    return np.minimum(t, other_t), np.maximum(t, other_t)
 
 
-def textbook(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
+def intersect_by_textbook(
+    origin: Array, direction: Array, center: Array, radius: Array
+) -> tuple[Array, Array]:
     """Intersect rays with a sphere by the quadratic formula of most textbooks.
 
-    The error grows as eps D^2 with the distance D in radii.
+    The error grows with the square of the distance from the origin to the sphere.
 
     Parameters
     ----------
-    o, d : (3, n) arrays
-        Origins and directions of the rays.
-    c, r : (3, 1) and () arrays
+    origin, direction : (3, n) arrays
+        Origins and directions of the rays.  Directions may have any length.
+    center, radius : (3, 1) and () arrays
         Centre and radius of the sphere.
 
     Returns
     -------
     near, far : (n,) arrays
-        t of the intersections o + t d; NaN if the ray misses the sphere.
+        t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
-    m = o - c
-    return _quadratic_roots(_dot(d, d), 2 * _dot(m, d), _dot(m, m) - r * r)
+    from_center = origin - center
+    constant = _dot(from_center, from_center) - radius * radius
+    return _quadratic_roots(_dot(direction, direction), 2 * _dot(from_center, direction), constant)
 
 
-def expanded(o: Array, d: Array, c: Array, r: Array) -> tuple[Array, Array]:
-    """Intersect rays with a sphere by the quadratic formula with |o - c|^2 multiplied out.
+def intersect_by_expanded_formula(
+    origin: Array, direction: Array, center: Array, radius: Array
+) -> tuple[Array, Array]:
+    """Intersect rays with a sphere by the quadratic formula with a square that is multiplied out.
 
-    The error also grows as the square of the scene's offset from the origin.
+    The square |origin - center|^2 becomes |origin|^2 - 2 origin.center + |center|^2.  The error grows with the square of the distance from the origin to the sphere, and with the
+    square of the distance of both from the scene's zero point.
 
     Parameters
     ----------
-    o, d : (3, n) arrays
-        Origins and directions of the rays.
-    c, r : (3, 1) and () arrays
+    origin, direction : (3, n) arrays
+        Origins and directions of the rays.  Directions may have any length.
+    center, radius : (3, 1) and () arrays
         Centre and radius of the sphere.
 
     Returns
     -------
     near, far : (n,) arrays
-        t of the intersections o + t d; NaN if the ray misses the sphere.
+        t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
-    distance2 = _dot(o, o) - 2 * _dot(o, c) + _dot(c, c)
-    return _quadratic_roots(_dot(d, d), 2 * (_dot(o, d) - _dot(c, d)), distance2 - r * r)
+    distance2 = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
+    along = _dot(origin, direction) - _dot(center, direction)
+    return _quadratic_roots(_dot(direction, direction), 2 * along, distance2 - radius * radius)
 
 
 def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Solve quadratic equations a t^2 + b t + c = 0 with coefficients (n,).
+    """Solve quadratic equations a t^2 + b t + c = 0 by the textbook's formula.
+
+    Parameters
+    ----------
+    a, b, c : (n,) arrays
+        Coefficients of the equations; a > 0.
 
     Returns
     -------
     low, high : (n,) arrays
-        The smaller and the larger solution, if a > 0; NaN if there is none.
+        The smaller and the larger solution; NaN if there is no real one.
     """
     root = np.sqrt(b * b - 4 * a * c)
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
-SPHERES = {"closest": closest_approach, "textbook": textbook, "expanded": expanded}
+SPHERES = {
+    "closest": intersect_by_closest_approach,
+    "textbook": intersect_by_textbook,
+    "expanded": intersect_by_expanded_formula,
+}
 """Methods to intersect rays with a sphere."""
 
 SHADOWS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
-    "exact": lambda p, n: (p, 0),
-    "t>0": lambda p, n: (p, 0),
-    "t>1e-4": lambda p, n: (p, 1e-4),
-    "t>1e-6": lambda p, n: (p, 1e-6),
-    "normal": lambda p, n: (p + 1e-4 * n, 0),
+    "exact": lambda point, normal: (point, 0),
+    "t>0": lambda point, normal: (point, 0),
+    "t>1e-4": lambda point, normal: (point, 1e-4),
+    "t>1e-6": lambda point, normal: (point, 1e-6),
+    "normal": lambda point, normal: (point + 1e-4 * normal, 0),
     # Wächter and Binder (A Fast and Robust Method for Avoiding Self-Intersection, Ray Tracing Gems,
     # chapter 6), with their constants.
-    "ulps": lambda p, n: (
-        p + n * np.where(np.abs(p) < 1 / 32, 1 / 65536, 256 * np.spacing(np.abs(p))),
+    "ulps": lambda point, normal: (
+        point
+        + normal * np.where(np.abs(point) < 1 / 32, 1 / 65536, 256 * np.spacing(np.abs(point))),
         0,
     ),
 }
-"""Methods to keep a point from shading itself: from points and normals (3, n), return the origins
+"""Methods to keep a point from shading itself: from points and normals (3, n), compute the origins
 (3, n) of the shadow rays, and the length up to which intersections are ignored.
 
 The first method also skips the point's own object.  This is exact, because all objects are convex.
@@ -168,48 +190,62 @@ The first method also skips the point's own object.  This is exact, because all 
 _DEFAULTS = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact", "ties": "first"}
 
 
-class Seen(NamedTuple):
-    """What n camera rays show.
+class TracedRays(NamedTuple):
+    """For n camera rays: the visible surface, the lights that reach it, and its radiance.
 
     Attributes
     ----------
     radiance : (n, 3) float array
-        Linear RGB radiance.
+        Linear RGB radiance that reaches the eye.
     surface : (n,) int array
-        The visible surface, as its number in the file, or -1 for the background.
-    lit : (lights, n) bool array
-        Whether the light reaches the visible surface.
+        The visible surface, as its number in the scene file from 0 on, or -1 for the background.
+    is_lit : (lights, n) bool array
+        Whether the light reaches the visible point; False for the background.
     """
 
     radiance: NDArray[np.float64]
     surface: NDArray[np.intp]
-    lit: NDArray[np.bool_]
+    is_lit: NDArray[np.bool_]
 
 
-class _Plain:
-    """A scene in numbers of one arithmetic, and the methods to trace it.
+class _PlainTracer:
+    """A scene in numbers of one arithmetic, and the methods to trace rays through it.
 
     Attributes
     ----------
+    scene, surfaces : Scene, list of Surface
+        The scene and its surfaces, in the order of the file.
+    cast : callable
+        Converts numbers, or arrays of them, to this arithmetic.
+    intersect_sphere, shadow_start : callables
+        The chosen items of `SPHERES` and `SHADOWS`.
+    is_exact, last_wins : bool
+        Whether the method for shadows is "exact"; whether the last of several nearest surfaces is
+        visible, instead of the first.
     eye : (3, 1) array
         Position of the eye.
     lights : list of (3, 1) arrays
         Positions of the lights.
+    is_sphere : list of bool
+        Whether each surface is a sphere; others are boxes.
     shapes : list of pairs of arrays
         For each surface, centre (3, 1) and radius (1, 1) of a sphere, or the lower and the upper
         corner (3, 1) of a box.
-    inside : list of bool
+    is_eye_inside : list of bool
         For each surface, whether the eye is inside of it, or on it.
     scale : number
-        The largest coordinate or radius of the scene.
-    contact, tiny : numbers
-        Lengths up to this count as 0: relative to other lengths, and relative to `scale`.
+        The largest absolute coordinate or radius in the scene.
+    contact : number
+        Lengths up to this, relative to another length, are treated as 0: 1e-50 in the decimal
+        arithmetic, otherwise 0.
+    tiny : number
+        Lengths up to this are treated as 0: `contact` times `scale`.
     """
 
     def __init__(
         self, scene: Scene, arithmetic: str, spheres: str, shadows: str, ties: str
     ) -> None:
-        """Convert a scene to numbers of an arithmetic.
+        """Convert a scene to numbers of an arithmetic, and choose the methods to trace it.
 
         Parameters
         ----------
@@ -218,29 +254,34 @@ class _Plain:
         arithmetic, spheres, shadows : str
             Keys of `ARITHMETICS`, `SPHERES` and `SHADOWS`.
         ties : str
-            Which of several nearest surfaces is visible: "first" or "last".
+            Which of several nearest surfaces is visible: the "first" or the "last" in the file.
+
+        Raises
+        ------
+        KeyError
+            If a key does not exist.
         """
-        self.scene, self.surfaces, self.exact = scene, scene.surfaces[:], shadows == "exact"
+        self.scene, self.surfaces, self.is_exact = scene, scene.surfaces[:], shadows == "exact"
         self.last_wins = ties == "last"
         self.cast, contact = ARITHMETICS[arithmetic]
         self.intersect_sphere, self.shadow_start = SPHERES[spheres], SHADOWS[shadows]
         self.eye = self.cast(scene.camera.view_point)[:, None]
         self.lights = [self.cast(light.position)[:, None] for light in scene.lights]
-        self.is_sphere = [isinstance(s, Sphere) for s in self.surfaces]
+        self.is_sphere = [isinstance(surface, Sphere) for surface in self.surfaces]
         pairs = [
             (s.center, [s.radius]) if isinstance(s, Sphere) else (s.min_pt, s.max_pt)
             for s in self.surfaces
         ]
         self.shapes = [(self.cast(a)[:, None], self.cast(b)[:, None]) for a, b in pairs]
-        lengths = [self.eye, *self.lights, *(v for pair in self.shapes for v in pair)]
+        lengths = [self.eye, *self.lights, *(length for pair in self.shapes for length in pair)]
         self.contact = self.cast(contact)
-        self.scale = max(np.abs(v).max() for v in lengths)
+        self.scale = max(np.abs(length).max() for length in lengths)
         self.tiny = self.contact * self.scale
         indices = range(len(self.shapes))
-        self.inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
+        self.is_eye_inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
 
     def snap_to_zero(self, values: Array, scale: Array) -> Array:
-        """Replace values by 0 where they are tiny.
+        """Replace values by 0 where they are tiny compared with a scale.
 
         Parameters
         ----------
@@ -249,278 +290,308 @@ class _Plain:
         scale : array that broadcasts to `values`
             A value is tiny if its absolute value is at most 1e-50 times this.  In float32 and
             float64, no value is tiny.
+
+        Returns
+        -------
+        snapped : array
+            The values, or 0, in the shape of `values`.
         """
         if not self.contact:
             return values
         return np.where(np.abs(values) <= self.contact * scale, self.cast(0), values)
 
-    def signed_distance(self, i: int, p: Array) -> Array:
-        """Measure distances of points from a surface.
+    def signed_distance(self, surface: int, points: Array) -> Array:
+        """Compute the signed distances of points from a surface.
 
         Parameters
         ----------
-        i : int
-            The surface.
-        p : (3, n) array
+        surface : int
+            Index of the surface in the scene.
+        points : (3, n) array
             The points.
 
         Returns
         -------
         distance : (n,) array
-            Positive outside the surface, 0 on it, negative inside.
+            Positive outside the surface, 0 on it, negative inside.  For a box, the maximum over the
+            planes of its sides, which is less than the distance outside its edges.
         """
-        a, b = self.shapes[i]
-        if self.is_sphere[i]:
-            distance = _norm(p - a) - b[0]
+        center_or_low, radius_or_high = self.shapes[surface]
+        if self.is_sphere[surface]:
+            distance = _norm(points - center_or_low) - radius_or_high[0]
         else:
-            distance = np.maximum(a - p, p - b).max(axis=0)
+            distance = np.maximum(center_or_low - points, points - radius_or_high).max(axis=0)
         return self.snap_to_zero(distance, self.scale)
 
-    def rays(self, x: Array, y: Array) -> Array:
-        """Return the directions of camera rays.
+    def ray_directions(self, x: Array, y: Array) -> Array:
+        """Compute the directions of the camera rays through positions in the picture.
 
         Parameters
         ----------
         x, y : (n,) float arrays
-            Positions in the picture, in pixels from its upper left corner.
+            Positions in pixels, to the right of the upper left corner and below it.
 
         Returns
         -------
-        d : (3, n) array
-            Vectors from the eye to points of the window.
+        direction : (3, n) array
+            Vectors from the eye to the points of the camera's window.
         """
         cast, camera = self.cast, self.scene.camera
         width, height = self.scene.width, self.scene.height
-        ahead, w = _unit(cast(camera.view_dir)), _unit(cast(camera.normal))
+        ahead, w = _normalise(cast(camera.view_dir)), _normalise(cast(camera.normal))
         w = -w if _dot(w, ahead) > 0 else w
-        u = _unit(np.cross(cast(camera.view_up), w))
+        u = _normalise(np.cross(cast(camera.view_up), w))
         right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
         up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
         window_center = ahead[:, None] * cast(camera.proj_distance)
-        d = window_center + np.outer(u, right) + np.outer(np.cross(w, u), up)
-        # So that a direction can be exactly parallel to the faces of a box.
-        return self.snap_to_zero(d, np.abs(d).max(axis=0))
+        direction = window_center + np.outer(u, right) + np.outer(np.cross(w, u), up)
+        # With exact zeros, a ray can be exactly parallel to the sides of a box.
+        return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
-    def slabs(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
-        """Intersect rays with the three slabs between opposite faces of a box.
+    def intersect_slabs(
+        self, box: int, origin: Array, direction: Array, is_closed: bool
+    ) -> tuple[Array, Array]:
+        """Intersect rays with the three slabs between opposite sides of a box.
 
         Parameters
         ----------
-        i : int
-            The box.
-        o, d : (3, 1) or (3, n), and (3, n) arrays
-            Origins and directions of the rays.
-        closed : bool
-            Whether the faces belong to the box: only then does a ray in a face meet its slab.
+        box : int
+            Index of the box among the surfaces of the scene.
+        origin : (3, 1) or (3, n) array
+            Origins of the rays.
+        direction : (3, n) array
+            Directions of the rays.
+        is_closed : bool
+            Whether a ray in the plane of a side meets the slab of this side.
 
         Returns
         -------
         near, far : (3, n) arrays
-            t where the ray enters and leaves the slab along each axis; near > far if it misses the
-            slab.
+            t where each ray enters and leaves the slab along each axis; near > far if it misses
+            the slab.
         """
-        low, high = (self.snap_to_zero(v - o, self.scale) for v in self.shapes[i])
-        is_between = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
+        low, high = (self.snap_to_zero(corner - origin, self.scale) for corner in self.shapes[box])
+        is_between = (low <= 0) & (high >= 0) if is_closed else (low < 0) & (high > 0)
         far_if_parallel = np.where(is_between, self.cast(np.inf), self.cast(-np.inf))
-        a, b = low / d, high / d
-        near = np.where(d == 0, -far_if_parallel, np.minimum(a, b))
-        return near, np.where(d == 0, far_if_parallel, np.maximum(a, b))
+        t_low, t_high = low / direction, high / direction
+        near = np.where(direction == 0, -far_if_parallel, np.minimum(t_low, t_high))
+        return near, np.where(direction == 0, far_if_parallel, np.maximum(t_low, t_high))
 
-    def intersect(self, i: int, o: Array, d: Array, closed: bool) -> tuple[Array, Array]:
+    def intersect(
+        self, surface: int, origin: Array, direction: Array, is_closed: bool
+    ) -> tuple[Array, Array]:
         """Intersect rays with a surface.
 
         Parameters
         ----------
-        i : int
-            The surface.
-        o, d : (3, 1) or (3, n), and (3, n) arrays
-            Origins and directions of the rays.
-        closed : bool
-            Whether rays in a face of a box meet the box.
+        surface : int
+            Index of the surface in the scene.
+        origin : (3, 1) or (3, n) array
+            Origins of the rays.
+        direction : (3, n) array
+            Directions of the rays.
+        is_closed : bool
+            Whether rays in the plane of a side of a box can meet the box.
 
         Returns
         -------
         near, far : (n,) arrays
-            t of both intersections.  If the ray misses the surface, near <= far is False.
+            t of both intersections.  If the ray misses the surface, near > far, or both are NaN.
         """
-        if self.is_sphere[i]:
-            return self.intersect_sphere(o, d, self.shapes[i][0], self.shapes[i][1][0])
-        near, far = self.slabs(i, o, d, closed)
+        if self.is_sphere[surface]:
+            center, radius = self.shapes[surface]
+            return self.intersect_sphere(origin, direction, center, radius[0])
+        near, far = self.intersect_slabs(surface, origin, direction, is_closed)
         return near.max(axis=0), far.min(axis=0)
 
-    def trace(self, x: Array, y: Array) -> Seen:
+    def trace(self, x: Array, y: Array) -> TracedRays:
         """Find the visible surface of each camera ray, the lights that reach it, and its radiance.
 
         Parameters
         ----------
         x, y : (n,) float arrays
-            Positions in the picture, in pixels from its upper left corner.
+            Positions in the picture, in pixels to the right of its upper left corner and below it.
 
         Returns
         -------
-        seen : Seen
-            What each ray shows.
+        traced : TracedRays
+            The result for each ray.
         """
-        d = self.rays(x, y)
-        nearest, owner = self.nearest(d)
-        visible = np.flatnonzero(owner >= 0)
-        own, d = owner[visible], d.take(visible, 1)
-        p = self.eye + nearest[visible] * d
-        n = np.zeros_like(p)
-        for i in np.unique(own).tolist():
-            index = np.flatnonzero(own == i)
-            p[:, index], n[:, index] = self.settle(i, p.take(index, 1), d.take(index, 1))
-        radiance, lit = np.zeros((x.size, 3)), np.zeros((len(self.lights), x.size), dtype=bool)
-        for light, position, is_lit in zip(self.scene.lights, self.lights, lit, strict=True):
-            is_lit[visible] = self.is_lit(own, p, n, position)
-            wi, wo = _unit(position - p), -_unit(d)
-            for i in np.unique(own[is_lit[visible]]).tolist():
-                index = np.flatnonzero(is_lit[visible] & (own == i))
-                vectors = (v.take(index, 1) for v in (n, wi, wo))
-                radiance[visible[index]] += self.reflected(i, *vectors) * light.intensity
-        return Seen(radiance, owner, lit)
+        direction = self.ray_directions(x, y)
+        nearest_t, surface = self.find_nearest(direction)
+        visible = np.flatnonzero(surface >= 0)
+        owner, direction = surface[visible], direction.take(visible, 1)
+        points = self.eye + nearest_t[visible] * direction
+        normals = np.zeros_like(points)
+        for i in np.unique(owner).tolist():
+            index = np.flatnonzero(owner == i)
+            points[:, index], normals[:, index] = self.project_onto_surface(
+                i, points.take(index, 1), direction.take(index, 1)
+            )
+        radiance, is_lit = np.zeros((x.size, 3)), np.zeros((len(self.lights), x.size), dtype=bool)
+        for light, position, is_lit_by in zip(self.scene.lights, self.lights, is_lit, strict=True):
+            is_lit_by[visible] = self.is_lit(owner, points, normals, position)
+            to_light, to_eye = _normalise(position - points), -_normalise(direction)
+            for i in np.unique(owner[is_lit_by[visible]]).tolist():
+                index = np.flatnonzero(is_lit_by[visible] & (owner == i))
+                vectors = (vector.take(index, 1) for vector in (normals, to_light, to_eye))
+                reflected = self.reflected_radiance(i, *vectors)
+                radiance[visible[index]] += reflected * light.intensity
+        return TracedRays(radiance, surface, is_lit)
 
-    def nearest(self, d: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Find the nearest intersection of each camera ray.
+    def find_nearest(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Find the nearest intersection of each camera ray with all surfaces.
 
         Parameters
         ----------
-        d : (3, n) array
+        direction : (3, n) array
             Directions of the rays.
 
         Returns
         -------
-        t : (n,) array
-            Where the intersection is: at eye + t d; infinity if there is none.
-        owner : (n,) int array
-            The surface, or -1.
+        nearest_t : (n,) array
+            The nearest intersection is at eye + nearest_t direction; infinity if there is none.
+        surface : (n,) int array
+            Index of the surface that is intersected there, or -1.
         """
-        nearest, owner = self.cast(np.full(d.shape[1], np.inf)), np.full(d.shape[1], -1)
-        length, order = _norm(d), [*enumerate(self.inside)]
-        for i, inside in reversed(order) if self.last_wins else order:
-            near, far = self.intersect(i, self.eye, d, closed=True)
-            t = far if inside else near
+        ray_count, length = direction.shape[1], _norm(direction)
+        nearest_t, nearest = self.cast(np.full(ray_count, np.inf)), np.full(ray_count, -1)
+        surfaces = [*enumerate(self.is_eye_inside)]
+        for i, is_inside in reversed(surfaces) if self.last_wins else surfaces:
+            near, far = self.intersect(i, self.eye, direction, is_closed=True)
+            t = far if is_inside else near
             is_ahead = (near <= far) & (t * length > self.tiny)
-            is_closer = is_ahead & (t < nearest * (1 - self.contact))
-            nearest, owner = np.where(is_closer, t, nearest), np.where(is_closer, i, owner)
-        return nearest, owner
+            is_closer = is_ahead & (t < nearest_t * (1 - self.contact))
+            nearest_t, nearest = np.where(is_closer, t, nearest_t), np.where(is_closer, i, nearest)
+        return nearest_t, nearest
 
-    def settle(self, i: int, p: Array, d: Array) -> tuple[Array, Array]:
-        """Move points exactly onto a surface, and return its normals there.
+    def project_onto_surface(
+        self, surface: int, points: Array, direction: Array
+    ) -> tuple[Array, Array]:
+        """Move points that are nearly on a surface exactly onto it, and compute its normals there.
 
         Parameters
         ----------
-        i : int
-            The surface.
-        p, d : (3, n) arrays
+        surface : int
+            Index of the surface in the scene.
+        points, direction : (3, n) arrays
             Points where camera rays meet the surface, and the rays' directions.
 
         Returns
         -------
-        p, n : (3, n) arrays
-            The points on the surface, and the unit normals on the side of the eye.
+        points : (3, n) array
+            The points on the surface.
+        normals : (3, n) array
+            Unit normals on the side of the eye.
         """
-        inside, (a, b) = self.inside[i], self.shapes[i]
-        if self.is_sphere[i]:
-            outward = (p - a) / b[0]
-            return a + b[0] * outward, -outward if inside else outward
-        near, far = self.slabs(i, self.eye, d, closed=True)
-        # Through an edge or a corner, the face along the first axis is visible (or the last).
-        t, best = (far, far.min(axis=0)) if inside else (near, near.max(axis=0))
-        is_tied = np.asarray(np.abs(t - best) * _norm(d) <= self.tiny)
+        is_inside, shape = self.is_eye_inside[surface], self.shapes[surface]
+        if self.is_sphere[surface]:
+            center, (radius,) = shape
+            outward = (points - center) / radius
+            return center + radius * outward, -outward if is_inside else outward
+        low, high = shape
+        near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
+        # Through an edge or a corner, the side along the first axis is visible (or the last).
+        t, visible_t = (far, far.min(axis=0)) if is_inside else (near, near.max(axis=0))
+        is_tied = np.asarray(np.abs(t - visible_t) * _norm(direction) <= self.tiny)
         axis = 2 - is_tied[::-1].argmax(axis=0) if self.last_wins else is_tied.argmax(axis=0)
-        every = np.arange(d.shape[1])
-        is_forward = d[axis, every] > 0
-        p[axis, every] = np.where(is_forward == inside, b[axis, 0], a[axis, 0])
-        n = np.zeros_like(p)
-        n[axis, every] = self.cast(np.where(is_forward, -1, 1))
-        return p, n
+        ray = np.arange(direction.shape[1])
+        is_forward = direction[axis, ray] > 0
+        points[axis, ray] = np.where(is_forward == is_inside, high[axis, 0], low[axis, 0])
+        normals = np.zeros_like(points)
+        normals[axis, ray] = self.cast(np.where(is_forward, -1, 1))
+        return points, normals
 
-    def is_lit(self, own: Array, p: Array, n: Array, light: Array) -> Array:
-        """Test whether a light reaches points.
+    def is_lit(self, owner: Array, points: Array, normals: Array, light: Array) -> Array:
+        """Test whether a light reaches points on surfaces.
 
         Parameters
         ----------
-        own : (n,) int array
-            The surface on which each point lies.
-        p, n : (3, n) arrays
-            The points, and their normals.
+        owner : (n,) int array
+            Index of the surface on which each point lies.
+        points, normals : (3, n) arrays
+            The points, and the unit normals of the surfaces there.
         light : (3, 1) array
             Position of the light.
 
         Returns
         -------
         is_lit : (n,) bool array
-            Whether the light is above the surface and no object is in between.
+            Whether the light is above the surface, and no surface blocks the segment to it.
         """
-        is_lit = np.asarray(_dot(n, light - p) > self.tiny)
-        for i, inside in enumerate(self.inside):
+        is_lit = np.asarray(_dot(normals, light - points) > self.tiny)
+        for i, is_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
-            start, minimum = self.shadow_start(p.take(index, 1), n.take(index, 1))
-            is_blocked = self.blocks(i, start, light, minimum)
-            if self.exact:
+            start, min_length = self.shadow_start(points.take(index, 1), normals.take(index, 1))
+            is_blocked = self.is_blocking(i, start, light, min_length)
+            if self.is_exact:
                 # A surface around the eye blocks light from outside of it; any other does not
                 # block light from its own points.
-                blocks_own = inside and self.signed_distance(i, light)[0] >= 0
-                is_blocked = np.where(own[index] == i, blocks_own, is_blocked)
+                blocks_own = is_inside and self.signed_distance(i, light)[0] >= 0
+                is_blocked = np.where(owner[index] == i, blocks_own, is_blocked)
             is_lit[index] = ~is_blocked
         return is_lit
 
-    def blocks(self, i: int, p: Array, light: Array, minimum: float) -> Array:
-        """Test whether surface i has an intersection strictly between points and a light.
+    def is_blocking(self, surface: int, points: Array, light: Array, min_length: float) -> Array:
+        """Test whether a surface intersects the open segments between points and a light.
 
         If the point or the light is on a sphere, one intersection is known exactly, and the other
         one follows from the point closest to the sphere's centre, without a square root.
 
         Parameters
         ----------
-        i : int
-            The surface.
-        p : (3, n) array
+        surface : int
+            Index of the surface in the scene.
+        points : (3, n) array
             The points.
         light : (3, 1) array
             Position of the light.
-        minimum : float
+        min_length : float
             Distance from the point up to which intersections are ignored.
 
         Returns
         -------
-        is_blocked : (n,) bool array
+        is_blocking : (n,) bool array
             Whether the surface blocks the light.
         """
-        reach = _norm(light - p)
-        d = (light - p) / reach
-        d = self.snap_to_zero(d, np.abs(d).max(axis=0))
+        distance = _norm(light - points)
+        direction = (light - points) / distance
+        direction = self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
         def is_between(t: Array) -> Any:
-            """Test whether t (n,) is strictly between the point and the light."""
-            return (t > self.cast(minimum) + self.tiny) & (t < reach - self.tiny)
+            """Test whether a distance t (n,) from each point lies strictly before the light."""
+            return (t > self.cast(min_length) + self.tiny) & (t < distance - self.tiny)
 
-        near, far = self.intersect(i, p, d, closed=False)
+        near, far = self.intersect(surface, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
-        if self.contact and self.exact and self.is_sphere[i]:
+        if self.contact and self.is_exact and self.is_sphere[surface]:
             # Both intersections are at the same distance from the closest point, at t = closest.
-            closest = _dot(self.shapes[i][0] - p, d)
-            if_light_is_on = is_between(2 * closest - reach)
-            is_blocked = np.where(self.signed_distance(i, light) == 0, if_light_is_on, is_blocked)
+            closest = _dot(self.shapes[surface][0] - points, direction)
+            if_light_is_on = is_between(2 * closest - distance)
+            is_light_on = self.signed_distance(surface, light) == 0
+            is_blocked = np.where(is_light_on, if_light_is_on, is_blocked)
             # From a point on the sphere, the segment is blocked if it leaves to the other side than
             # that of the eye, or returns to the sphere.
             outwards = (closest < -self.tiny) | is_between(2 * closest)
-            if_point_is_on = outwards if self.inside[i] else closest > self.tiny
-            is_blocked = np.where(self.signed_distance(i, p) == 0, if_point_is_on, is_blocked)
+            if_point_is_on = outwards if self.is_eye_inside[surface] else closest > self.tiny
+            is_point_on = self.signed_distance(surface, points) == 0
+            is_blocked = np.where(is_point_on, if_point_is_on, is_blocked)
         return np.asarray(is_blocked)
 
-    def reflected(self, i: int, n: Array, wi: Array, wo: Array) -> NDArray[np.float64]:
-        """Compute the radiance that surface i reflects from a light of intensity 1.
+    def reflected_radiance(
+        self, surface: int, normals: Array, to_light: Array, to_eye: Array
+    ) -> NDArray[np.float64]:
+        """Compute the radiance that points of a surface reflect from a light of intensity 1.
 
-        Lambert's term is the diffuse colour times n.wi.  The Blinn-Phong term is the specular
-        colour times (n.h)^exponent, with h halfway between wi and wo.
+        Lambert's term is the diffuse colour times n.l, with the unit normal n and the unit vector l
+        to the light.  The Blinn-Phong term is the specular colour times (n.h)^exponent, with h
+        halfway between l and the vector to the eye.
 
         Parameters
         ----------
-        i : int
-            The surface.
-        n, wi, wo : (3, n) arrays
+        surface : int
+            Index of the surface in the scene.
+        normals, to_light, to_eye : (3, n) arrays
             Unit vectors: normals, and directions to the light and to the eye.
 
         Returns
@@ -528,52 +599,59 @@ class _Plain:
         radiance : (n, 3) float array
             Linear RGB.
         """
-        shader = self.surfaces[i].shader
-        value = np.outer(_dot(n, wi).astype(float), shader.diffuse)
+        shader = self.surfaces[surface].shader
+        radiance = np.outer(_dot(normals, to_light).astype(float), shader.diffuse)
         if isinstance(shader, Phong) and any(shader.specular):
-            cosine = _dot(n, _unit(wi + wo))
+            cosine = _dot(normals, _normalise(to_light + to_eye))
             base = np.where(cosine > 0, cosine, self.cast(0))
             # Decimal cannot raise 0 to the power of 0.
             lobe = base ** self.cast(shader.exponent) if shader.exponent else np.ones(base.size)
-            value += np.outer(lobe.astype(float), shader.specular)
-        return value
+            radiance += np.outer(lobe.astype(float), shader.specular)
+        return radiance
 
 
-def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> Seen:
-    """Trace one ray through each of n positions in the picture.
+def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRays:
+    """Trace one camera ray through each of n positions in the picture, by the plainest means.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     x, y : (n,) arrays
-        Positions in pixels, to the right of the upper left corner and below it.  Centres of pixels
-        are at + 0.5.
+        Positions in pixels, to the right of the upper left corner and below it.  The centre of the
+        first pixel is at (0.5, 0.5).
     **methods : str
-        `arithmetic` (a key of `ARITHMETICS`, by default "float64"), `spheres` (of `SPHERES`,
-        "closest"), `shadows` (of `SHADOWS`, "exact"), and `ties`: whether of several nearest
-        surfaces the "first" in the file is visible (the default) or the "last".
+        `arithmetic` : a key of `ARITHMETICS`, by default "float64".
+        `spheres` : a key of `SPHERES`, by default "closest".
+        `shadows` : a key of `SHADOWS`, by default "exact".
+        `ties` : whether of several nearest surfaces the "first" in the scene file is visible (the
+        default), or the "last".
 
     Returns
     -------
-    seen : Seen
-        What each ray shows.
+    traced : TracedRays
+        For each ray, the visible surface, the lights that reach it, and its radiance.
+
+    Raises
+    ------
+    KeyError
+        If a method does not exist.
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
-        return _Plain(scene, **_DEFAULTS | methods).trace(np.asarray(x), np.asarray(y))
+        return _PlainTracer(scene, **_DEFAULTS | methods).trace(np.asarray(x), np.asarray(y))
 
 
 def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
-    """Render a scene with one sample per pixel.
+    """Render a scene with one sample per pixel, by the plainest means.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     offset : sequence of two floats
-        Moves the samples from the pixels' centres, in pixels to the right and down.
+        Shift of all samples from the centres of their pixels, in pixels to the right and down.
     **methods : str
-        See `trace`.
+        The arithmetic and the methods: see `trace`.
 
     Returns
     -------
@@ -581,5 +659,5 @@ def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Ar
         Linear RGB radiance, the top row first.
     """
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
-    seen = trace(scene, x + offset[0], y + offset[1], **methods)
-    return seen.radiance.reshape(scene.height, scene.width, 3)
+    traced = trace(scene, x + offset[0], y + offset[1], **methods)
+    return traced.radiance.reshape(scene.height, scene.width, 3)

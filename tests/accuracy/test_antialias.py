@@ -16,7 +16,7 @@ from random_scenes import random_scene
 from scene_files import NAMES, hard_scenes, names
 
 from reference.command import SCENES
-from reference.judges.true_picture import rmse, supersampled, true_picture
+from reference.judges.true_picture import rmse, render_supersampled, true_picture
 from reference.measured.workloads import crowd
 from tracer import (
     Box,
@@ -51,7 +51,7 @@ WALL = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
 @cache
 def uniform(scene: Scene, per_side: int) -> Floats:
     """Average a grid of per_side x per_side samples in each pixel, without antialiasing."""
-    return supersampled(scene, per_side)
+    return render_supersampled(scene, per_side)
 
 
 def reference_picture(scene: Scene) -> Floats:

@@ -26,7 +26,7 @@ from reference.judges.certificate import MAX_AREA_BEYOND, Enclosure, certify
 from reference.judges.faces import Faces
 from reference.judges.forms import Form, R, Z
 from reference.judges.regions import Strips, divide_into_regions
-from reference.judges.true_picture import supersampled, true_picture
+from reference.judges.true_picture import render_supersampled, true_picture
 from reference.measured.workloads import crowd, resized
 from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import radiance_at
@@ -318,7 +318,7 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
     """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
     scene = small(name, 24, 14)
     certified, prepared = certify(scene, 1 / 32768), Faces(scene).prepared
-    sampled = supersampled(scene, 65)
+    sampled = render_supersampled(scene, 65)
     difference = np.abs(sampled - certified.image).max(axis=2)
     for row, column in np.argwhere(difference >= np.sort(difference, axis=None)[-4]):
         total, side = np.zeros(3), 2048
@@ -359,7 +359,7 @@ def test_supersampling_in_strips_gives_the_same_picture(monkeypatch: Patch) -> N
     for samples in (truth._SAMPLES_PER_STRIP, 4 * 4 * 16 * 2):
         monkeypatch.setattr(truth, "_SAMPLES_PER_STRIP", samples)
         # The same rays, except for the last bit, which changes no visible surface here.
-        np.testing.assert_allclose(supersampled(scene, 4), expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(render_supersampled(scene, 4), expected, rtol=0, atol=1e-12)
 
 
 def test_true_pictures_are_stored_by_scene_error_and_code(

@@ -37,7 +37,7 @@ class Comparison(NamedTuple):
 
     Attributes
     ----------
-    seen : plain.Seen
+    seen : plain.TracedRays
         What each pixel sees, according to the oracle.
     error : (n,) float array
         Largest absolute error of the three channels.
@@ -45,7 +45,7 @@ class Comparison(NamedTuple):
         Whether the perturbed pixel sees the same surface, reached by the same lights.
     """
 
-    seen: plain.Seen
+    seen: plain.TracedRays
     error: Floats
     is_certain: Bools
 
@@ -68,7 +68,7 @@ def compare(scene: Scene, image: Floats | None = None) -> Comparison:
         ]
         perturbed = replace(scene, surfaces=surfaces)
         near = plain.trace(perturbed, x + right, y + down, arithmetic="decimal")
-        is_certain &= (near.surface == seen.surface) & (near.lit == seen.lit).all(axis=0)
+        is_certain &= (near.surface == seen.surface) & (near.is_lit == seen.is_lit).all(axis=0)
     error = np.abs(image.reshape(-1, 3) - seen.radiance).max(axis=1)
     return Comparison(seen, error, is_certain)
 
