@@ -31,7 +31,7 @@ from reference.command import SCENES, built
 from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
-from reference.judges.true_picture import rmse, render_supersampled, true_picture
+from reference.judges.true_picture import render_supersampled, rmse, true_picture
 from reference.measured.charts import CHART_WIDTH, make_chart, plt
 from reference.measured.measurements import interleaved
 from reference.measured.workloads import crowd, resized

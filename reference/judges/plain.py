@@ -122,8 +122,9 @@ def intersect_by_expanded_formula(
 ) -> tuple[Array, Array]:
     """Intersect rays with a sphere by the quadratic formula with a square that is multiplied out.
 
-    The square |origin - center|^2 becomes |origin|^2 - 2 origin.center + |center|^2.  The error grows with the square of the distance from the origin to the sphere, and with the
-    square of the distance of both from the scene's zero point.
+    The square |origin - center|^2 becomes |origin|^2 - 2 origin.center + |center|^2.  The error
+    grows with the square of the distance from the origin to the sphere, and with the square of the
+    distance of both from the scene's zero point.
 
     Parameters
     ----------

@@ -106,11 +106,11 @@ def render_supersampled(scene: Scene, side: int) -> NDArray[np.float64]:
     for top in range(0, scene.height, strip_height):
         height = min(strip_height, scene.height - top)
         strip_camera = replace(camera, view_height=camera.view_height * height / scene.height)
-        size = {"width": scene.width * side, "height": height * side}
+        window = replace(scene, camera=strip_camera, width=scene.width * side, height=height * side)
         # Of the strip's centre from the picture's, downwards.
         offset = (top + height / 2 - scene.height / 2) * side
         with warnings.catch_warnings():  # a strip may be black although the picture is not
             warnings.simplefilter("ignore", SceneWarning)
-            image = render(replace(scene, camera=strip_camera, **size), offset=(0, offset))
+            image = render(window, offset=(0, offset))
         strips.append(image.reshape(height, side, scene.width, side, 3).mean(axis=(1, 3)))
     return np.concatenate(strips)

@@ -16,7 +16,7 @@ from random_scenes import random_scene
 from scene_files import NAMES, hard_scenes, names
 
 from reference.command import SCENES
-from reference.judges.true_picture import rmse, render_supersampled, true_picture
+from reference.judges.true_picture import render_supersampled, rmse, true_picture
 from reference.measured.workloads import crowd
 from tracer import (
     Box,
