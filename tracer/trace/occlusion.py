@@ -76,17 +76,17 @@ class Packets(NamedTuple):
     Attributes
     ----------
     object_index : (m,) int array
-        The object on which all hits of the packet lie.
+        Index of the object on which all hits of the packet lie.
     child_start, child_count : (m,) int arrays
-        The children of a packet have the indices child_start to child_start + child_count - 1.
+        The children of each packet have the indices child_start to child_start + child_count - 1.
     center : (3, m) float array
-        Centre of the packet's bounding sphere, in the scene's axes.
+        Centre of each packet's bounding sphere, in scene axes.
     radius : (m,) float array
-        Radius of the packet's bounding sphere, which contains the footprints of all its hits.
+        Radius of each packet's bounding sphere, which contains the footprints of all its hits.
     is_lit : (lights, m) bool array
-        Whether the light may reach any hit of the packet.  At first this is True if any hit of the
-        packet faces the light.  `_OccluderSearch` sets it to False when it finds a single object
-        that shades the whole packet.
+        Whether the light may be visible from any hit of the packet.  At first this is True if any
+        hit of the packet faces the light.  `_OccluderSearch` sets it to False when it finds a
+        single object that shades the whole packet.
     """
 
     object_index: Ints
@@ -97,7 +97,7 @@ class Packets(NamedTuple):
     is_lit: Bools
 
     def replace_by_children(self, columns: Ints) -> Ints:
-        """Return a copy of `columns` in which all children of a packet replace the packet.
+        """Replace each column that names a packet by one column for each child of the packet.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
@@ -110,8 +110,8 @@ class Packets(NamedTuple):
         Returns
         -------
         expanded : (2, j) or (3, j) int array
-            One column for each child of each packet in `columns`: row 1 contains the index of the
-            child, and the other rows are copied from the column of the packet.
+            Row 1 contains indices of children.  The other rows are copied from the columns of the
+            children's packets.
         """
         packet = columns[1]
         column, child = segment_indices(self.child_count[packet], self.child_start[packet])
@@ -136,8 +136,8 @@ class _OccluderSearch:
     frontlit : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array, optional
-        If given, the search also finds the objects that block a shadow segment from any point of
-        the hit's surface within this distance of the hit.
+        If given, the search also finds the objects that block a segment to the light from any
+        surface point within this distance of the hit.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class _OccluderSearch:
             yield shape, triples
 
     def fully_shaded(self) -> tuple[Ints, Ints]:
-        """Return the hits of all packets that a single object shades entirely, with the lights.
+        """Find all pairs of a light and a hit whose packet a single object shades entirely.
 
         A packet is a group of neighbouring hits.  The result is complete only after `candidates`
         has yielded its last batch.
@@ -173,7 +173,7 @@ class _OccluderSearch:
         Returns
         -------
         light_index, hit_index : (k,) int arrays
-            The light of each pair, and the hit that this light does not reach.
+            The light and the hit of each pair.  The light is not visible from the hit.
         """
         pairs = np.zeros((2, 0), dtype=np.intp)
         for packets, shaded in zip(self._levels, self._shaded_packets, strict=True):
@@ -181,11 +181,12 @@ class _OccluderSearch:
         return pairs[0], pairs[1]
 
     def _narrow_down(self, level: int, shape: Shape, triples: Ints) -> Ints:
-        """Remove objects that miss the capsules of their packets, and expand the other packets.
+        """Remove triples that need no exact test, and replace packets by their children.
 
-        A packet is a group of neighbouring hits; its capsule contains the shadow segments of all
-        its hits.  If an object cuts right through the capsule, then it shades the whole packet: the
-        packet is recorded as shaded, and all triples with this packet and this light are removed.
+        A packet is a group of neighbouring hits; its capsule contains the segments from all its
+        hits to a light.  Triples of a light, a packet and an object are removed in two cases:
+        (1) the object misses the capsule; or (2) any object cuts right through the capsule, so that
+        it shades the whole packet.  In the second case, the packet is also recorded as shaded.
 
         Parameters
         ----------
@@ -209,19 +210,19 @@ class _OccluderSearch:
         light, packet, occluder = triples
         center, radius = take3(packets.center, packet), packets.radius[packet]
         light_position = take3(self._lights.position.T, light)
-        meets, cuts = shape.test_capsules(occluder, center, light_position, radius)
-        shaded = triples[:2].take(indices(cuts), axis=1)
+        may_block, blocks_all = shape.test_capsules(occluder, center, light_position, radius)
+        shaded = triples[:2].take(indices(blocks_all), axis=1)
         self._shaded_packets[level].append(shaded)
         put_2d(packets.is_lit, shaded[0], shaded[1], False)
         # Another object in this batch may shade the whole packet.
-        triples = triples.take(indices(meets & take_2d(packets.is_lit, light, packet)), axis=1)
-        return packets.replace_by_children(triples)
+        is_needed = may_block & take_2d(packets.is_lit, light, packet)
+        return packets.replace_by_children(triples.take(indices(is_needed), axis=1))
 
     def _grid_candidates(self) -> Iterator[tuple[Shape, Ints]]:
         """Yield, in batches, the objects that the light grid lists for the largest packets.
 
-        A packet is a group of neighbouring hits with a bounding sphere.  The light grid lists the
-        objects that may lie between a sphere and a light.
+        A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
+        structure that lists the objects that may lie between a sphere and a light.
 
         Yields
         ------
@@ -251,13 +252,13 @@ class _EdgeSet:
     """A set of shadow edges without duplicates.
 
     A shadow edge is a triple of a light, a hit and an occluder: the edge of the occluder's shadow
-    may pass near the hit.  The set packs each triple into one integer key.  The light grid may find
+    may pass near the hit.  The set encodes each triple as one integer key.  The light grid may find
     an edge more than once (in several octants), so duplicates are removed from time to time.
 
     Parameters
     ----------
     light_count, hit_count, object_count : int
-        The indices of lights, hits and occluders are less than these numbers.
+        Numbers of lights, hits and objects, to which the indices in edges refer.
 
     Attributes
     ----------
@@ -272,7 +273,9 @@ class _EdgeSet:
         self._keys = [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
-        """Add edges to the set, except for those of crowded hits.
+        """Add shadow edges to the set, except for those of crowded hits.
+
+        A hit is crowded if more than `_MAX_EDGES_PER_HIT` edges of one light may pass near it.
 
         Parameters
         ----------
@@ -285,10 +288,11 @@ class _EdgeSet:
             self._remove_duplicates()
 
     def distinct(self) -> tuple[Ints, Ints, Ints]:
-        """Return all edges in the set, sorted by light, then by hit, then by occluder.
+        """Return all shadow edges in the set, sorted by light, then by hit, then by occluder.
 
         A shadow edge is a triple of a light, a hit, and an occluder whose shadow may end near the
-        hit.  If a hit has more than `_MAX_EDGES_PER_HIT` edges of one light, they are excluded.
+        hit.  If a hit has more than `_MAX_EDGES_PER_HIT` edges of one light, these edges are
+        excluded.
 
         Returns
         -------
@@ -301,10 +305,11 @@ class _EdgeSet:
         return light, hit, occluder
 
     def _remove_duplicates(self) -> None:
-        """Sort the keys, and remove duplicates and the edges of crowded hits.
+        """Sort the keys of shadow edges, and remove duplicates and the edges of crowded hits.
 
-        A hit is crowded if more than `_MAX_EDGES_PER_HIT` shadow edges of one light pass near it.
-        Each key is an integer that encodes a light, a hit and an occluder.
+        Each key is an integer that encodes a light, a hit and an occluder.  A hit is crowded if
+        more than `_MAX_EDGES_PER_HIT` shadow edges of one light may pass near it; it is then
+        recorded in `is_crowded`.
         """
         keys = np.unique(np.concatenate(self._keys))
         pair = keys // self._object_count
@@ -317,8 +322,8 @@ class _EdgeSet:
 def occlusion(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """Test, for each light and each hit, whether an object blocks the segment between them.
 
-    The object on which the hit lies is not tested.  It blocks the light only where the surface
-    faces away from the light, and there `frontlit` is False.
+    The hit's own object is not tested: it blocks the light only if the surface faces away from the
+    light, and then `frontlit` is False.
 
     Parameters
     ----------
@@ -348,8 +353,9 @@ def shadow_edges(
 ) -> tuple[Bools, tuple[Ints, Ints, Ints], Bools]:
     """Test whether objects block the light, and find the shadow edges that may pass near each hit.
 
-    An edge is near a hit if it lies within the footprint: the part of the surface around the hit
-    that a cell of the picture sees.  If the whole footprint is in shadow, no edge is visible.
+    An edge is near a hit if it crosses the hit's footprint: the part of the surface around the hit
+    that a cell of the picture covers.  If one object shades the whole footprint from a light, the
+    other edges of this light are invisible and excluded.
 
     Parameters
     ----------
@@ -368,10 +374,10 @@ def shadow_edges(
         Whether an object other than the hit's own blocks the segment from the hit to the light;
         meaningless where `frontlit` is False.
     edges : tuple of three (m,) int arrays
-        The lights, the hits and the occluders of the visible edges, sorted in this order.  Hits
-        that are crowded (too many edges of one light) have no edges here.
+        Indices of the light, the hit and the occluder of each visible edge, sorted in this order.
+        The edges of a light at a hit are omitted if there are more than `_MAX_EDGES_PER_HIT`.
     is_crowded : (n,) bool array
-        Whether the hit has more than `_MAX_EDGES_PER_HIT` edges of one light.
+        Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of one light.
     """
     is_blocked, in_umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
     light_count, hit_count = frontlit.shape
@@ -394,9 +400,9 @@ def shadow_edges(
 def _test_footprints(
     hits: Hits, lights: Lights, shape: Shape, triples: Ints, footprint: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test whether each object shades its hit, and what its shadow does in the hit's footprint.
+    """Test whether each object shades its hit, and all or part of the hit's footprint.
 
-    The footprint is the part of the surface around the hit that a cell of the picture sees.  Each
+    The footprint is the part of the surface around the hit that a cell of the picture covers.  Each
     object is tested three times: unchanged, grown by the radius of the footprint, and shrunk by
     this radius.  The first of these rules that applies decides:
 
@@ -410,7 +416,7 @@ def _test_footprints(
     has an edge          The grown object blocks the segment,    `has_edge`; `blocks` if
                          or the light is within the footprint's  the unchanged object
                          radius of the object's surface.         blocks the segment
-    nowhere              otherwise                               none
+    nowhere              otherwise                               all False
     ===================  ======================================  ======================
 
     The first rule tests the unchanged object, too, because a hit near the surface may be inside the
@@ -438,13 +444,12 @@ def _test_footprints(
     covers : (j,) bool array
         Whether the object shades the whole footprint.
     has_edge : (j,) bool array
-        Whether the object's shadow may have an edge in the footprint.
+        Whether the edge of the object's shadow may cross the footprint.
     """
     radius = footprint[triples[1]]
     blocks_grown = _blocks(hits, lights, shape, triples, radius)
-    # A light deeper inside the object than the radius is inside the grown object.  If the hit is,
-    # too, then the grown object contains the whole segment and does not block it, although the
-    # unchanged object may.
+    # If both the light and the hit are inside the grown object, it contains the whole segment, and
+    # does not block it, although the unchanged object may.
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
     near = indices(blocks_grown | (light_distance <= radius))
     near_triples = triples.take(near, axis=1)
@@ -484,7 +489,7 @@ def _blocks(
 
 
 def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
-    """Group hits into row packets and, where objects are large enough, these into square packets.
+    """Group hits into row packets and, if objects are large, row packets into square packets.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
     row packet are consecutive in one row of samples; a square packet consists of row packets.
@@ -496,17 +501,17 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
     frontlit : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array or None
-        Bounding spheres contain the points within this distance of each hit.
+        If given, bounding spheres contain all points within this distance of each hit.
 
     Returns
     -------
     levels : list of Packets
         Either [row packets] or [square packets, row packets].
     """
-    width = hits.prepared.packet_width * hits.samples.density  # of a packet, in samples
-    max_row_hits = int(min(max(width, 1), _MAX_ROW_HITS))
+    packet_width = hits.prepared.packet_width * hits.samples.density  # in samples
+    max_row_hits = int(min(max(packet_width, 1), _MAX_ROW_HITS))
     row_packets = _build_row_packets(hits, frontlit, footprint, max_row_hits)
-    side = int(min(width, _MAX_SQUARE_SIDE))
+    side = int(min(packet_width, _MAX_SQUARE_SIDE))
     if side < _MIN_SQUARE_SIDE:
         return [row_packets]
     return [*_build_square_packets(hits, row_packets, side)]
@@ -527,15 +532,15 @@ def _build_row_packets(
     frontlit : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array or None
-        Bounding spheres contain the points within this distance of each hit.
+        If given, bounding spheres contain all points within this distance of each hit.
     max_hits : int
         Maximum number of hits in a packet.
 
     Returns
     -------
     row_packets : Packets
-        The groups of hits, each with its object, its bounding sphere, and the lights that any of
-        its hits faces.
+        For each group of hits, their object, a bounding sphere, and the lights that any of the hits
+        faces.
     """
     run_size = np.diff(hits.run_start)
     run, offset = segment_indices(-(-run_size // max_hits))
@@ -604,13 +609,14 @@ def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     Returns
     -------
     center : (3, m) float array
-        Centres of the spheres, in the scene's axes.
+        Centres of the spheres, in scene axes.
     radius : (m,) float array
         Radii of the spheres.
     """
-    corner, opposite = (f.reduceat(hits.local, start, axis=1) for f in (np.minimum, np.maximum))
-    half_diagonal = 0.5 * (opposite - corner)
-    center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
+    low = np.minimum.reduceat(hits.local, start, axis=1)
+    high = np.maximum.reduceat(hits.local, start, axis=1)
+    half_diagonal = 0.5 * (high - low)
+    center = hits.prepared.frame.point_to_scene(take3(low + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 
@@ -618,8 +624,8 @@ def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packet
     """Merge consecutive row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
-    of a square packet contains the bounding spheres of its row packets.  A square packet is lit if
-    any of its row packets is lit.
+    of a square packet contains the bounding spheres of its row packets.  A square packet is lit by
+    a light if any of its row packets is.
 
     Parameters
     ----------
@@ -633,7 +639,10 @@ def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packet
     square_packets : Packets
         The m square packets.
     """
-    low, high = (f.reduceat(row_packets.center, start, axis=1) for f in (np.minimum, np.maximum))
+    low, high = (
+        extremum.reduceat(row_packets.center, start, axis=1)
+        for extremum in (np.minimum, np.maximum)
+    )
     center = 0.5 * (low + high)
     offset = row_packets.center - center.repeat(count, axis=1)
     needed_radius = np.sqrt((offset * offset).sum(axis=0)) + row_packets.radius

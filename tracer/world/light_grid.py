@@ -106,23 +106,28 @@ _Interval: TypeAlias = tuple[Floats, Floats]
 class LightGrid(NamedTuple):
     """Lists of objects by their direction from each light.
 
-    A ball and an entry (the part of an object in one octant) may share several cells.  The query
-    finds the pair in the first of these cells only.  It uses the attributes in their order:
+    An octant contains the directions for one combination of the signs of x, y and z.  Octahedral
+    coordinates (u, v) map these directions into the unit square.  A patch is a rectangle in these
+    coordinates, and it is divided into square cells.  An entry is the part of one object that lies
+    in one octant of one light.  Each cell lists the entries that may lie in the cell's directions.
 
-    1. `light`: the vectors from the ball to the light determine octants of directions.
+    The query for a ball, a group of points, uses the attributes in their order:
+
+    1. `light`: the vectors from the ball to the light determine octants.
     2. `patch`: each octant has at most one patch.
-    3. `side`, `origin` and `size`: the ball's rectangle overlaps certain cells of the patch.
-    4. `list_start` and `listed`: these cells list entries.  A cell has four lists, so that only
-       entries are read for which this cell is the first that they share with the ball.
+    3. `side`, `origin` and `size`: the bounding rectangle of the ball's directions overlaps certain
+       cells of the patch.
+    4. `list_start` and `listed`: these cells list entries.  A ball and an entry may share several
+       cells, but the query finds the pair only in the first of these cells.  For this purpose, each
+       cell has four lists, and the query reads only some of them.
     5. `entry_bounds`: entries at other distances, or in other directions, are excluded.
-    6. `entry_object`: the other entries are parts of these objects.
-
-    The module defines octant, patch, cell, entry, rectangle and direction bounds.
+    6. `entry_object`: the remaining entries are parts of these objects.
 
     Attributes
     ----------
     light : (3, lights, 1) float array
-        Positions of the lights.  Distant lights are moved closer: see `_MAX_LIGHT_DISTANCE`.
+        Positions of the lights, in scene axes.  Distant lights are moved closer: see
+        `_MAX_LIGHT_DISTANCE`.
     patch : (8 * lights,) int array
         Element octant * lights + light is the index of the patch in this octant of the light, or
         -1 if the octant contains no object that the camera may see.
@@ -137,8 +142,9 @@ class LightGrid(NamedTuple):
     listed : (m,) int array
         Indices of the entries in all lists, cell by cell and list by list.
     entry_bounds : (entries, 8) float array
-        Direction bounds of each entry, arranged for the comparison with those of a ball: the ball
-        and the entry meet only if each number of the ball is at most that of the entry.
+        Bounds on each entry's directions and distances from the light: see `_direction_bounds`.
+        They are arranged so that an entry may block segments from a ball only if each of the ball's
+        eight bounds is at most the entry's bound.
     entry_object : (entries,) int array
         Index of the object of each entry.
     """
@@ -165,18 +171,19 @@ class LightGrid(NamedTuple):
         Parameters
         ----------
         center : (3, n) float array
-            Centres of the balls, in the scene's axes.
+            Centres of the balls, in scene axes.
         radius : (n,) or (3, 1, n) float array
             Radii of the balls; or, for boxes instead of balls, their half widths along each axis.
         own_object : (n,) int array
-            Index of the object to exclude for each ball.
+            Index of each ball's own object, which is excluded.
         active : (lights, n) bool array
             Whether to search for objects between the light and the ball.
 
         Yields
         ------
         triples : (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of balls, and row 2 indices of objects.
+            Row 0 contains indices of lights, row 1 indices of balls, and row 2 indices of objects
+            that may block segments from the ball to the light.
         """
         light_count, ball_count = active.shape
         # Each light and ball have one box of vectors, which is split into up to eight parts.
@@ -204,7 +211,8 @@ class LightGrid(NamedTuple):
     def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
         """Yield, for each rectangle, the ranges of `listed` that belong to the cells it overlaps.
 
-        Only some of a cell's four lists are included, so that no entry occurs twice.
+        `listed` contains entries: parts of objects.  Only some of a cell's four lists are included,
+        so that no entry is read twice for one rectangle.
 
         Parameters
         ----------
@@ -212,14 +220,14 @@ class LightGrid(NamedTuple):
             Minimum and maximum u, then minimum and maximum v, relative to the patch: 0 is the start
             of the patch, and 1 its end.
         patch : (n,) int array
-            Index of the patch of each rectangle.
+            Index of each rectangle's patch.
 
         Yields
         ------
         rectangle_index : (k,) int array
-            The rectangle of each range.
+            Index of each range's rectangle.
         start, length : (k,) int arrays
-            The range listed[start], ..., listed[start + length - 1]; length is at least 1.
+            Each range is listed[start], ..., listed[start + length - 1]; length is at least 1.
         """
         for rectangle_index, cell, place in _overlapped_cells(rectangle, patch, self.side):
             start, stop = (
@@ -232,7 +240,12 @@ class LightGrid(NamedTuple):
 
 
 def build_light_grid(
-    lights: Floats, low: Floats, high: Floats, position_error: Floats, lit: Bools, shades: Bools
+    light_position: Floats,
+    low: Floats,
+    high: Floats,
+    position_error: Floats,
+    is_visible: Bools,
+    is_occluder: Bools,
 ) -> LightGrid | None:
     """Build the grid that finds the objects that may lie between a point and each light.
 
@@ -240,15 +253,15 @@ def build_light_grid(
 
     Parameters
     ----------
-    lights : (lights, 3) float array
-        Positions of the lights.
+    light_position : (lights, 3) float array
+        Positions of the lights, in scene axes.
     low, high : (3, n) float arrays
-        Opposite corners of the bounding boxes of all objects, in the axes of the scene.
+        Opposite corners of the bounding boxes of all objects, in scene axes.
     position_error : (n,) float array
         Bound on the rounding errors of points on each object, by which the object is enlarged.
-    lit : (n,) bool array
+    is_visible : (n,) bool array
         Whether the camera may see the object, so that shadows on the object matter.
-    shades : (n,) bool array
+    is_occluder : (n,) bool array
         Whether the object may cast a shadow on other objects.
 
     Returns
@@ -256,19 +269,20 @@ def build_light_grid(
     grid : LightGrid or None
         None if no object can be in the shadow of another object.
     """
-    if not (len(lights) and position_error.size > 1 and lit.any()):
+    light_count, object_count = len(light_position), position_error.size
+    if not (light_count and object_count > 1 and is_visible.any()):
         return None
     low, high = low - position_error, high + position_error
-    light, error = _move_closer(lights, low, high)
+    light, error = _move_closer(light_position, low, high)
     low, high = (light - error) - high[:, None], (light + error) - low[:, None]
-    octant_count = 8 * len(lights)
+    octant_count = 8 * light_count
     any_patch, all_active = np.zeros(octant_count, dtype=np.intp), np.ones((1, 1), dtype=np.bool_)
     octant, box, rectangle, bounds = _split_by_octant(low, high, any_patch, all_active)
-    box_light, object_index = np.divmod(box, position_error.size)
-    octant = octant * len(lights) + box_light
-    receiver = indices(lit[object_index])
+    box_light, object_index = np.divmod(box, object_count)
+    octant = octant * light_count + box_light
+    receiver = indices(is_visible[object_index])
     patch, origin, size = _choose_patches(octant[receiver], rectangle[:, receiver], octant_count)
-    entry = indices((patch[octant] >= 0) & shades[object_index])
+    entry = indices((patch[octant] >= 0) & is_occluder[object_index])
     # Rows are swapped in pairs, and negated, so that each minimum of a ball is compared with the
     # maximum of an entry, and the other way round.
     entry_bounds = -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(entry, axis=1)
@@ -278,7 +292,7 @@ def build_light_grid(
     del low, high, octant, box, box_light, bounds, object_index  # large, with many objects
     rectangle = _relative_to_patch(rectangle, entry_patch, origin, size)
     patch_count = origin.shape[1]
-    side = _cells_per_side(rectangle, position_error.size, len(lights), patch_count)
+    side = _cells_per_side(rectangle, object_count, light_count, patch_count)
     list_start, listed = _fill_lists(rectangle, entry_patch, side, patch_count)
     return LightGrid(
         light, patch, side, origin, size, list_start, listed, entry_bounds, entry_object
@@ -288,19 +302,20 @@ def build_light_grid(
 def _choose_patches(
     octant: Ints, rectangle: Floats, octant_count: int
 ) -> tuple[Ints, Floats, Floats]:
-    """Choose a patch in each octant of directions that contains visible objects.
+    """Choose a rectangle of directions, called patch, in each octant with visible objects.
 
-    A patch is a rectangle that contains most of the visible objects of an octant, in octahedral
-    coordinates (u, v).  These map the directions of one octant to the unit square.
+    Octahedral coordinates (u, v) map the directions of one octant into the unit square.  The patch
+    contains most of the octant's visible objects: see `_patch_around`.
 
     Parameters
     ----------
     octant : (n,) int array
         The octant of each rectangle, in ascending order.
     rectangle : (4, n) float array
-        Bounding rectangles of visible objects: minimum and maximum u, then minimum and maximum v.
+        Bounding rectangles of the parts of visible objects in each octant: minimum and maximum u,
+        then minimum and maximum v.
     octant_count : int
-        Number of octants of all lights.
+        Number of octants of all lights: 8 for each light.
 
     Returns
     -------
@@ -318,11 +333,11 @@ def _choose_patches(
 
 
 def _patch_around(rectangle: Floats) -> tuple[Floats, Floats]:
-    """Compute a rectangle, called patch, that contains most of the given rectangles.
+    """Compute a rectangle, called patch, that contains most of n rectangles.
 
-    The patch is a bounding rectangle without outliers: at most one rectangle in
-    `_OBJECTS_PER_OUTLIER` extends beyond each of its four sides.  Octahedral coordinates (u, v) map
-    the directions of one octant to the unit square.
+    The patch is a bounding rectangle without outliers: on each of its four sides, at most one
+    rectangle in `_OBJECTS_PER_OUTLIER` extends beyond the patch.  Octahedral coordinates (u, v) map
+    the directions of one octant into the unit square.
 
     Parameters
     ----------
@@ -336,37 +351,37 @@ def _patch_around(rectangle: Floats) -> tuple[Floats, Floats]:
     size : (2,) float array
         Extents of the patch in u and v.
     """
-    outliers = rectangle.shape[1] // _OBJECTS_PER_OUTLIER
-    origin = np.partition(rectangle[::2], outliers)[:, outliers]
-    end = np.partition(rectangle[1::2], -1 - outliers)[:, -1 - outliers]
+    outlier_count = rectangle.shape[1] // _OBJECTS_PER_OUTLIER
+    origin = np.partition(rectangle[::2], outlier_count)[:, outlier_count]
+    end = np.partition(rectangle[1::2], -1 - outlier_count)[:, -1 - outlier_count]
     return origin, end - origin
 
 
-def _move_closer(lights: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Move distant lights towards the scene, to `_MAX_LIGHT_DISTANCE` times the scene's size.
 
-    Without this, bounds on the directions from a very distant light would be lost in rounding.
+    Directions from a farther light would differ by less than the bounds on their rounding errors.
 
     Parameters
     ----------
-    lights : (n, 3) float array
-        Positions of the lights.
+    light_position : (n, 3) float array
+        Positions of the lights, in scene axes.
     low, high : (3, objects) float arrays
-        Opposite corners of the bounding boxes of all objects in the scene.
+        Opposite corners of the bounding boxes of all objects in the scene, in scene axes.
 
     Returns
     -------
     position : (3, n, 1) float array
-        New positions of the lights; those of lights that are not distant are unchanged.
+        New positions of the lights; lights that are not distant keep their positions.
     error : (n, 1) float array
         Bound on the error of vectors from points of the scene to the light.  The error comes from
         rounding and, if the light was moved, from the change of direction.
     """
     scene_low, scene_high = low.min(axis=1, keepdims=True), high.max(axis=1, keepdims=True)
     center, size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
-    from_center = lights.T - center
+    from_center = light_position.T - center
     factor = _MAX_LIGHT_DISTANCE * size / np.abs(from_center).sum(axis=0)
-    position = np.where(factor < 1, center + factor * from_center, lights.T)
+    position = np.where(factor < 1, center + factor * from_center, light_position.T)
     turn_error = np.where(factor < 1, 2 * size / _MAX_LIGHT_DISTANCE, 0)
     error = DIRECTION_ROUNDING * np.abs(position).sum(axis=0) + turn_error
     return position[:, :, None], error[:, None]
@@ -387,7 +402,7 @@ def _split_by_octant(
     patch : (8 * lights,) int array
         Element octant * lights + light is negative if this octant of the light is to be skipped.
     active : (lights, n) or (1, 1) bool array
-        Whether the box is to be processed.
+        Whether to process the box.
 
     Returns
     -------
@@ -427,16 +442,16 @@ def _split_by_octant(
 
 
 def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:
-    """Compute bounds on the ratios of the components of vectors, and on the sum of the components.
+    """Bound the ratios of components, and the sum of components, for each of m sets of vectors.
 
     Each pair of rows contains the minimum and the maximum of one quantity.  Maxima are stored
     negated, so that enlarging a set of vectors never increases any row.  All bounds are widened by
-    more than their rounding errors.
+    more than their rounding errors.  Here x, y and z are absolute values of components.
 
     Parameters
     ----------
     x, y, z : pairs of (m,) float arrays
-        Minimum and maximum of the absolute value of each component, in each of m sets of vectors.
+        Minimum and maximum of the absolute value of each component, for each set of vectors.
 
     Returns
     -------
@@ -484,27 +499,28 @@ def _cells_per_side(
 ) -> int:
     """Choose the number of cells along each side of a patch.
 
-    The number of cells in a patch is about the number of objects, but there are upper limits for
-    this number, for the number of cells in all patches together, and for the number of times that
-    objects are listed in cells.
+    The number of cells in a patch is about the number of objects.  There are upper limits for
+    (1) the number of cells in a patch, (2) the number of cells in all patches together, and (3) how
+    often objects are listed in cells, on average for each light.
 
     Parameters
     ----------
     rectangle : (4, entries) float array
-        Bounding rectangles of all parts of objects: minimum and maximum u, then minimum and maximum
-        v, relative to their patches (0 is the start of the patch, and 1 its end).
+        Bounding rectangles of entries (parts of objects): minimum and maximum u, then minimum and
+        maximum v, relative to their patches (0 is the start of the patch, and 1 its end).
     object_count, light_count, patch_count : int
         Numbers of objects, lights and patches.
 
     Returns
     -------
     side : int
-        A patch has side x side cells.
+        A patch has side x side cells; at least 1.
     """
-    u0, u1, v0, v1 = rectangle.clip(0, 1)
-    area = float(((u1 - u0) * (v1 - v0)).sum()) / light_count  # in patches, for each light
-    cells = min(object_count, _MAX_SIDE**2, _MAX_ENTRIES / area, _MAX_CELLS / patch_count)
-    return max(1, int(sqrt(cells)))
+    min_u, max_u, min_v, max_v = rectangle.clip(0, 1)
+    total_area = float(((max_u - min_u) * (max_v - min_v)).sum())  # in patches
+    max_cells = _MAX_ENTRIES / (total_area / light_count)
+    cell_count = min(object_count, _MAX_SIDE**2, max_cells, _MAX_CELLS / patch_count)
+    return max(1, int(sqrt(cell_count)))
 
 
 def _fill_lists(
@@ -512,8 +528,9 @@ def _fill_lists(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
-    Each cell has four lists.  The list for an entry depends on whether the cell is in the first
-    column, and in the first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
+    Cells are squares of directions, and belong to patches.  Each cell has four lists.  The list for
+    an entry depends on whether the cell is in the first column, and in the first row, of the
+    entry's rectangle: see `_LIST_OF_PLACE`.
 
     Parameters
     ----------
@@ -532,7 +549,8 @@ def _fill_lists(
     list_start : (4 * patch_count * side**2 + 1,) int array
         Element 4 * cell + i is the position in `listed` where list i of the cell begins.
     listed : (m,) int array
-        Indices of the entries in all lists, cell by cell and list by list.
+        Indices of the entries in all lists, cell by cell and list by list; in ascending order
+        within each list.
     """
     keys, list_start = [], np.zeros(4 * patch_count * side**2 + 1, dtype=np.uint32)
     for entry, cell, place in _overlapped_cells(rectangle, patch, side):
@@ -551,9 +569,10 @@ def _fill_lists(
 def _overlapped_cells(
     rectangle: Floats, patch: Ints, side: int
 ) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
-    """Yield, in batches, all pairs of a rectangle and a cell of its patch that it overlaps.
+    """Yield, in batches, all pairs of a rectangle and a cell that the rectangle overlaps.
 
-    A rectangle that extends beyond its patch also overlaps the cells at the border of the patch.
+    The cells are the side x side squares of the rectangle's patch.  The part of a rectangle beyond
+    its patch is moved to the cells at the border of the patch.
 
     Parameters
     ----------
@@ -568,23 +587,23 @@ def _overlapped_cells(
     Yields
     ------
     rectangle_index : (k,) int array
-        The rectangle of each pair.
+        Index of each pair's rectangle.
     cell : (k,) int array
-        The cell of each pair: (patch * side + column) * side + row.
+        Index of each pair's cell: (patch * side + column) * side + row.
     place : (k,) uint8 array
         Flags: `_FIRST_COLUMN` is set if the cell is in the first column that the rectangle
         overlaps, and `_FIRST_ROW` if the cell is in the first row that the rectangle overlaps.
     """
     left, right, top, bottom = (side * rectangle).clip(0, side - 1).astype(np.intp)
-    columns, rows = right - left + 1, bottom - top + 1
-    for batch in batches(columns * rows, _CELLS_PER_BATCH):
+    column_count, row_count = right - left + 1, bottom - top + 1
+    for batch in batches(column_count * row_count, _CELLS_PER_BATCH):
         # A strip consists of the cells that one rectangle overlaps in one column.
-        strip_rectangle, column = segment_indices(columns[batch], left[batch])
+        strip_rectangle, column = segment_indices(column_count[batch], left[batch])
         strip_rectangle += batch.start
         first_cell = (patch.take(strip_rectangle) * side + column) * side + top.take(
             strip_rectangle
         )
-        strip, cell = segment_indices(rows.take(strip_rectangle), first_cell)
+        strip, cell = segment_indices(row_count.take(strip_rectangle), first_cell)
         is_first_column = column == left.take(strip_rectangle)
         place = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip)
         place |= (cell == first_cell.take(strip)) * np.uint8(_FIRST_ROW)

@@ -216,14 +216,14 @@ class PreparedScene:
         ]
         boxes = [shape.bounding_boxes() for shape in self._all_shapes]
         low, high = (np.concatenate(corners, axis=1) for corners in zip(*boxes, strict=True))
-        lit = self.bounds.in_picture(self.frame)
+        is_visible = self.bounds.in_picture(self.frame)
         return Lights(
             position=position,
             local=np.column_stack(self.frame.points_to_camera(position)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
             grid=build_light_grid(
-                position, low, high, self.position_error, lit, ~self.is_duplicate
+                position, low, high, self.position_error, is_visible, ~self.is_duplicate
             ),
         )
 
