@@ -1,4 +1,4 @@
-"""Scenes that consist of a few surfaces; the arguments with which functions are called."""
+"""Build scenes of a few surfaces, and record the arguments with which functions are called."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,14 +22,23 @@ def scene_of(
     size: tuple[int, int],
     lights: list[PointLight] | Vector,
 ) -> Scene:
-    """Return a scene.
+    """Build a scene from surfaces, a camera and lights.
 
     Parameters
     ----------
+    *surfaces : Sphere or Box
+        The surfaces of the scene.
+    camera : Camera, optional
+        The camera; by default `Camera()`.
     size : (int, int)
-        Columns and rows of the picture.
-    lights : list of PointLight, or vector
-        A vector stands for one white light at this position.
+        Width and height of the picture, in pixels.
+    lights : list of PointLight, or (float, float, float)
+        The lights.  Three numbers are the position of a single white light.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
     """
     lights = lights if isinstance(lights, list) else [PointLight(position=lights)]
     width, height = size
@@ -39,19 +48,46 @@ def scene_of(
 
 
 def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) -> Scene:
-    """Return a scene of surfaces near the origin, seen from (0, 0, 5)."""
+    """Build a scene of surfaces near the origin, seen from (0, 0, 5) through a narrow window.
+
+    Parameters
+    ----------
+    *surfaces : Sphere or Box
+        The surfaces of the scene.
+    light : (float, float, float)
+        Position of the only light, which is white.
+    **camera : object
+        More fields of the camera, other than `view_point`, `view_width` and `view_height`.
+
+    Returns
+    -------
+    scene : Scene
+        The scene, with a picture of 24 x 24 pixels.
+    """
     view = Camera(view_point=(0, 0, 5), view_width=0.3, view_height=0.3, **camera)
     return scene_of(*surfaces, camera=view, size=(24, 24), lights=light)
 
 
 def random_direction(rng: np.random.Generator) -> Floats:
-    """Return a random unit vector (3,)."""
-    v = rng.normal(size=3)
-    return np.asarray(v / np.linalg.norm(v))
+    """Return a random unit vector (3,); all directions are equally likely."""
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def rgb_lights(*positions: Vector) -> list[PointLight]:
-    """Return a red, a green and a blue light: each contributes to one channel."""
+    """Return a red, a green and a blue light, so that each contributes to one colour channel.
+
+    Parameters
+    ----------
+    *positions : (float, float, float)
+        Positions of one to three lights.
+
+    Returns
+    -------
+    lights : list of PointLight
+        One light of intensity 1 at each position: the first is red, the second green, the third
+        blue.
+    """
     return [
         PointLight(position=position, intensity=color)
         for position, color in zip(positions, np.eye(3)[: len(positions)], strict=True)
@@ -59,25 +95,41 @@ def rgb_lights(*positions: Vector) -> list[PointLight]:
 
 
 def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
-    """Return a scene in which all lengths are scaled, then all points shifted.
+    """Return a copy of a scene in which all lengths are scaled, and then all points shifted.
 
-    Its picture is the same, except for rounding.
+    The copy has the same picture, except for rounding.
+
+    Parameters
+    ----------
+    scene : Scene
+        The original, which is not changed.
+    scale : float
+        Factor on all lengths, greater than 0.
+    shift : (float, float, float)
+        Vector that is added to all points after scaling.
+
+    Returns
+    -------
+    copy : Scene
+        The scaled and shifted scene.
     """
 
-    def point(v: Vector) -> Vector:
-        return v[0] * scale + shift[0], v[1] * scale + shift[1], v[2] * scale + shift[2]
+    def move(point: Vector) -> Vector:
+        """Scale and shift a point."""
+        x, y, z = (scale * coordinate + step for coordinate, step in zip(point, shift, strict=True))
+        return x, y, z
 
     camera = scene.camera
     names = "proj_distance", "view_width", "view_height"
     lengths = {name: getattr(camera, name) * scale for name in names}
     return replace(
         scene,
-        camera=replace(camera, view_point=point(camera.view_point), **lengths),
-        lights=[replace(light, position=point(light.position)) for light in scene.lights],
+        camera=replace(camera, view_point=move(camera.view_point), **lengths),
+        lights=[replace(light, position=move(light.position)) for light in scene.lights],
         surfaces=[
-            replace(surface, center=point(surface.center), radius=surface.radius * scale)
+            replace(surface, center=move(surface.center), radius=surface.radius * scale)
             if isinstance(surface, Sphere)
-            else replace(surface, min_pt=point(surface.min_pt), max_pt=point(surface.max_pt))
+            else replace(surface, min_pt=move(surface.min_pt), max_pt=move(surface.max_pt))
             for surface in scene.surfaces
         ],
     )
@@ -86,13 +138,31 @@ def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0))
 def record_calls(
     monkeypatch: pytest.MonkeyPatch, owner: object, name: str, summary: Callable[..., Any]
 ) -> list[Any]:
-    """Return a list to which each later call of a function appends `summary(*arguments)`."""
+    """Replace a function by one that also records a summary of the arguments of each call.
+
+    Parameters
+    ----------
+    monkeypatch : pytest.MonkeyPatch
+        Restores the function at the end of the test.
+    owner : object
+        The module or class that contains the function.
+    name : str
+        Name of the function in `owner`.
+    summary : callable
+        Called with the positional arguments of each call; its result is recorded.
+
+    Returns
+    -------
+    summaries : list
+        At first empty.  Each later call of the function appends the result of `summary`.
+    """
     summaries: list[Any] = []
-    real = getattr(owner, name)
+    function = getattr(owner, name)
 
-    def called(*arguments: Any) -> Any:
+    def record(*arguments: Any) -> Any:
+        """Record a summary of the arguments, and call the original function."""
         summaries.append(summary(*arguments))
-        return real(*arguments)
+        return function(*arguments)
 
-    monkeypatch.setattr(owner, name, called)
+    monkeypatch.setattr(owner, name, record)
     return summaries

@@ -20,19 +20,45 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Shader, Sp
 
 
 class Setting(NamedTuple):
-    """Surfaces, and a range of places from which to look at them."""
+    """The surfaces of a scene, and limits for the positions of its camera and lights.
+
+    Attributes
+    ----------
+    surfaces : list of Sphere or Box
+        The surfaces.
+    target : (float, float, float)
+        The point at which the camera looks.
+    reach : float
+        Distance of the camera from the target.  The lights have 0.25 to 3 times this distance from
+        the origin.
+    height_factor : float
+        Factor on the height of the camera above the target, and on the heights of the lights above
+        the origin.
+    """
 
     surfaces: list[Surface]
     target: Vector
-    """The point at which the camera looks."""
     reach: float
-    """Distance of the camera from the target, and the scale of the lights' distances."""
-    flatness: float = 1
-    """Factor on the heights of the camera and the lights above the target."""
+    height_factor: float = 1
 
 
 def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scene:
-    """Return a scene of a kind in `KINDS`: always the same for the same arguments."""
+    """Build a random scene, which is always the same for the same arguments.
+
+    Parameters
+    ----------
+    kind : str
+        What makes the scene hard to render: a key of `KINDS`.
+    seed : int
+        Seed of the random numbers.
+    width, height : int
+        Size of the picture, in pixels.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
+    """
     return _scene(kind, Random(f"{kind} {seed}"), width, height)
 
 
@@ -43,14 +69,25 @@ def scenes(
     width: st.SearchStrategy[int],
     height: st.SearchStrategy[int],
 ) -> Scene:
-    """Draw a scene of one of some kinds.  If a test fails, the scene is printed as a scene file.
+    """Let Hypothesis choose a scene, and print it as a scene file if the test fails.
+
+    The decorator passes the argument `draw`: a test calls this function without it, and receives a
+    strategy.
 
     Parameters
     ----------
+    draw : callable
+        Returns a value of a strategy.
     kinds : iterable of str
-        Names in `FEW_OBJECTS`: a crowd has too many numbers for Hypothesis.
+        What may make the scene hard to render: names in `FEW_OBJECTS`.  A crowd has too many
+        numbers for Hypothesis.
     width, height : strategy of int
-        Size of the picture in pixels.
+        Size of the picture, in pixels.
+
+    Returns
+    -------
+    scene : Scene
+        A scene of one of the kinds.
     """
     kind, random = draw(st.sampled_from([*kinds])), draw(st.randoms(use_true_random=False))
     scene = _scene(kind, random, draw(width), draw(height))
@@ -60,6 +97,22 @@ def scenes(
 
 
 def _scene(kind: str, random: Random, width: int, height: int) -> Scene:
+    """Build a scene of one kind with one to three lights.
+
+    Parameters
+    ----------
+    kind : str
+        What makes the scene hard to render: a key of `KINDS`.
+    random : Random
+        The source of all numbers in the scene.
+    width, height : int
+        Size of the picture, in pixels.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
+    """
     setting = KINDS[kind](random)
     camera = _camera(random, setting)
     lights = [_light(random, camera, setting) for _ in range(random.randint(1, 3))]
@@ -69,47 +122,52 @@ def _scene(kind: str, random: Random, width: int, height: int) -> Scene:
 
 
 def _uniform(random: Random, low: float, high: float) -> float:
-    """Return a random number between two bounds, one of 2^20 steps.
-
-    Hypothesis reduces the number towards the lower bound.  `random.uniform` would not do:
-    Hypothesis would also choose numbers below the range of the format, such as 1e-300.
-    """
+    """Return one of 2^20 + 1 equally spaced numbers from `low` to `high`, both included."""
+    # Hypothesis reduces the number towards `low`.  With `random.uniform`, it would also choose
+    # numbers below the range of the format, such as 1e-300.
     return low + (high - low) * random.randint(0, 2**20) / 2**20
 
 
 def _vector(random: Random, low: float, high: float) -> Vector:
+    """Return three random numbers from `low` to `high`."""
     x, y, z = (_uniform(random, low, high) for _ in range(3))
     return x, y, z
 
 
 def _direction(random: Random) -> Vector:
-    """Return a unit vector, uniformly distributed: its height is so (Archimedes)."""
-    turn, y = _uniform(random, 0, 2 * math.pi), _uniform(random, -1, 1)
-    across = math.sqrt(1 - y * y)
-    return across * math.sin(turn), y, across * math.cos(turn)
+    """Return a random unit vector; all directions are equally likely."""
+    # A uniform point of the unit sphere has a uniform height (Archimedes).
+    angle, y = _uniform(random, 0, 2 * math.pi), _uniform(random, -1, 1)
+    radius = math.sqrt(1 - y * y)
+    return radius * math.sin(angle), y, radius * math.cos(angle)
 
 
-def _moved(point: Vector, scale: float, direction: Vector) -> Vector:
-    """Return the point that is reached from another by a multiple of a vector."""
-    x, y, z = (p + scale * d for p, d in zip(point, direction, strict=True))
+def _move(point: Vector, scale: float, direction: Vector) -> Vector:
+    """Return point + scale * direction."""
+    pairs = zip(point, direction, strict=True)
+    x, y, z = (coordinate + scale * component for coordinate, component in pairs)
     return x, y, z
 
 
 def _camera(random: Random, setting: Setting) -> Camera:
-    """Return a camera that looks at the target, often through an oblique or oblong window."""
+    """Return a camera that looks at the setting's target from the distance `setting.reach`.
+
+    Its direction and the shape of its window are random.  One in four cameras looks along an axis.
+    Four in ten have a window that is not perpendicular to the view direction.
+    """
     x, y, z = _direction(random)
     up = _direction(random)
     if random.randint(0, 3) == 0:
         axis, sign = random.randrange(3), random.choice([-1.0, 1.0])
         x, y, z = (sign * (axis == k) for k in range(3))
         up = abs(z), abs(x), abs(y)
-    direction = x, y * setting.flatness, z
+    direction = x, y * setting.height_factor, z
     is_oblique = random.randint(0, 9) < 4
     return Camera(
-        view_point=_moved(setting.target, -setting.reach, direction),
+        view_point=_move(setting.target, -setting.reach, direction),
         view_dir=direction,
         view_up=up,
-        proj_normal=_moved(direction, 0.5, _direction(random)) if is_oblique else None,
+        proj_normal=_move(direction, 0.5, _direction(random)) if is_oblique else None,
         # From far away, the lens is longer.
         proj_distance=_uniform(random, 0.5, 2) * max(1, setting.reach / 3),
         view_width=_uniform(random, 0.3, 3),
@@ -118,22 +176,41 @@ def _camera(random: Random, setting: Setting) -> Camera:
 
 
 def _light(random: Random, camera: Camera, setting: Setting) -> PointLight:
-    """Return a light anywhere around, sometimes at the eye, in a sphere's centre or on a face."""
-    surface, place = random.choice(setting.surfaces), random.randint(0, 9)
+    """Return a light in a random direction from the origin, or at a special position.
+
+    One light in ten is at the eye.  At most one in ten is at the centre of a sphere, and at most
+    one in ten is on the lower face of a box.
+
+    Parameters
+    ----------
+    random : Random
+        The source of all numbers.
+    camera : Camera
+        The camera, which has the position of the eye.
+    setting : Setting
+        The surfaces, and the scale of the light's distance.
+
+    Returns
+    -------
+    light : PointLight
+        A light of random colour.
+    """
+    surface, special_case = random.choice(setting.surfaces), random.randint(0, 9)
     x, y, z = _direction(random)
     distance = setting.reach * _uniform(random, 0.25, 3)
-    position = x * distance, y * distance * setting.flatness, z * distance
-    if place == 0:
+    position = x * distance, y * distance * setting.height_factor, z * distance
+    if special_case == 0:
         position = camera.view_point
-    elif place == 1 and isinstance(surface, Sphere):
+    elif special_case == 1 and isinstance(surface, Sphere):
         position = surface.center
-    elif place == 2 and isinstance(surface, Box):
-        (x0, y0, z0), (x1, _, z1) = surface.min_pt, surface.max_pt
-        position = _uniform(random, x0, x1), y0, _uniform(random, z0, z1)
+    elif special_case == 2 and isinstance(surface, Box):
+        (min_x, min_y, min_z), (max_x, _, max_z) = surface.min_pt, surface.max_pt
+        position = _uniform(random, min_x, max_x), min_y, _uniform(random, min_z, max_z)
     return PointLight(position=position, intensity=_vector(random, 0.2, 1))
 
 
 def _shader(random: Random) -> Shader:
+    """Return a shader of random colour: Lambertian, or Phong with a random exponent."""
     diffuse = _vector(random, 0.1, 1)
     if random.randint(0, 1) == 0:
         return Lambertian(diffuse=diffuse)
@@ -141,71 +218,110 @@ def _shader(random: Random) -> Shader:
 
 
 def _eighths(random: Random, low: float, high: float) -> float:
-    """Return a random multiple of 1/8."""
+    """Return a random multiple of 1/8 from `low` to `high`, which are multiples of 1/8."""
     return random.randint(int(low * 8), int(high * 8)) / 8
 
 
 def _ball(random: Random, x: float, y: float, z: float, radius: float) -> Sphere:
+    """Return a sphere with the centre (x, y, z) and a random shader."""
     return Sphere(center=(x, y, z), radius=radius, shader=_shader(random))
 
 
 def _box(random: Random, low: Vector, high: Vector) -> Box:
+    """Return a box between two opposite corners, with a random shader."""
     return Box(min_pt=low, max_pt=high, shader=_shader(random))
 
 
 def _ball_or_box(random: Random, spread: float, size: float) -> Surface:
-    """Return a surface of random size, which is flat along an axis now and then."""
+    """Return a ball or a box of random size, at a random place near the origin.
+
+    Along each axis, one box in ten has the thickness 0.
+
+    Parameters
+    ----------
+    random : Random
+        The source of all numbers.
+    spread : float
+        The coordinates of the centre are between -spread and spread.
+    size : float
+        Maximum radius of the ball, or of half a side of the box.  The minimum is a tenth of it.
+
+    Returns
+    -------
+    surface : Sphere or Box
+        The surface.
+    """
     center = _vector(random, -spread, spread)
     if random.randint(0, 1) == 0:
         return _ball(random, *center, _uniform(random, 0.1 * size, size))
     x, y, z = (_uniform(random, 0.1 * size, size) * (random.randint(0, 9) > 0) for _ in range(3))
-    return _box(random, _moved(center, -1, (x, y, z)), _moved(center, 1, (x, y, z)))
+    return _box(random, _move(center, -1, (x, y, z)), _move(center, 1, (x, y, z)))
 
 
 def _balls_and_boxes(random: Random, count: int, spread: float, size: float = 1) -> list[Surface]:
+    """Return balls and boxes of random size, at random places near the origin.
+
+    Parameters
+    ----------
+    random : Random
+        The source of all numbers.
+    count : int
+        Number of surfaces.
+    spread : float
+        The coordinates of the centres are between -spread and spread.
+    size : float
+        Maximum radius of a ball, or of half a side of a box.
+
+    Returns
+    -------
+    surfaces : list of Sphere or Box
+        The surfaces.
+    """
     return [_ball_or_box(random, spread, size) for _ in range(count)]
 
 
 def _scattered(random: Random) -> Setting:
+    """Return one to eight balls and boxes at random places, some of which cross."""
     surfaces = _balls_and_boxes(random, random.randint(1, 8), 2)
     return Setting(surfaces, (0, 0, 0), _uniform(random, 1, 6))
 
 
 def _touching(random: Random) -> Setting:
-    """Boxes and balls stand on each other and on a floor at y = 0."""
+    """Return boxes and balls that touch each other exactly, on a floor at y = 0."""
     surfaces: list[Surface] = [_box(random, (-8, low, -8), (8, 0, 8)) for low in (-1, 0)]
     for _ in range(4):
         x, z = _eighths(random, -2, 2), _eighths(random, -2, 2)
-        a, h, r = (_eighths(random, 0.25, 1) for _ in range(3))
+        half, height, radius = (_eighths(random, 0.25, 1) for _ in range(3))
         surfaces += [
-            _box(random, (x - a, 0, z - a), (x + a, h, z + a)),
-            _ball(random, x, h + r, z, r),
-            _ball(random, x + a + r, r, z, r),
-            _ball(random, x, h + 2 * r + h, z, h),
+            _box(random, (x - half, 0, z - half), (x + half, height, z + half)),
+            _ball(random, x, height + radius, z, radius),
+            _ball(random, x + half + radius, radius, z, radius),
+            _ball(random, x, height + 2 * radius + height, z, height),
         ]
     return Setting(surfaces, (0, 0.5, 0), _uniform(random, 2, 6))
 
 
 def _nested(random: Random) -> Setting:
-    """Each surface is inside the next, and some touch it; the eye is between them."""
+    """Return balls and boxes inside each other, some of which touch, around or near the eye."""
     surfaces: list[Surface] = []
-    r = 0.25
+    radius = 0.25
     for _ in range(5):
-        r *= random.choice([1.5, 2, 4])
-        offset = random.choice([0, 0.25]) * r
-        surfaces += [_ball(random, offset, 0, 0, r), _box(random, (-r, -r, -r), (r, r, r + offset))]
-    return Setting(surfaces, (0, 0, 0), _uniform(random, 0.1, 1.2) * r)
+        radius *= random.choice([1.5, 2, 4])
+        offset = random.choice([0, 0.25]) * radius
+        low, high = (-radius, -radius, -radius), (radius, radius, radius + offset)
+        surfaces += [_ball(random, offset, 0, 0, radius), _box(random, low, high)]
+    return Setting(surfaces, (0, 0, 0), _uniform(random, 0.1, 1.2) * radius)
 
 
 def _duplicated(random: Random) -> Setting:
-    """Every surface of a scene is listed twice: the copies look like the originals."""
+    """Return the surfaces of another kind of scene, each of them twice, with equal copies."""
     setting = random.choice([_scattered, _touching, _nested, _rooms])(random)
     copies = random.sample(setting.surfaces, len(setting.surfaces))
     return setting._replace(surfaces=setting.surfaces + copies)
 
 
 def _enormous(random: Random) -> Setting:
-    """Small things lie on the flank of a huge ball, beside a huge box."""
+    """Return small balls and boxes near the top of a huge ball and the edge of a huge box."""
     radius = float(2 ** random.randint(10, 23))
     ground = _ball(random, 0, -radius, 0, radius)
     slab = _box(random, (-radius, -3, -radius), (radius, -2, 0))
@@ -214,7 +330,7 @@ def _enormous(random: Random) -> Setting:
 
 
 def _rooms(random: Random) -> Setting:
-    """The eye is inside a box or a ball, together with things, some of which cross its walls."""
+    """Return a box or ball around the eye, and five surfaces, some of which cross its walls."""
     size = _eighths(random, 2, 4)
     is_round = random.randint(0, 1) == 0
     room = (
@@ -227,24 +343,28 @@ def _rooms(random: Random) -> Setting:
 
 
 def _far(random: Random) -> Setting:
-    """The surfaces are seen from up to 10^4 times their size."""
+    """Return balls and boxes that are seen from up to 10^4 times their size."""
     return Setting(_balls_and_boxes(random, 6, 1), (0, 0, 0), 10 ** _uniform(random, 1, 4))
 
 
 def _grazing(random: Random) -> Setting:
-    """The eye and the lights are as close to a floor as 10^-9; there is a wall behind it."""
+    """Return a floor with a wall, balls and boxes, seen and lit from very low heights.
+
+    The heights of the eye and the lights over the floor may be as small as 10^-9 times their
+    distances from the origin.
+    """
     surfaces: list[Surface] = [
         _box(random, (-64, -1, -64), (64, 0, 64)),
         _box(random, (-64, 0, -9), (64, 8, -8)),
         _ball(random, 0, -(2.0**16), 0, 2.0**16),
         *_balls_and_boxes(random, 5, 2),
     ]
-    reach, flatness = _uniform(random, 2, 8), 10 ** _uniform(random, -9, -1)
-    return Setting(surfaces, (0, 0, 0), reach, flatness)
+    reach, height_factor = _uniform(random, 2, 8), 10 ** _uniform(random, -9, -1)
+    return Setting(surfaces, (0, 0, 0), reach, height_factor)
 
 
 def _walled(random: Random) -> Setting:
-    """Six slabs around the eye, most lights and some objects hide the whole sky."""
+    """Return balls and boxes inside six slabs, which also enclose the eye and many lights."""
     surfaces = _balls_and_boxes(random, 4, 1)
     for axis in range(3):
         for ends in ((-2.5, -2), (2, 2.5)):
@@ -255,11 +375,12 @@ def _walled(random: Random) -> Setting:
 
 
 def _crowd(random: Random) -> Setting:
-    """A thousand small objects surround the eye and the lights."""
+    """Return a thousand small balls and boxes, which surround the eye or lie in front of it."""
     surfaces = _balls_and_boxes(random, 1000, 2, 0.06)
     return Setting(surfaces, (0, 0, 0), _uniform(random, 0, 4))
 
 
+# For each kind of scene, the function that returns its surfaces.
 KINDS: dict[str, Callable[[Random], Setting]] = {
     make.__name__[1:]: make
     for make in (

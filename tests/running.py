@@ -26,34 +26,62 @@ INTERRUPTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, sign
 def start_process(
     *arguments: object, python: Sequence[str] = ("-m", "tracer"), **options: Any
 ) -> subprocess.Popen[str]:
-    """Start a process of the tracer, or of other Python code, which ends after 5 minutes at most.
+    """Start a command of the tracer, or other Python code, in a new process.
+
+    A signal ends the process after 5 minutes.  All signals have their default effect in it.
 
     Parameters
     ----------
-    arguments : object
+    *arguments : object
         Arguments of the command, converted to str.
     python : sequence of str
-        Arguments of Python: what to run.
-    options : Any
-        Keyword arguments of `subprocess.Popen`.  `env` is added to `ENVIRONMENT`, and
-        `preexec_fn` is called after the default handling of signals has been restored.
+        Arguments of the Python interpreter before those of the command.  By default, they run the
+        module `tracer`.
+    **options : Any
+        Keyword arguments of `subprocess.Popen`.  By default, the standard output and the standard
+        error are pipes of text.  The variables in `env` are added to `ENVIRONMENT`.  `preexec_fn`
+        is called in the new process after the default handling of signals has been restored.
+
+    Returns
+    -------
+    process : subprocess.Popen
+        The running process.
     """
     prepare = options.pop("preexec_fn", lambda: None)
 
-    def begin() -> None:
+    def prepare_signals() -> None:
+        """Set the time limit, and restore the default handling of signals."""
         signal.alarm(300)  # the alarm survives the loading of the program
-        for kind in INTERRUPTS:  # nohup and background scripts ignore some signals
-            signal.signal(kind, signal.SIG_DFL)
+        for number in INTERRUPTS:  # nohup and background scripts ignore some signals
+            signal.signal(number, signal.SIG_DFL)
         prepare()
 
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    options = {**pipes, "preexec_fn": begin, **options}
+    options = {**pipes, "preexec_fn": prepare_signals, **options}
     options["env"] = ENVIRONMENT | options.get("env", {})
     return subprocess.Popen([sys.executable, *python, *map(str, arguments)], **options)
 
 
 def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any, Any]:
-    """Run a process to its end; return its exit status, its output and its errors."""
+    """Run a command of the tracer, or other Python code, in a new process, and wait for its end.
+
+    Parameters
+    ----------
+    *arguments : object
+        Arguments of the command, converted to str.
+    input : str or bytes, optional
+        The standard input; bytes if the option `text` is False.
+    **options : Any
+        Keyword arguments of `start_process`, such as `python`, and of `subprocess.Popen`.
+
+    Returns
+    -------
+    status : int
+        The exit status of the process; if a signal ended it, the negative number of the signal.
+    out, err : str, bytes or None
+        What the process wrote to standard output and standard error; bytes if the option `text` is
+        False; None if an option redirected the stream.
+    """
     if input is not None:
         options["stdin"] = subprocess.PIPE
     with start_process(*arguments, **options) as process:
@@ -62,7 +90,10 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    """Wait until a condition is true; fail after 20 seconds."""
+    """Call a function every 0.01 seconds until it returns True.
+
+    If it still returns False after 20 seconds, an AssertionError is raised.
+    """
     deadline = time.monotonic() + 20
     while not condition():
         assert time.monotonic() < deadline
@@ -70,7 +101,10 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 
 def drop_jit(err: str) -> str:
-    """Remove the lines that Dr.Jit writes to stderr where it has found no libLLVM."""
+    """Return the text of standard error without the lines that begin with "jit".
+
+    Dr.Jit writes such lines if it finds no libLLVM.
+    """
     return "".join(line for line in err.splitlines(True) if not line.startswith("jit"))
 
 
@@ -82,15 +116,37 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
-def peak_memory(*command: str, given: bytes = b"") -> float:
-    """Return the peak resident memory of a command, or of its largest worker, in MB."""
+def peak_memory(*command: str, input: bytes = b"") -> float:
+    """Run a command, and measure the peak memory of its largest process.
+
+    Parameters
+    ----------
+    *command : str
+        The program and its arguments.
+    input : bytes
+        The standard input of the command.
+
+    Returns
+    -------
+    peak : float
+        Peak resident memory, in MB, of the command's own process or of one of its children,
+        whichever is larger.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If the exit status of the command is not 0.
+    """
     watch = [sys.executable, "-c", _WATCH, *command]
-    done = subprocess.run(watch, input=given, stdout=subprocess.PIPE, check=True, env=ENVIRONMENT)
+    result = subprocess.run(watch, input=input, stdout=subprocess.PIPE, check=True, env=ENVIRONMENT)
     # The unit is a kibibyte on Linux, a byte on macOS.
-    return int(done.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
+    return int(result.stdout) * (1 if sys.platform == "darwin" else 1024) / 1e6
 
 
 def file_names(folder: Path) -> list[str]:
-    """Return the sorted paths of all files below a folder, except ball.xml, the usual input."""
+    """Return the sorted paths of all files in a folder and its subfolders, except `ball.xml`.
+
+    The paths are relative to the folder.  `ball.xml` is the input of most tests.
+    """
     paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     return sorted(str(path) for path in paths if str(path) != "ball.xml")

@@ -61,7 +61,7 @@ def test_memory_does_not_increase_with_pairs_of_a_light_and_a_sample(light_count
     lights = [PointLight(position=position, intensity=(1e-3,) * 3) for position in positions]
     scene = scene_of(Sphere(center=(0, 0, -3)), size=(200, 200), lights=lights)
     given = pickle.dumps((scene, samples))
-    assert peak_memory(sys.executable, "-c", RENDER, given=given) < 250
+    assert peak_memory(sys.executable, "-c", RENDER, input=given) < 250
 
 
 @pytest.fixture
