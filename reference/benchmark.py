@@ -31,8 +31,14 @@ from converters.flavours import exact, stock
 from converters.variant import SCALAR, mi, use
 from reference import povray
 from reference.command import HERE, SCENES, built, own_scenes, parser
-from reference.measured.measurements import Task, Timing, interleaved, measured_on, process
-from reference.measured.workloads import field, resized
+from reference.measured.measurements import (
+    Task,
+    Timing,
+    command_task,
+    describe_origin,
+    time_interleaved,
+)
+from reference.measured.workloads import field_scene, resize_picture
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import processors
 
@@ -120,7 +126,7 @@ def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
         "tracer": partial(render, scene),
         "Mitsuba": lambda: np.array(mi.render(loaded)),
     }
-    timings = interleaved(tasks, ROUNDS)
+    timings = time_interleaved(tasks, ROUNDS)
     return timings["tracer"], timings["Mitsuba"]
 
 
@@ -132,7 +138,7 @@ def whole_process(quick: bool) -> str:
     rows: list[tuple[object, ...]] = []
     every = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
     for size, name in every[:1] if quick else every:
-        scene = resized(load_scene(SCENES / f"{name}.xml"), *size)
+        scene = resize_picture(load_scene(SCENES / f"{name}.xml"), *size)
         save_scene(scene, scene_file := built("tracer.xml"))
         (exact_file := built("exact.xml")).write_text(str(exact(scene)))
         (stock_file := built("stock.xml")).write_text(str(stock(scene, 1)))
@@ -145,8 +151,8 @@ def whole_process(quick: bool) -> str:
         }
         if povray.installed():
             commands["POV-Ray"] = povray.command(scene, Path(png))
-        tasks = {name: process(command) for name, command in commands.items()}
-        timings = interleaved(tasks, ROUNDS, min_seconds=2.0)
+        tasks = {name: command_task(command) for name, command in commands.items()}
+        timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
         over_exact, *over_stock = (
             speedup(timings["tracer"], timings[other])
             for other in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
@@ -171,9 +177,9 @@ def rendering(quick: bool) -> str:
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
         speedups: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in own_scenes()}
-        scenes |= {f"field-{count}": field(count) for count in (1000, 10_000)}
+        scenes |= {f"field-{count}": field_scene(count) for count in (1000, 10_000)}
         for name in _FEW_SCENES if quick else scenes:
-            scene = resized(scenes[name], *size)
+            scene = resize_picture(scenes[name], *size)
             ours, exact_timing = _time_both(scene, str(exact(scene)))
             ours_again, stock_timing = _time_both(scene, str(stock(scene, 1)))
             speedups.append((speedup(ours, exact_timing), speedup(ours_again, stock_timing)))
@@ -198,7 +204,7 @@ def objects(quick: bool) -> str:
     use()
     rows: list[tuple[object, ...]] = []
     for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
-        save_scene(field(count), path := built("objects.xml"))
+        save_scene(field_scene(count), path := built("objects.xml"))
         scene, text = load_scene(path), str(exact(load_scene(path)))
         # Mitsuba's many objects must not slow down the garbage collector, nor its kernels.
         gc.collect()
@@ -208,7 +214,7 @@ def objects(quick: bool) -> str:
             "load": partial(load_scene, path),
             "render": partial(render, scene),
         }
-        timings = interleaved(tasks, ROUNDS)
+        timings = time_interleaved(tasks, ROUNDS)
         gc.unfreeze()
         rows.append((f"{count:,}", *timings.values(), *_mitsuba_timings(text)))
     return table(
@@ -249,7 +255,7 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
     commands : dict of str to list of commands
         For each renderer, commands to run one after the other.  Only POV-Ray needs more than one.
     """
-    scene = resized(load_scene(SCENES / "sticks-perspective.xml"), *size)
+    scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
     files, pov_commands = list[str](), list[list[str]]()
     mitsuba_files = {"exact": list[str](), "stock": list[str]()}
@@ -284,7 +290,9 @@ def frames(quick: bool) -> str:
     count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     commands = frame_commands(count, size)
     tasks = {name: partial(_run_all, steps) for name, steps in commands.items()}
-    timings = {name: time.per(count) for name, time in interleaved(tasks, ROUNDS).items()}
+    timings = {
+        name: time.divided_by(count) for name, time in time_interleaved(tasks, ROUNDS).items()
+    }
     first = timings["tracer, 1 process"]
     return table(
         f"{count} frames of {size[0]}×{size[1]}",
@@ -300,7 +308,7 @@ def frames(quick: bool) -> str:
 def _run_all(commands: Sequence[Sequence[str]]) -> None:
     """Run commands one after the other."""
     for command in commands:
-        process(command)()
+        command_task(command)()
 
 
 SECTIONS = (whole_process, rendering, objects, frames)
@@ -313,7 +321,7 @@ def main() -> None:
     page = [
         "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"
         f" least {ROUNDS} rounds. A speedup above 1 means that the tracer is faster. Measured on"
-        f" {measured_on()}."
+        f" {describe_origin()}."
     ]
     for section in SECTIONS:
         page.append(section(arguments.quick))

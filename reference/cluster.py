@@ -19,7 +19,7 @@ from distributed import Client, LocalCluster
 
 from reference.benchmark import frame_commands, table
 from reference.command import HERE, built, parser
-from reference.measured.measurements import measured_on, process
+from reference.measured.measurements import command_task, describe_origin
 
 _FRAMES = 1_000_000
 
@@ -35,7 +35,7 @@ def _cpu_seconds(commands: list[list[str]]) -> float:
     """Run commands one after the other, and return their CPU time in seconds."""
     before = os.times()
     for command in commands:
-        process(command)()
+        command_task(command)()
     after = os.times()
     children = after.children_user + after.children_system
     return children - before.children_user - before.children_system
@@ -90,7 +90,7 @@ def main() -> None:
              "a folder for each thousand frames"),
         ],
     )  # fmt: skip
-    origin = f"Written by `python -m reference.cluster`, measured on {measured_on()}."
+    origin = f"Written by `python -m reference.cluster`, measured on {describe_origin()}."
     text = "\n\n".join(["# A million frames on a cluster", origin, costs, limits]) + "\n"
     path = built("cluster.md") if arguments.quick else HERE / "cluster.md"
     path.write_text(text, encoding="utf-8")

@@ -30,7 +30,7 @@ from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, own_scenes, parser
 from reference.figures import amplified
-from reference.measured.measurements import measured_on
+from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, pair
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
@@ -87,7 +87,7 @@ def page(
         rows=[_row(index, result) for index, (result, _) in enumerate(results)],
         pairs=[_pair(result, comment) for result, comment in results],
         legend=_DIFFERENCE_LEGEND,
-        source=f"Mitsuba {variants}; {measured_on()}",
+        source=f"Mitsuba {variants}; {describe_origin()}",
         faults=[f"Not compared: {failure}" for failure in failures],
         charts=charts,
     )

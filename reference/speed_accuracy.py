@@ -32,9 +32,9 @@ from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
 from reference.judges.true_picture import render_supersampled, rmse, true_picture
-from reference.measured.charts import CHART_WIDTH, make_chart, plt
-from reference.measured.measurements import interleaved
-from reference.measured.workloads import crowd, resized
+from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
+from reference.measured.measurements import time_interleaved
+from reference.measured.workloads import crowd_scene, resize_picture
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
@@ -147,7 +147,7 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
         # The time that POV-Ray reports, without its start, as that of the others.
         tasks[_POVRAY, 1] = partial(povray.trace, povray.linear(scene, target, *options))
         tasks = {key: task for key, task in tasks.items() if key not in stopped}
-        for key, timing in interleaved(tasks, _ROUNDS).items():
+        for key, timing in time_interleaved(tasks, _ROUNDS).items():
             (method, factor), image = key, tasks[key]()
             image = povray.picture(target) if method == _POVRAY else image
             method_error = rmse(image, reference_image)
@@ -193,10 +193,10 @@ def _scenes(quick: bool) -> dict[str, Scene]:
         ("four-spheres", load_scene(SCENES / "four-spheres.xml"), 320, 180),
         ("sticks-perspective", sticks, 320, 180),
         ("sticks-perspective", sticks, 1280, 720),
-        ("1,000 small objects", crowd(1000), 320, 180),
+        ("1,000 small objects", crowd_scene(1000), 320, 180),
     ]
     return {
-        f"{name}, {width}×{height}": resized(scene, width, height)
+        f"{name}, {width}×{height}": resize_picture(scene, width, height)
         for name, scene, width, height in (scenes[1:2] if quick else scenes)
     }
 
@@ -219,4 +219,4 @@ def main() -> None:
         " the certified tracer, errors of at most 1/8, 1/32, ... in every pixel."
     )
     texts = ("Time against error: lower left is better", note)
-    make_chart("speed_accuracy", _COLUMNS, _measure_all, _draw, texts)
+    run_chart_command("speed_accuracy", _COLUMNS, _measure_all, _draw, texts)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from reference.figures import Floats
 from reference.judges import plain
-from reference.measured.charts import CHART_WIDTH, make_chart, plt
+from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 from tracer.command.progress import track
 
@@ -360,4 +360,4 @@ def main() -> None:
         " (at most 1) or by the percentage of pixels that are wrongly lit or dark."
     )
     texts = ("Where usual methods of ray tracing fail", note)
-    make_chart("stability", columns, _measure_all, _draw, texts)
+    run_chart_command("stability", columns, _measure_all, _draw, texts)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 from reference.command import SCENES, own_scenes
-from reference.measured.workloads import resized
+from reference.measured.workloads import resize_picture
 from tracer import Scene, load_scene
 
 HARD_SCENES = Path(__file__).with_name("scenes")
@@ -83,7 +83,7 @@ def hard_scenes(field: str) -> list:
 
 def small(name: str, width: int = 48, height: int = 27) -> Scene:
     """A scene of this project in so few pixels."""
-    return resized(load_scene(SCENES / f"{name}.xml"), width, height)
+    return resize_picture(load_scene(SCENES / f"{name}.xml"), width, height)
 
 
 def overflowing(scene: Path) -> Path:

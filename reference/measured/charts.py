@@ -1,4 +1,4 @@
-"""The style of the charts, and the command line of the modules that measure and draw them."""
+"""The style of all charts, and the command that measures a table and draws its chart."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import matplotlib.pyplot as plt
 from cycler import cycler
 
 from reference.command import HERE, built, parser
-from reference.measured.measurements import measured_on, read_csv, write_csv
+from reference.measured.measurements import describe_origin, read_csv, write_csv
 
-__all__ = ["CHART_WIDTH", "make_chart", "plt"]
+__all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
 
 CHART_WIDTH = 9.0
 """Width of a chart in inches: two panels side by side."""
@@ -41,39 +41,44 @@ plt.rcParams["axes.prop_cycle"] = (
 )
 
 
-def make_chart(
+def run_chart_command(
     name: str,
     columns: Sequence[str],
     measure: Callable[[bool], Iterable[Sequence[object]]],
     draw: Callable[[Sequence[Sequence[str]]], Any],
     texts: tuple[str, str],
 ) -> None:
-    """Run `python -m reference.NAME`: measure the rows of a table, store it, and draw a chart.
+    """Run `python -m reference.NAME`: measure a table, store it as a CSV file, and draw its chart.
+
+    The option `--quick` measures fewer points and writes to the build folder.  The option
+    `--redraw` draws the stored table again without measuring.
 
     Parameters
     ----------
     name : str
-        NAME; the table and the chart are NAME.csv and NAME.svg.
+        NAME of the module.  The table and the chart are written to NAME.csv and NAME.svg.
+    doc : str or None
+        The module's docstring, which describes the command in its help.
     columns : sequence of str
         Titles of the table's columns.
     measure : callable
-        Returns the rows of the table; its argument is True for a quick measurement with few points.
+        Function that measures the rows of the table.  Its argument is True for a quick measurement.
     draw : callable
-        Returns the chart as a Figure, for the rows as read from the CSV file.  They are rounded
-        there, so that a chart that is drawn again is the same.
+        Function that draws the chart as a matplotlib Figure.  Its argument are the rows as they are
+        read from the CSV file.  They are rounded there, so `--redraw` draws the same chart.
     texts : (str, str)
-        The chart's title and a note below the title.
+        The chart's title, and a note below the title.
     """
     command_parser = parser(f"reference.{name}", "fewer points")
-    text = "draw the stored table again, without measuring"
-    command_parser.add_argument("--redraw", action="store_true", help=text)
+    redraw_help = "draw the stored table again, without measuring"
+    command_parser.add_argument("--redraw", action="store_true", help=redraw_help)
     arguments = command_parser.parse_args()
-    table = built(f"{name}.csv") if arguments.quick else HERE / f"{name}.csv"
+    table_path = built(f"{name}.csv") if arguments.quick else HERE / f"{name}.csv"
     if not arguments.redraw:
         # Everything is measured before the stored table is replaced.
-        origin, rows = measured_on(), [*measure(arguments.quick)]
-        write_csv(table, origin, columns, rows)
-    origin, stored_rows = read_csv(table)
+        origin, rows = describe_origin(), [*measure(arguments.quick)]
+        write_csv(table_path, origin, columns, rows)
+    origin, stored_rows = read_csv(table_path)
     figure = draw(stored_rows)
     width, height = figure.get_size_inches()
     title, note = texts
@@ -82,5 +87,5 @@ def make_chart(
     figure.text(left, 1 - _NOTE_TOP / height, note, va="top", fontsize=9, color="#444444")
     origin_text = f"Measured on {origin}."
     figure.text(left, _ORIGIN_BOTTOM / height, origin_text, fontsize=7, color="#666666", wrap=True)
-    figure.savefig(table.with_suffix(".svg"), metadata={"Date": None})
+    figure.savefig(table_path.with_suffix(".svg"), metadata={"Date": None})
     plt.close(figure)

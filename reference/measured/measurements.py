@@ -24,33 +24,39 @@ Task: TypeAlias = Callable[[], object]
 
 _Name = TypeVar("_Name", bound=Hashable)
 
-# Pause between tasks in seconds: threads of the task before, especially Mitsuba's, spin for about
-# 10 ms.
+# Pause before each task in seconds: threads of the previous task, especially Mitsuba's, keep
+# spinning for about 10 ms.
 _PAUSE_SECONDS = 0.02
 
-# Short times vary most, so short tasks get more rounds: until they have taken this many seconds
-# together, but at most this many times the requested number of rounds.
+# Short times vary most, so short tasks run in more rounds: until the rounds of a task have taken
+# this many seconds together, but in at most this many times the requested number of rounds.
 _MIN_TOTAL_SECONDS, _MAX_ROUNDS_FACTOR = 0.5, 5
 
 
 class Timing(NamedTuple):
-    """Seconds that a task took: the median, the minimum and the maximum over some rounds."""
+    """Seconds that a task took, in several rounds.
+
+    Attributes
+    ----------
+    median, low, high : float
+        The median, the minimum and the maximum over the rounds, in seconds.
+    """
 
     median: float
     low: float
     high: float
 
     def __str__(self) -> str:
-        """Format the times in milliseconds."""
-        shown, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
-        return shown if self.low == self.high else f"{shown} ({low}–{high})"
+        """Format the times in milliseconds: "median (low–high)", or one number if all are equal."""
+        middle, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
+        return middle if self.low == self.high else f"{middle} ({low}–{high})"
 
-    def per(self, count: int) -> Timing:
-        """Divide the times by the number of items that the task processed."""
+    def divided_by(self, count: int) -> Timing:
+        """Divide the times by the number of items of a task, to get seconds per item."""
         return Timing(*(seconds / count for seconds in self))
 
 
-def interleaved(
+def time_interleaved(
     tasks: Mapping[_Name, Task], rounds: int, *, min_seconds: float = _MIN_TOTAL_SECONDS
 ) -> dict[_Name, Timing]:
     """Time tasks alternately: a round runs each task once.
@@ -60,91 +66,125 @@ def interleaved(
     Parameters
     ----------
     tasks : mapping of names to Task
-        Each task runs once before it is timed.
+        Functions without arguments.  If a task returns a float, this is its time in seconds;
+        otherwise the time is measured.  Each task runs once more before the first round, without
+        being timed.
     rounds : int
-        Number of rounds.
+        Minimum number of rounds.
     min_seconds : float
-        Tasks that have taken less than this together run in more rounds.
+        A task whose rounds have taken less than this together runs in more rounds: in at most five
+        times as many.
 
     Returns
     -------
     timings : dict of names to Timing
-        The times of each task.
+        Median, minimum and maximum of the times of each task.
     """
     for task in tasks.values():
         task()
     times: dict[_Name, list[float]] = {name: [] for name in tasks}
-    for number in range(_MAX_ROUNDS_FACTOR * rounds):
+    for round_index in range(_MAX_ROUNDS_FACTOR * rounds):
         for name, task in tasks.items():
-            if number < rounds or sum(times[name]) < min_seconds:
+            if round_index < rounds or sum(times[name]) < min_seconds:
                 sleep(_PAUSE_SECONDS)
                 start = perf_counter()
-                seconds = task()
+                result = task()
                 elapsed = perf_counter() - start
-                times[name].append(seconds if isinstance(seconds, float) else elapsed)
-    return {name: Timing(median(s), min(s), max(s)) for name, s in times.items()}
+                times[name].append(result if isinstance(result, float) else elapsed)
+    return {name: Timing(median(t), min(t), max(t)) for name, t in times.items()}
 
 
-def process(command: Sequence[str]) -> Task:
-    """Make a task that runs a command silently, and raises CalledProcessError if it fails.
+def command_task(command: Sequence[str]) -> Task:
+    """Make a task (a function to be timed) that runs a command in a new process, without output.
 
-    Python may store compiled modules even if PYTHONDONTWRITEBYTECODE is set: the first run compiles
-    the modules, and no other has to.
+    In the process, Python may store compiled modules even if PYTHONDONTWRITEBYTECODE is set here.
+    So only the first run compiles the modules.
+
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+
+    Returns
+    -------
+    task : callable
+        Runs the command and waits for its end.  It raises CalledProcessError if the command fails.
     """
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    environment = {**os.environ}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
 
 
 def write_csv(
     path: Path, origin: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write a table as a CSV file.
+    """Write a table as a CSV file, with the origin of the numbers as a comment on the first line.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file to write.
     origin : str
-        Where and when the table was measured: the first line, a comment.
+        Where and when the table was measured.
     columns : sequence of str
         Titles of the columns.
     rows : iterable of sequences
-        The rows; floats are rounded to six digits.
+        The rows of the table.  Floats are rounded to six digits.
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         file.write(f"# {origin}\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
+        for row in rows:
+            writer.writerow([f"{x:.6g}" if isinstance(x, float) else x for x in row])
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
-    """Read a table that `write_csv` has written: return its origin, and rows without the titles."""
+    """Read a table that `write_csv` has written.
+
+    Parameters
+    ----------
+    path : Path
+        The file to read.
+
+    Returns
+    -------
+    origin : str
+        Where and when the table was measured.
+    rows : list of lists of str
+        The rows, without the titles of the columns.
+    """
     with path.open(newline="", encoding="utf-8") as file:
         origin = file.readline().removeprefix("# ").rstrip("\n")
         return origin, list(csv.reader(file))[1:]
 
 
-def measured_on() -> str:
-    """Describe a measurement on one line: date, commit, processor, system and versions."""
+def describe_origin() -> str:
+    """Describe this machine on one line: date, commit, processor, system, and versions of
+    renderers.
+    """
     povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
     system = [platform.system(), f"Python {platform.python_version()}", *versions]
-    machine = f"{_processor()} ({processors()} cores)"
+    machine = f"{_processor_name()} ({processors()} cores)"
     today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
-    return ", ".join([today, _commit(), machine, *system, povray[0] if povray else "no POV-Ray"])
+    povray_version = povray[0] if povray else "no POV-Ray"
+    return ", ".join([today, _describe_commit(), machine, *system, povray_version])
 
 
-def _commit() -> str:
-    """Name the current commit, with a + if a module has been changed since."""
+def _describe_commit() -> str:
+    """Return "commit" and the hash of the current commit, with a "+" if a module was changed since.
+
+    Return "no commit" if this folder is not in a Git repository.
+    """
     git = f"git -C {shlex.quote(str(HERE))}"
-    failed, commit = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
-    changed = subprocess.getoutput(f"{git} status --porcelain -- ':/*.py'")
-    return "no commit" if failed else f"commit {commit}{'+' * bool(changed)}"
+    status, commit = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
+    changed_files = subprocess.getoutput(f"{git} status --porcelain -- ':/*.py'")
+    return "no commit" if status else f"commit {commit}{'+' * bool(changed_files)}"
 
 
-def _processor() -> str:
-    """Name the processor: its model if the system is Linux, otherwise its architecture."""
-    info = Path("/proc/cpuinfo")
-    model = re.search(r"^model name\s*: (.*)", info.read_text() if info.exists() else "", re.M)
+def _processor_name() -> str:
+    """Return the processor's model on Linux, and its architecture on other systems."""
+    path = Path("/proc/cpuinfo")
+    model = re.search(r"^model name\s*: (.*)", path.read_text() if path.exists() else "", re.M)
     return model[1] if model else platform.processor() or platform.machine()

@@ -17,57 +17,74 @@ _SHADERS = (
 )
 
 
-def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
-    """Make a scene of a floor and `count` - 1 small objects that hover in front of the camera.
+def crowd_scene(count: int, *, width: int = 640, height: int = 360) -> Scene:
+    """Make a scene of a floor and small objects that hover in front of the camera.
 
-    Half of them are spheres, and half boxes; two lights shine on them.  Together they cover about
-    the same part of the picture for any number.
+    Half of the objects are spheres and half are boxes; two lights shine on them.  Together they
+    cover about the same part of the picture for any number of objects.  The scene depends only on
+    `count`.
 
     Parameters
     ----------
     count : int
-        Number of objects.
+        Number of objects, including the floor.
     width, height : int
         Size of the picture in pixels.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
     """
     rng = np.random.default_rng(count)
-    n = count - 1
-    center = rng.uniform(-1, 1, (n, 3)) * (4.5, 2.4, 2.0)
-    size = rng.uniform(0.5, 1.5, n) * 1.6 / np.sqrt(count)
-    spheres = n // 2
-    half = size[spheres:, None] * rng.uniform(0.4, 0.8, (n - spheres, 3))
+    small_count = count - 1
+    sphere_count = small_count // 2
+    box_count = small_count - sphere_count
+    center = rng.uniform(-1, 1, (small_count, 3)) * (4.5, 2.4, 2.0)
+    radius = rng.uniform(0.5, 1.5, small_count) * 1.6 / np.sqrt(count)
+    half_size = radius[sphere_count:, None] * rng.uniform(0.4, 0.8, (box_count, 3))
     window: Any = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
     camera = Camera(view_point=(0, 1, 9), view_dir=(0, -0.1, -1), **window)
     surfaces = Surfaces(
-        center=center[:spheres],
-        radius=size[:spheres],
-        min_pt=np.vstack([center[spheres:] - half, [(-50, -3, -50)]]),
-        max_pt=np.vstack([center[spheres:] + half, [(50, -2.5, 50)]]),
-        shader_index=np.append(np.arange(spheres), np.arange(n - spheres + 1)) % len(_SHADERS),
+        center=center[:sphere_count],
+        radius=radius[:sphere_count],
+        min_pt=np.vstack([center[sphere_count:] - half_size, [(-50, -3, -50)]]),
+        max_pt=np.vstack([center[sphere_count:] + half_size, [(50, -2.5, 50)]]),
+        shader_index=np.append(np.arange(sphere_count), np.arange(box_count + 1)) % len(_SHADERS),
         shaders=_SHADERS,
     )
     lights = _lights((6, 8, 7), (-7, 6, 5))
     return Scene(camera=camera, width=width, height=height, lights=lights, surfaces=surfaces)
 
 
-def field(count: int) -> Scene:
-    """Make a scene of `count` small objects above a floor, half of them spheres and half boxes.
+def field_scene(count: int) -> Scene:
+    """Make a scene of small objects above a floor, half of them spheres and half boxes.
 
-    The objects fill a volume of constant size, so that many are hidden behind others, and they
-    cast shadows on each other and on the floor.
+    The objects fill a volume of constant size, so many are hidden behind others, and they cast
+    shadows on each other and on the floor.  The scene depends only on `count`.
+
+    Parameters
+    ----------
+    count : int
+        Number of objects, without the floor.
+
+    Returns
+    -------
+    scene : Scene
+        The scene, with a picture of 640 x 360 pixels.
     """
     rng = np.random.default_rng(count)
-    size = (0.5 / count) ** (1 / 3)
-    center = rng.uniform((-8, size, -8), (8, 3 + size, 8), (count, 3))
-    radius, spheres = size * rng.uniform(0.6, 1.3, count), count // 2
-    boxes, half = center[spheres:], radius[spheres:, None]
+    mean_radius = (0.5 / count) ** (1 / 3)
+    center = rng.uniform((-8, mean_radius, -8), (8, 3 + mean_radius, 8), (count, 3))
+    radius, sphere_count = mean_radius * rng.uniform(0.6, 1.3, count), count // 2
+    box_center, half_size = center[sphere_count:], radius[sphere_count:, None]
     window: Any = {"view_width": 1, "view_height": 0.5625}
     camera = Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window)
     surfaces = Surfaces(
-        center=center[:spheres],
-        radius=radius[:spheres],
-        min_pt=np.vstack([boxes - half, [(-60, -0.5, -60)]]),
-        max_pt=np.vstack([boxes + half, [(60, 0, 60)]]),
+        center=center[:sphere_count],
+        radius=radius[:sphere_count],
+        min_pt=np.vstack([box_center - half_size, [(-60, -0.5, -60)]]),
+        max_pt=np.vstack([box_center + half_size, [(60, 0, 60)]]),
         shader_index=np.arange(count + 1) % len(_SHADERS),
         shaders=_SHADERS,
     )
@@ -76,21 +93,27 @@ def field(count: int) -> Scene:
 
 
 def _lights(*positions: tuple[float, float, float]) -> list[PointLight]:
-    """Make one light at each position."""
+    """Make one light of medium intensity at each position, a point (x, y, z)."""
     return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 
 
-def resized(scene: Scene, width: int, height: int) -> Scene:
-    """Return the scene with another number of pixels, which are square.
+def resize_picture(scene: Scene, width: int, height: int) -> Scene:
+    """Return a copy of a scene whose picture has another size and square pixels.
 
-    The height of the window stays the same, so the picture shows more or less at the sides.
+    The height of the camera's window stays the same, so the picture shows more or less at its
+    sides.
 
     Parameters
     ----------
     scene : Scene
-        The scene.
+        The scene, which is not changed.
     width, height : int
         Size of the new picture in pixels.
+
+    Returns
+    -------
+    resized : Scene
+        The scene with the new size.
     """
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
     return replace(scene, width=width, height=height, camera=camera)

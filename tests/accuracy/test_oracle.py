@@ -21,7 +21,7 @@ from scene_files import NAMES, names, small
 
 from reference.command import SCENES, own_scenes
 from reference.judges import plain
-from reference.measured.workloads import resized
+from reference.measured.workloads import resize_picture
 from tracer import Box, Camera, PointLight, Scene, Sphere, first_hits, load_scene, render
 from tracer.arrays import Bools, Floats
 
@@ -176,7 +176,7 @@ LARGE = {path.stem for path in own_scenes() if len(load_scene(path).surfaces) > 
 def test_own_scenes(name):
     # Some scenes are seen from 1,700 times their size, which is nearly orthographic.
     scene = load_scene(SCENES / f"{name}.xml")
-    scene = resized(scene, *((16, 9) if len(scene.surfaces) > 20 else (48, 27)))
+    scene = resize_picture(scene, *((16, 9) if len(scene.surfaces) > 20 else (48, 27)))
     exact = plain.render(scene, arithmetic="decimal")
     assert exact.max() > 0.1
     np.testing.assert_allclose(render(scene), exact, rtol=0, atol=1e-11)

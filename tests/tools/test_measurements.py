@@ -23,7 +23,7 @@ def test_tasks_alternate_and_only_short_ones_get_more_rounds():
         return lambda: (order.append(name), sleep(seconds))[1]
 
     tasks = {"a": task("a", 0.03), "b": task("b", 0)}
-    timings = measurements.interleaved(tasks, 2, min_seconds=0.05)
+    timings = measurements.time_interleaved(tasks, 2, min_seconds=0.05)
     assert order[:6] == ["a", "b"] * 3  # the first two runs are not timed
     assert set(order[6:]) == {"b"}
     assert all(0 < t.low <= t.median <= t.high for t in timings.values())
@@ -31,14 +31,14 @@ def test_tasks_alternate_and_only_short_ones_get_more_rounds():
 
 def test_tables_show_times_and_ratios_and_keep_their_origin(tmp_path):
     time = Timing(0.05, 0.04, 0.09)
-    rows = [("room", time, 0.25), ("far", time.per(5), 42.4)]
+    rows = [("room", time, 0.25), ("far", time.divided_by(5), 42.4)]
     assert benchmark.table("Title", "A note.", ("scene", "time", "ratio"), rows) == (
         "## Title\n\nA note.\n\n| scene | time | ratio |\n| --- | --- | --- |\n"
         "| room | 50.0 (40.0–90.0) | 0.25× |\n| far | 10.0 (8.0–18.0) | 42× |"
     )
     ratios = [benchmark.ratio(value) for value in (0.994, 0.996, 9.94, 9.96)]
     assert ratios == ["0.99×", "1.0×", "9.9×", "10×"]
-    origin = measurements.measured_on()
+    origin = measurements.describe_origin()
     assert re.search(r"commit [0-9a-f]{7}\b|no commit", origin)
     measurements.write_csv(tmp_path / "a.csv", origin, ("name", "error"), [("room", 1 / 3)])
     assert measurements.read_csv(tmp_path / "a.csv") == (origin, [["room", "0.333333"]])
@@ -58,11 +58,13 @@ SECONDS |= {"Mitsuba": 0.3, "Mitsuba exact": 0.3, "Mitsuba stock": 0.2, "the sam
     ],
 )
 def test_speedups_are_above_1_where_the_tracer_is_faster(section, ratios, monkeypatch, tmp_path):
-    def interleaved(tasks: Mapping[str, Task], *_: object, **__: object) -> dict[str, Timing]:
+    def prescribed_timings(
+        tasks: Mapping[str, Task], *_: object, **__: object
+    ) -> dict[str, Timing]:
         return {name: Timing(*[SECONDS.get(name, 1.0)] * 3) for name in tasks}
 
     monkeypatch.setattr(command, "BUILD", tmp_path)
-    monkeypatch.setattr(benchmark, "interleaved", interleaved)
+    monkeypatch.setattr(benchmark, "time_interleaved", prescribed)
     rows = [line[2:-2].split(" | ") for line in section(True).splitlines() if line[:2] == "| "]
     shown = {row[0]: [cell for cell in row[1:] if "×" in cell] for row in rows}
     assert {name: shown[name] for name in ratios} == ratios
