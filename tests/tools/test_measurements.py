@@ -58,9 +58,7 @@ SECONDS |= {"Mitsuba": 0.3, "Mitsuba exact": 0.3, "Mitsuba stock": 0.2, "the sam
     ],
 )
 def test_speedups_are_above_1_where_the_tracer_is_faster(section, ratios, monkeypatch, tmp_path):
-    def prescribed_timings(
-        tasks: Mapping[str, Task], *_: object, **__: object
-    ) -> dict[str, Timing]:
+    def prescribed(tasks: Mapping[str, Task], *_: object, **__: object) -> dict[str, Timing]:
         return {name: Timing(*[SECONDS.get(name, 1.0)] * 3) for name in tasks}
 
     monkeypatch.setattr(command, "BUILD", tmp_path)
