@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
+from tracer.arrays import Bools, Floats, Ints, Triple, dot
 from tracer.scene.model import Camera, unit
 
 # Depth of a layer, as a multiple of the width of a packet at this depth: see
@@ -263,8 +263,8 @@ def camera_frame(
     w = unit(camera.normal)
     if w @ view_direction > 0:
         w = -w
-    u = unit(_cross_single(unit(camera.view_up), w))
-    v = _cross_single(w, u)
+    u = unit(np.cross(unit(camera.view_up), w))
+    v = np.cross(w, u)
     center = camera.proj_distance * view_direction
     step_u, step_v = camera.view_width / width, camera.view_height / height
     # Shirley's v points up, and his w points back: those of a CameraFrame are their opposites.
@@ -279,22 +279,6 @@ def camera_frame(
         width=width,
         height=height,
     )
-
-
-def _cross_single(a: Floats, b: Floats) -> Floats:
-    """Compute the cross product a x b of two single vectors.
-
-    Parameters
-    ----------
-    a, b : (3,) float arrays
-        The factors.
-
-    Returns
-    -------
-    product : (3,) float array
-    """
-    # np.cross is slow for single vectors.
-    return np.array(cross(a.tolist(), b.tolist()))
 
 
 class ScreenBounds(NamedTuple):

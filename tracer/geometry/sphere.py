@@ -288,15 +288,13 @@ class Spheres:
             Distance of the eye from the tangent plane: (n,) for spheres, (runs,) for boxes.
         """
         sphere = self.objects.positions(object_index)
-        curvature = repeat_runs(1 / self.radius[sphere], run_length)
+        # Negative where the eye is inside: the normal then points to the centre.
+        signed_radius = np.where(self.is_eye_inside[sphere], -1.0, 1.0) * self.radius[sphere]
+        curvature = repeat_runs(1 / signed_radius, run_length)
         center = (repeat_runs(component[sphere], run_length) for component in self.local)
         x, y, z = ((hit - middle) * curvature for hit, middle in zip(local, center, strict=True))
-        is_eye_inside = self.is_eye_inside[sphere]
-        if is_eye_inside.any():
-            flip = repeat_runs(np.where(is_eye_inside, -1.0, 1.0), run_length)
-            x, y, z = flip * x, flip * y, flip * z
         face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
-        return face, sign, level, (x, y, z), detail * curvature * t
+        return face, sign, level, (x, y, z), detail * np.abs(curvature) * t
 
     # Tests of shadow segments: segments from hits to lights.
 
