@@ -44,26 +44,52 @@ exit status:
   141  the reader of standard output went away
 """
 
+_HELP = {
+    "scenes": "a scene file; - for standard input",
+    "output": "the picture to write; - for standard output; or a folder for the pictures of several"
+    " scenes, which is created if it is missing and PATH ends in /",
+    "format": "format of the pictures: png (8-bit codes), npy (linear radiance, float64) or exr"
+    " (linear radiance, float32); default: as the name of -o, otherwise png",
+    "samples": "smooth edges as accurately as N samples per pixel (default: 1, the pixel's centre)",
+    "size": "width and height of the pictures in pixels; without xH, in the file's proportions",
+    "watch": "render again whenever a scene file is saved",
+    "processes": "maximum number of processes that render (default: one for each processor)",
+    "pixel": "explain a pixel, by its column and row (0,0 is the top left), and write no picture",
+    "quiet": "print only errors",
+}
+
 # Seconds between two checks of the scene files, with --watch.
 _POLL_SECONDS = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command with these arguments, or those of the process; return the exit status.
+    """Run the command ``tracer``: render scenes to picture files, watch them, or explain a pixel.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The command-line arguments without the name of the command.  By default, those of this
+        process.
+
+    Returns
+    -------
+    status : int
+        Exit status: 0, or 1 if a scene could not be read, rendered or written.  Errors have been
+        printed to standard error.
 
     Raises
     ------
     SystemExit
         With status 2 for wrong usage, and 0 for ``--help`` and ``--version``.
     Failure
-        If the working folder is gone, or the folder of the pictures cannot be created.
+        If the working folder has been deleted, or the folder for the pictures cannot be created.
     """
-    parser = _parser()
+    parser = _make_parser()
     arguments = parser.parse_args(argv)
     if arguments.pixel is not None:
         return _explain_pixels(parser, arguments)
-    file_format = _file_format(parser, arguments)
-    jobs = _jobs(parser, arguments, file_format)
+    file_format = _choose_format(parser, arguments)
+    jobs = _make_jobs(parser, arguments, file_format)
     if file_format == "exr":
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
     make_output_folder(arguments.output)
@@ -75,8 +101,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0 if batch.render(jobs) else FAILED
 
 
-def _parser() -> CommandParser:
-    """Return the parser of the command's arguments."""
+def _make_parser() -> CommandParser:
+    """Create the command-line parser, with all options and their help texts."""
     parser = CommandParser(
         prog="tracer",
         description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
@@ -84,30 +110,17 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add, count = parser.add_argument, whole_number(1)
-    text = "a scene file; - for standard input"
-    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=text)
-    text = (
-        "the picture to write; - for standard output; or a folder for the pictures of several"
-        " scenes, which is created if it is missing and PATH ends in /"
-    )
-    add("-o", "--output", type=file_name, metavar="PATH", help=text)
-    text = (
-        "format of the pictures: png (8-bit codes), npy (linear radiance, float64) or exr (linear"
-        " radiance, float32); default: as the name of -o, otherwise png"
-    )
-    add("--format", choices=FORMATS, help=text)
-    text = "smooth edges as accurately as N samples per pixel (default: 1, the pixel's centre)"
-    add("--samples", type=count, default=1, metavar="N", help=text)
-    text = "width and height of the pictures in pixels; without xH, in the file's proportions"
     size = _separated_numbers("x", 1, (1, 2), "width and height in pixels, as 640x360 or 640")
-    add("--size", type=size, metavar="W[xH]", help=text)
-    add("--watch", action="store_true", help="render again whenever a scene file is saved")
-    text = "maximum number of processes that render (default: one for each processor)"
-    add("--processes", type=count, metavar="N", help=text)
-    text = "explain a pixel, by its column and row (0,0 is the top left), and write no picture"
     pixel = _separated_numbers(",", 0, (2,), "column and row, as 160,90")
-    add("--pixel", type=pixel, metavar="X,Y", help=text)
-    add("--quiet", action="store_true", help="print only errors")
+    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=_HELP["scenes"])
+    add("-o", "--output", type=file_name, metavar="PATH", help=_HELP["output"])
+    add("--format", choices=FORMATS, help=_HELP["format"])
+    add("--samples", type=count, default=1, metavar="N", help=_HELP["samples"])
+    add("--size", type=size, metavar="W[xH]", help=_HELP["size"])
+    add("--watch", action="store_true", help=_HELP["watch"])
+    add("--processes", type=count, metavar="N", help=_HELP["processes"])
+    add("--pixel", type=pixel, metavar="X,Y", help=_HELP["pixel"])
+    add("--quiet", action="store_true", help=_HELP["quiet"])
     add("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
@@ -115,18 +128,24 @@ def _parser() -> CommandParser:
 def _separated_numbers(
     separator: str, minimum: int, counts: tuple[int, ...], rule: str
 ) -> Callable[[str], tuple[int, ...]]:
-    """Return a function that parses arguments: several whole numbers with a separator.
+    """Return a function that converts a command-line argument such as "640x360" to whole numbers.
 
     Parameters
     ----------
     separator : str
         The text between two numbers.
     minimum : int
-        The smallest number that is allowed.
+        The smallest number that is accepted.  The largest is 999,999,999.
     counts : tuple of int
-        The allowed counts of numbers.
+        The accepted counts of numbers.
     rule : str
         Completes "must be ..." in the message about a wrong argument.
+
+    Returns
+    -------
+    parse : callable
+        Called with the text of the argument, it returns a tuple of ints, or raises
+        argparse.ArgumentTypeError.
     """
 
     def parse(text: str) -> tuple[int, ...]:
@@ -141,32 +160,57 @@ def _separated_numbers(
     return parse
 
 
-def _file_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
-    """Return the format of the pictures: from the option --format, or from the suffix of -o.
+def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
+    """Choose the format of the pictures by the option --format, or by the suffix of -o.
 
-    The parser ends the process with exit status 2 if the suffix is that of no or another format.
+    Parameters
+    ----------
+    parser : CommandParser
+        Prints an error and ends the process with exit status 2 if the suffix of -o belongs to no
+        format, or not to that of the option --format.
+    arguments : Namespace
+        The parsed arguments of the command.
+
+    Returns
+    -------
+    file_format : str
+        A key of `FORMATS`; "png" if neither option determines another format.
     """
     output = arguments.output or ""
-    formats = [arguments.format] if arguments.format else list(FORMATS)
+    allowed = [arguments.format] if arguments.format else list(FORMATS)
     stem, suffix = os.path.splitext(output)
     if is_folder(output) or not suffix:
-        return formats[0]
-    if suffix[1:].lower() not in formats:
-        endings = ", ".join(f".{name}" for name in formats)
-        problem = f"pictures end in {endings}; name it {stem}.{formats[0]}"
+        return allowed[0]
+    if suffix[1:].lower() not in allowed:
+        endings = ", ".join(f".{name}" for name in allowed)
+        problem = f"pictures end in {endings}; name it {stem}.{allowed[0]}"
         parser.error(printable(f"-o {output}: {problem}"))
     return suffix[1:].lower()
 
 
-def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
-    """Return the scenes to render, with the pictures to write.
+def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str) -> list[Job]:
+    """List the scenes to render, each with the path of its picture.
 
-    The parser ends the process with exit status 2 if the arguments contradict each other.
+    Parameters
+    ----------
+    parser : CommandParser
+        Prints an error and ends the process with exit status 2 if the arguments contradict each
+        other, or a picture would replace a scene or another picture.
+    arguments : Namespace
+        The parsed arguments of the command.
+    file_format : str
+        Format of the pictures, a key of `FORMATS`.  It is the suffix of pictures whose path the
+        option -o does not give: SCENE.xml.png.
+
+    Returns
+    -------
+    jobs : list of Job
+        One job for each scene, in the order of the arguments.
 
     Raises
     ------
     Failure
-        If the working folder is gone.
+        If the working folder has been deleted.
     """
     scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
     for scene in scenes:
@@ -184,17 +228,29 @@ def _jobs(parser: CommandParser, arguments: argparse.Namespace, file_format: str
         return [Job(scenes[0], output)]
     if output and os.path.exists(output) and not (os.path.isfile(output) or is_folder(output)):
         parser.error(printable(f"-o {output}: not a regular file; for standard output, use -o -"))
-    beside = [f"{scene}.{file_format}" for scene in scenes]
-    pictures = output_paths(parser, scenes, output, beside)
-    return [Job(scene, picture) for scene, picture in zip(scenes, pictures, strict=True)]
+    default_paths = [f"{scene}.{file_format}" for scene in scenes]
+    paths = output_paths(parser, scenes, output, default_paths)
+    return [Job(scene, path) for scene, path in zip(scenes, paths, strict=True)]
 
 
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
-    """Print an explanation of one pixel of each scene, and return the exit status.
+    """Print, for each scene, which numbers lead to the colour of one pixel.
 
-    A failure in one scene does not keep the others from being explained.
+    After a failure in one scene, which is printed to standard error, the others are still
+    explained.
 
-    The parser ends the process with exit status 2 if the arguments contradict each other.
+    Parameters
+    ----------
+    parser : CommandParser
+        Prints an error and ends the process with exit status 2 if the option --pixel is combined
+        with options for pictures.
+    arguments : Namespace
+        The parsed arguments of the command.
+
+    Returns
+    -------
+    status : int
+        Exit status: 0, or 1 if a scene could not be explained.
     """
     if arguments.output or arguments.format or arguments.watch or arguments.samples > 1:
         parser.error("--pixel cannot be combined with -o, --format, --samples or --watch")
@@ -216,26 +272,27 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
 
 
 def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
-    """Render scenes, and each of them again whenever its file has changed.
+    """Render all scenes, and each of them again whenever its file has changed.
 
     Parameters
     ----------
     jobs : sequence of Job
-        The scenes and their pictures.
+        The scene files, and the paths of their pictures.
     batch : Batch
-        Renders them.
+        Renders the scenes, and prints a line for each.
     quiet : bool
         Whether to print only errors.  If so, this function never returns.
 
     Returns
     -------
     status : int
-        The exit status, 0, when the reader of standard output has gone away.
+        Exit status 0, as soon as the reader of standard output has gone away.
     """
     if not quiet:
-        names = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
-        print_line(sys.stderr, f"watching {names}; press Ctrl-C to end")
-    latest, rendered = dict[str, object](), dict[str, object]()
+        scene_count = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
+        print_line(sys.stderr, f"watching {scene_count}; press Ctrl-C to end")
+    # A version is the time, size and number of a file; None if the file is missing.
+    seen_version, rendered_version = dict[str, object](), dict[str, object]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
         changed = []
         for job in jobs:
@@ -245,11 +302,11 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
             except OSError:
                 version = None
             # An editor may write a file in pieces: wait until it stops changing.
-            is_settled = latest.get(job.scene, version) == version
-            latest[job.scene] = version
-            # The version of a missing file is None; that of a file not yet rendered is ().
-            if is_settled and rendered.get(job.scene, ()) != version:
-                rendered[job.scene] = version
+            is_settled = seen_version.get(job.scene, version) == version
+            seen_version[job.scene] = version
+            # Not None, which would mean that a scene not yet rendered is missing.
+            if is_settled and rendered_version.get(job.scene, ()) != version:
+                rendered_version[job.scene] = version
                 changed.append(job)
         if changed:
             batch.render(changed)

@@ -24,10 +24,11 @@ MAX_TOKEN_BYTES = 1 << 20
 MAX_DESCENDANTS = 64
 """Maximum number of elements inside one child of the scene, and of attributes of one element."""
 
-# Bytes that are parsed together, and bytes before these that are kept to diagnose a syntax error.
+# Number of bytes that are parsed together, and of bytes before these that are kept to diagnose a
+# syntax error.
 _CHUNK_BYTES, _KEPT_BYTES = 1 << 14, 1 << 12
 
-# Bytes after a syntax error that are enough to diagnose it.
+# Number of bytes after a chunk with a syntax error that are read to diagnose the error.
 _LOOKAHEAD_BYTES = 256
 
 # Elements that contain other elements, and no text.
@@ -35,15 +36,27 @@ _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
 class FatalError(Exception):
-    """An error that ends the reading of a file.
+    """An error in an input file after which the rest of the file is not read.
 
-    Its `args` are the line of the file, or 0 if the error has none; and the message, which contains
-    a suggested fix.
+    ``error.args`` is a pair: the line number in the file, or 0 if the error concerns the whole
+    file; and the message, which contains a suggested fix.
     """
 
 
 class Element(list["Element"]):
-    """An element of the file: a list of its children, with its tag, attributes, line and text."""
+    """An XML element of the file, which is a list of its child elements.
+
+    Attributes
+    ----------
+    tag : str
+        The name of the element.
+    attrib : dict of str
+        Values of the element's attributes by their names.
+    line : int
+        Line of the file where the element begins.
+    text : str
+        The text inside the element; "" for an element that contains other elements.
+    """
 
     # The parser sets the slots one by one, which takes less time than a call of `__init__`.
     __slots__ = ("attrib", "line", "tag", "text")
@@ -54,16 +67,27 @@ class Element(list["Element"]):
 
 
 def open_scene(path: str) -> IO[bytes]:
-    """Open a scene file, provided that it is a regular file of at most `MAX_BYTES`.
+    """Open a scene file for reading, if it is a regular file of at most `MAX_BYTES` (256 MiB).
 
-    Other files, such as pipes and devices, may block or never end.
+    Other files, such as pipes and devices, are refused, because they may block or never end.
+
+    Parameters
+    ----------
+    path : str
+        Path of the file.
+
+    Returns
+    -------
+    file : binary file
+        The file; the caller must close it.
 
     Raises
     ------
     FatalError
-        If the path does not name such a file.
+        If the path names a folder or another file that is not regular, the file is too large, or
+        the path is invalid.
     OSError
-        If the file cannot be opened.
+        If the file does not exist or cannot be opened.
     """
     try:
         status = os.stat(path)
@@ -81,16 +105,17 @@ def open_scene(path: str) -> IO[bytes]:
 
 
 class Parser:
-    """Parses one scene file, and passes its elements on as they are completed.
+    """A streaming parser of one scene file, which passes each complete element to a function.
 
     Parameters
     ----------
     read_child : callable
-        Called with the root when its start tag is parsed, without children.  Then called with each
-        child of the root when its end tag is parsed; the child contains all its descendants.
+        Called first with the root, when its start tag is parsed, so without children.  Then called
+        with each child of the root when its end tag is parsed.  The child contains all its
+        descendants.
     report_at : callable
-        Called for each text where no text may stand, with (1) the line of the text, (2) the tag of
-        the element around it and (3) the error message.
+        Called for each text where text is not allowed, with (1) the line of the text, (2) the tag
+        of the element around it and (3) the error message.
 
     Attributes
     ----------
@@ -99,13 +124,13 @@ class Parser:
     descendant_count : int
         Number of elements so far inside the current child of the root.
     stray_element : Element or None
-        The last element in which stray text has been reported.  Long texts come in several events,
-        of which only the first is reported.
+        The last element in which text was reported although it is not allowed.  Expat divides long
+        texts into several events, of which only the first is reported.
     encoding : str
         Encoding that the XML declaration names; "" if it names none.
-    parsed : int
+    byte_count : int
         Number of bytes passed to expat.
-    kept : bytes
+    recent_bytes : bytes
         The last bytes passed to expat: the current chunk, and up to `_KEPT_BYTES` before it.
     """
 
@@ -115,23 +140,31 @@ class Parser:
         self.read_child, self.report_at = read_child, report_at
         self.open_elements: list[Element] = []
         self.stray_element: Element | None = None
-        self.descendant_count, self.encoding, self.parsed, self.kept = 0, "", 0, b""
+        self.descendant_count, self.encoding = 0, ""
+        self.byte_count, self.recent_bytes = 0, b""
         self.expat: Any = expat.ParserCreate()
         self.expat.buffer_text = True
-        self.expat.StartElementHandler = self._start
-        self.expat.EndElementHandler = self._end
-        self.expat.CharacterDataHandler = self._text
-        self.expat.XmlDeclHandler = self._declare
-        self.expat.StartDoctypeDeclHandler = self._refuse_entities
+        self.expat.StartElementHandler = self._start_element
+        self.expat.EndElementHandler = self._end_element
+        self.expat.CharacterDataHandler = self._add_text
+        self.expat.XmlDeclHandler = self._store_encoding
+        self.expat.StartDoctypeDeclHandler = self._refuse_declarations
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a binary file to its end.
+        """Parse a file to its end, and pass its elements on.  Call this only once.
+
+        Parameters
+        ----------
+        file : binary file
+            The scene file, open for reading.
 
         Raises
         ------
         FatalError
-            If the file stops being XML, or exceeds a limit.  The children that are completed before
-            have been passed on.
+            If the file is not XML up to its end, or exceeds a limit.  Elements that were complete
+            before have been passed on.
+        TypeError
+            If the file is opened as text.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
@@ -148,48 +181,88 @@ class Parser:
             self.expat = None
 
     def _parse_chunk(self, chunk: bytes, file: IO[bytes]) -> None:
-        """Parse a part of a file; an empty chunk ends the file."""
-        self.kept = self.kept[-_KEPT_BYTES:] + chunk
-        self.parsed += len(chunk)
+        """Parse the next part of the file.
+
+        Parameters
+        ----------
+        chunk : bytes
+            The part; empty at the end of the file.
+        file : binary file
+            The file, from which the bytes after the chunk are read to diagnose a syntax error.
+
+        Raises
+        ------
+        FatalError
+            If the file is not XML, or exceeds a limit.
+        """
+        self.recent_bytes = self.recent_bytes[-_KEPT_BYTES:] + chunk
+        self.byte_count += len(chunk)
         try:
             self.expat.Parse(chunk, not chunk)
         except expat.ExpatError as error:
-            raise self._diagnosed(error, file.read(_LOOKAHEAD_BYTES)) from None
+            raise self._diagnose(error, file.read(_LOOKAHEAD_BYTES)) from None
         except (LookupError, ValueError, Warning):
             if self.open_elements:
                 raise
             # Raised by the codec that the XML declaration names.
             raise FatalError(1, "not XML: unknown encoding; save the file as UTF-8") from None
-        # Versions of expat before 2.6 take quadratic time over one token.
-        if self.parsed - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
+        # Versions of expat before 2.6 take quadratic time for one token.
+        if self.byte_count - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
             message = f"a tag or comment of more than {MAX_TOKEN_BYTES} bytes; make it shorter"
             raise FatalError(self.expat.CurrentLineNumber, message)
-        if self.parsed > MAX_BYTES:
+        if self.byte_count > MAX_BYTES:
             raise FatalError(0, f"has more than {MAX_BYTES} bytes, which are allowed")
 
-    def _diagnosed(self, error: expat.ExpatError, following: bytes) -> FatalError:
-        """Return the error to raise for a syntax error, with a suggested fix.
+    def _diagnose(self, error: expat.ExpatError, following: bytes) -> FatalError:
+        """Find a suggested fix for a syntax error.
 
         Parameters
         ----------
         error : ExpatError
-            What expat reports.
+            The error that expat reports.
         following : bytes
-            The beginning of the next chunk.
+            The bytes of the file after the current chunk.
+
+        Returns
+        -------
+        fatal : FatalError
+            The error to raise, with the line, the column and the suggested fix.
+
+        Raises
+        ------
+        MemoryError
+            If expat reports that there is not enough memory.
         """
         message = expat.ErrorString(error.code)
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
-        position = max(0, self.expat.ErrorByteIndex - self.parsed + len(self.kept))
-        before, after = self.kept[:position], self.kept[position:] + following
+        position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
+        before, after = self.recent_bytes[:position], self.recent_bytes[position:] + following
         remedy = syntax_remedy(
             message, error.lineno, before, after, self.open_elements, self.encoding
         )
         column = error.offset + 1
         return FatalError(error.lineno, f"not XML: {message} at column {column}; {remedy}")
 
-    def _start(self, tag: str, attrib: dict[str, str]) -> None:
-        """Handle a start tag."""
+    def _start_element(self, tag: str, attrib: dict[str, str]) -> None:
+        """Handle a start tag: create an element, and add it to its parent.
+
+        The root is passed on immediately.  A child of the root is not added to the root, so that it
+        can be forgotten when it is complete.
+
+        Parameters
+        ----------
+        tag : str
+            Name of the element.
+        attrib : dict of str
+            Values of the element's attributes by their names.
+
+        Raises
+        ------
+        FatalError
+            If there are more than `MAX_DESCENDANTS` elements inside the same child of the root, or
+            attributes of this element.
+        """
         element = Element()
         element.tag = tag
         element.attrib = attrib
@@ -210,15 +283,29 @@ class Parser:
             message = f"more than {MAX_DESCENDANTS} elements or attributes in it; {remedy}"
             raise FatalError(element.line, f"{shortened(child.tag)}: {message}")
 
-    def _end(self, _tag: str) -> None:
-        """Handle an end tag."""
+    def _end_element(self, _tag: str) -> None:
+        """Handle an end tag: close the innermost element, and pass on a child of the root."""
         open_elements = self.open_elements
         element = open_elements.pop()
         if len(open_elements) == 1:
             self.read_child(element)
 
-    def _text(self, text: str) -> None:
-        """Handle text between two tags, or a part of a long one."""
+    def _add_text(self, text: str) -> None:
+        """Handle text between two tags: add it to the innermost element.
+
+        Text in an element that must contain only elements is reported as an error, but white space
+        there is ignored.
+
+        Parameters
+        ----------
+        text : str
+            The text, or a part of it: expat divides long texts.
+
+        Raises
+        ------
+        FatalError
+            If the element's text exceeds `MAX_TOKEN_BYTES`.
+        """
         element = self.open_elements[-1]
         if text.isspace() and not element.text:
             return
@@ -229,21 +316,35 @@ class Parser:
                 raise FatalError(element.line, f"{shortened(element.tag)}: {message}")
         elif self.stray_element is not element:
             # The event occurs at the end of the text, but the error is at its beginning.
-            self.stray_element, text = element, text.lstrip()
-            line = self.expat.CurrentLineNumber - text.count("\n")
-            self.report_at(line, element.tag, f"stray text {quoted(text.rstrip())}; remove it")
+            self.stray_element, stray_text = element, text.lstrip()
+            line = self.expat.CurrentLineNumber - stray_text.count("\n")
+            message = f"stray text {quoted(stray_text.rstrip())}; remove it"
+            self.report_at(line, element.tag, message)
 
-    def _declare(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Handle the XML declaration."""
+    def _store_encoding(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        """Handle the XML declaration: store the encoding that it names, or "" for none."""
         self.encoding = encoding or ""
 
-    def _refuse_entities(self, _name: str, system: str | None, *others: object) -> None:
-        """Handle a DOCTYPE: refuse declarations, in the file or in another one.
+    def _refuse_declarations(self, _name: str, system_id: str | None, *others: object) -> None:
+        """Handle a DOCTYPE: refuse it if it declares anything, or refers to another file.
 
-        Entities in entities grow exponentially; those that another file declares would be skipped.
+        Such declarations define entities: names for text.  Entities that contain other entities can
+        grow exponentially, and those that another file declares would be skipped silently.
+
+        Parameters
+        ----------
+        system_id : str or None
+            Name of the other file, if the DOCTYPE refers to one.
+        *others : object
+            The last one is true if the DOCTYPE itself contains declarations.
+
+        Raises
+        ------
+        FatalError
+            If the DOCTYPE is refused.
         """
         has_declarations = others[-1]
-        if has_declarations or system is not None:
+        if has_declarations or system_id is not None:
             remedy = "remove the DOCTYPE, and write out what entities stand for"
             message = f"DOCTYPE: declarations are not allowed; {remedy}"
             raise FatalError(self.expat.CurrentLineNumber, message)

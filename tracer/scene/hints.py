@@ -1,7 +1,7 @@
-"""Suggest fixes for files that are not XML, for unknown names, and for words that are no numbers.
+"""Suggest fixes for errors in scene files: XML syntax errors, unknown names, and invalid numbers.
 
-Expat's own messages name the place of a syntax error, but not the mistake.  The table
-`_SYNTAX_REMEDIES` recognises common mistakes by the text on both sides of that place.
+Expat's messages show where a syntax error is, but not which mistake caused it.  The table
+`_SYNTAX_REMEDIES` recognises common mistakes by the text before and after that place.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <sha
 
 # A row contains (1) expat's message, or "" for any message; (2) a pattern that the text before the
 # error must end with; (3) a pattern that the text from the error on must begin with; (4) the
-# suggested fix, in which `line` is the line where (2) matches, `odd` is the character at the error,
-# and `code` is its code point.  The first row that matches is used.
+# suggested fix, in which `line` is the line where the match of (2) begins, `odd` is the character
+# at the error, and `code` is its code point.  The first row that matches is used.
 _SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
     (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE),  # it may be a picture
@@ -52,7 +52,7 @@ _SYNTAX_REMEDIES = (
     (_INVALID, rb"", rb"", "in text, < is written &lt; and & is written &amp;"),
 )
 
-# Suggested fixes of the errors whose message alone names the mistake.
+# Suggested fixes of errors for which expat's message alone shows the mistake.
 _MESSAGE_REMEDIES = {
     errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
     errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
@@ -70,8 +70,8 @@ _CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
 _CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
 
 # Names of elements and attributes in other scene formats, in lower case, and their equivalents in
-# this one: names that the element around them may contain, of which the first that it does contain
-# is suggested.  Text after the name belongs to the suggestion.  "" stands for no equivalent.
+# this one.  The first equivalent that is allowed in the element around the name is suggested.  Text
+# after a comma belongs to the suggestion.  "" means that there is no equivalent.
 _EQUIVALENTS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
@@ -88,19 +88,24 @@ _EQUIVALENTS: dict[str, Sequence[str]] = {
 
 
 def syntax_remedy(
-    message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
+    message: str,
+    line: int,
+    before: bytes,
+    after: bytes,
+    open_elements: Sequence[Any],
+    encoding: str,
 ) -> str:
-    """Return the suggested fix for a syntax error, which would make the file XML.
+    """Suggest a fix for an XML syntax error.
 
     Parameters
     ----------
     message : str
-        Expat's message.
+        The error message of expat, the XML parser.
     line : int
         Line of the error.
     before, after : bytes
-        The file just before the error, and from the error on.
-    elements : sequence of Element
+        Text of the file that ends just before the error, and text that begins at the error.
+    open_elements : sequence of Element
         Elements whose end tags have not been parsed yet, the root first.
     encoding : str
         Encoding that the file declares; "" if it declares none.
@@ -108,6 +113,7 @@ def syntax_remedy(
     Returns
     -------
     remedy : str
+        The suggested fix, such as "close <light> of line 3".
     """
     # The file is UTF-8, but declares another encoding.  Expat does not know the name "utf8".
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
@@ -118,39 +124,55 @@ def syntax_remedy(
             if match and re.match(start_of_after, after):
                 odd = after.decode(errors="replace")[:1] or " "
                 return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
-    if not elements:
+    if not open_elements:
         return _MESSAGE_REMEDIES.get(message, SCENE)
-    innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
+    innermost = f"<{shortened(open_elements[-1].tag)}> of line {open_elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
-        name = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
-        if all(name != element.tag for element in elements):
-            return f"only {innermost} can be closed here: no <{shortened(name)}> is open"
+        end_tag = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
+        if all(end_tag != element.tag for element in open_elements):
+            return f"only {innermost} can be closed here: no <{shortened(end_tag)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
 
 def closest_name(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name that is most similar to an unknown one; None if none is similar."""
-    from difflib import get_close_matches  # imported after an error only: it takes milliseconds
+    """Find the known name that is most similar to an unknown one.
 
-    folded = {shortened(word).lower(): word for word in islice(known, _MAX_COMPARED)}
-    matches = get_close_matches(shortened(name).lower(), folded, n=1)
-    return folded[matches[0]] if matches else None
+    Case is ignored.  At most `_MAX_COMPARED` known names are compared, and 40 characters of each.
+
+    Parameters
+    ----------
+    name : str
+        The unknown name.
+    known : iterable of str
+        The known names.
+
+    Returns
+    -------
+    match : str or None
+        The most similar known name; None if no known name is similar.
+    """
+    from difflib import get_close_matches  # only after an error: importing takes milliseconds
+
+    name_of_key = {shortened(word).lower(): word for word in islice(known, _MAX_COMPARED)}
+    matches = get_close_matches(shortened(name).lower(), name_of_key, n=1)
+    return name_of_key[matches[0]] if matches else None
 
 
-def suggestion(known: Iterable[str], match: str | None) -> str:
-    """Return the suggested fix for an unknown name.
+def name_remedy(known: Iterable[str], match: str | None) -> str:
+    """Suggest a fix for an unknown name.
 
     Parameters
     ----------
     known : iterable of str
         Names that are allowed in place of the unknown one.
     match : str or None
-        The known name that is most similar, if one is.
+        The known name that is most similar to the unknown one; None if no name is similar.
 
     Returns
     -------
     remedy : str
-        A question for the match, or else a list of the known names.
+        With a match, the question whether it was meant.  Otherwise a list of at most `_MAX_LISTED`
+        known names, or "remove it" if there are none.
     """
     names = sorted(islice(known, _MAX_COMPARED))
     if match is not None:
@@ -161,7 +183,7 @@ def suggestion(known: Iterable[str], match: str | None) -> str:
     return f"known: {', '.join(map(shortened, names[:_MAX_LISTED]))}{more}"
 
 
-def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:
+def tag_remedy(tag: str, known: Collection[str]) -> tuple[str, str | None]:
     """Suggest a fix for an unknown element.
 
     Parameters
@@ -169,14 +191,15 @@ def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:
     tag : str
         Tag of the unknown element.
     known : collection of str
-        Tags of the elements that may stand in its place.
+        Tags of the elements that are allowed in its place.
 
     Returns
     -------
     remedy : str
-        Suggested fix.
+        The suggested fix.
     intended : str or None
-        Tag of the known element that the unknown one probably stands for, if there is one.
+        What to write in place of the unknown tag, often one of the known tags; None if that is not
+        clear.
     """
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:
@@ -184,13 +207,22 @@ def unknown_tag(tag: str, known: Collection[str]) -> tuple[str, str | None]:
         if equivalent.startswith("<") or equivalent.split(",")[0] in known:
             return f"write {equivalent}", equivalent
     match = closest_name(tag, known)
-    return suggestion(known, match), match
+    return name_remedy(known, match), match
 
 
 def number_remedy(word: str) -> str:
-    """Return why a word is not a number of the format, and a suggested fix.
+    """Explain why a word is not a number that a scene file may contain, and suggest a fix.
 
-    A decimal number is not one if it is not 0, but so small that float64 would round it to 0.
+    Parameters
+    ----------
+    word : str
+        A word that is no decimal number, or a decimal number other than 0 that is so small that
+        float64 would round it to 0.
+
+    Returns
+    -------
+    message : str
+        The reason and the suggested fix, separated by ";".
     """
     odd = next((character for character in word if not character.isascii()), None)
     if odd is not None:

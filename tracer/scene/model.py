@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Checked, Columns, Floats, RowError, number_text, xml_field
+from tracer.scene.schema import Columns, Floats, RowError, Validated, number_text, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
@@ -47,7 +47,7 @@ def unit(vector: ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Camera(Checked):
+class Camera(Validated):
     """A perspective camera with a window that may be shifted or oblique.
 
     Parameters
@@ -104,7 +104,7 @@ class Camera(Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PointLight(Checked):
+class PointLight(Validated):
     """A point light, whose intensity does not decrease with distance.
 
     Parameters
@@ -122,7 +122,7 @@ class PointLight(Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lambertian(Checked):
+class Lambertian(Validated):
     """A matte surface: its radiance is I kd n.l for each visible light of intensity I.
 
     See Shirley, Fundamentals of Computer Graphics, 2nd edition, 9.1.
@@ -140,7 +140,7 @@ class Lambertian(Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Phong(Checked):
+class Phong(Validated):
     """A shiny surface (Blinn 1977): I (kd n.l + ks (n.h)^exponent) for each visible light.
 
     I is the light's intensity.  A light behind the surface (n.l <= 0) is not visible, and so causes
@@ -168,7 +168,7 @@ _SHADER = xml_field(schema.one_of(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sphere(Checked):
+class Sphere(Validated):
     """A sphere; by default white and Lambertian.
 
     Parameters
@@ -187,7 +187,7 @@ class Sphere(Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box(Checked):
+class Box(Validated):
     """An axis-aligned box, which may be flat; by default white and Lambertian.
 
     Parameters
@@ -275,9 +275,9 @@ class Surfaces(Sequence[Sphere | Box]):
         self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
         lines = schema.integer_array(0 * every if line is None else line, "line")
         self.line = lines.astype(np.int32)
-        schema.raise_any(self._conflicts())
+        schema.raise_if_any(self._conflicts())
         errors = sorted(self._errors(), key=lambda error: error[0])
-        schema.raise_any(f"surface {index}: {message}" for index, message in errors)
+        schema.raise_if_any(f"surface {index}: {message}" for index, message in errors)
         self.__setstate__(vars(self))
 
     def _conflicts(self) -> Iterator[str]:
@@ -397,7 +397,7 @@ _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 
 @dataclass(frozen=True, slots=True, init=False)
-class Scene(Checked):
+class Scene(Validated):
     """Surfaces, lights, a camera, and the size of the picture.
 
     Parameters

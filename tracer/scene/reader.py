@@ -22,7 +22,7 @@ import numpy as np
 from tracer.messages import printable, quoted, shortened
 from tracer.scene import model
 from tracer.scene.elements import Element, FatalError, Parser, open_scene
-from tracer.scene.hints import closest_name, number_remedy, suggestion, unknown_tag
+from tracer.scene.hints import closest_name, name_remedy, number_remedy, tag_remedy
 from tracer.scene.model import Scene, Surfaces
 from tracer.scene.schema import SceneError
 from tracer.scene.tables import Table, parse_numbers
@@ -170,7 +170,7 @@ class _Reader:
                 self.report_duplicate(element, self.unique[tag])
             self.read_row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
-            remedy, intended = unknown_tag(tag, _SCENE_TAGS)
+            remedy, intended = tag_remedy(tag, _SCENE_TAGS)
             self.report(element, f"unknown in scene; {remedy}")
             self.misspelt.add(intended)
 
@@ -215,7 +215,7 @@ class _Reader:
         self.surface_count += 1
         shader = self.read_row(table, element, "type").get("shader")
         index = 0 if shader is None else self.read_shader_or_reference(shader)
-        table.shaders.append(index)
+        table.shader_index.append(index)
         if shader is not None and not self.definition_lines[index]:
             self.reference_lines.append(shader.line)
             self.reference_shaders.append(index)
@@ -277,12 +277,12 @@ class _Reader:
         """
         misspelt: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
-            misspelt = self.report_attributes(element, attributes, table.tags)
+            misspelt = self.report_attributes(element, attributes, table.field_of_tag)
         children: dict[str, Element] = {}
         for child in element:
-            name = table.tags.get(child.tag)
+            name = table.field_of_tag.get(child.tag)
             if name is None:
-                misspelt.add(self.report_unknown(child, element, table.tags))
+                misspelt.add(self.report_unknown(child, element, table.field_of_tag))
             elif name in children:
                 self.report_duplicate(child, children[name])
             else:
@@ -293,8 +293,8 @@ class _Reader:
             if given is not None:
                 column.append(self.read_numbers(given, column.count), given.line, given.tag)
                 continue
-            column.append_missing()
-            if column.required and (tag := column.tags[0]) not in misspelt:
+            column.append_default()
+            if column.is_required and (tag := column.tags[0]) not in misspelt:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
 
@@ -330,7 +330,7 @@ class _Reader:
         misspelt = self.report_attributes(element, (*attributes, "type"))
         name = element.attrib.get("type")
         if name is not None:
-            remedy = suggestion(tables, closest_name(name, tables))
+            remedy = name_remedy(tables, closest_name(name, tables))
             self.report(element, f"unknown type {quoted(name)}; {remedy}")
         elif "type" not in misspelt:
             choice = " or ".join(f'type="{name}"' for name in tables)
@@ -349,7 +349,7 @@ class _Reader:
         if element.tag in _SCENE_TAGS:
             remedy, intended = f"close the {parent.tag} of line {parent.line} first", None
         else:
-            remedy, intended = unknown_tag(element.tag, tags)
+            remedy, intended = tag_remedy(element.tag, tags)
         place = shortened(parent.attrib.get("type", parent.tag))
         self.report(element, f"unknown in {place}; {remedy}")
         return intended
@@ -382,15 +382,15 @@ class _Reader:
             if name in known:
                 continue
             match = closest_name(name, known)
-            remedy = suggestion(known, match)
+            remedy = name_remedy(known, match)
             if child_tags:
-                tag_remedy, match = unknown_tag(name, child_tags)
+                element_remedy, match = tag_remedy(name, child_tags)
                 if match == "shader":
                     remedy = f'write <shader ref="{shortened(value)}"/> in it'
                 elif match in child_tags:
                     remedy = f"write <{match}>{shortened(value)}</{match}> in it"
                 elif match is not None:
-                    remedy = tag_remedy
+                    remedy = element_remedy
             intended.add(match)
             self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
         return intended
@@ -425,7 +425,7 @@ class _Reader:
                 continue
             if k not in remedies:
                 match = closest_name(name, defined) if len(remedies) < _MAX_SEARCHES else None
-                remedies[k] = suggestion(defined, match) if defined else "define it"
+                remedies[k] = name_remedy(defined, match) if defined else "define it"
                 if twin := twins.get(normalize("NFC", name)):
                     remedies[k] = (
                         f"the name in line {defined[twin]} looks the same, but has other Unicode"
@@ -443,7 +443,7 @@ class _Reader:
         columns = {name: c.array() for table in tables for name, c in table.columns.items()}
         surfaces = Surfaces(
             **columns | {"radius": columns["radius"][:, 0]},
-            shader_index=np.concatenate([table.shaders for table in tables]),
+            shader_index=np.concatenate([table.shader_index for table in tables]),
             file_index=np.concatenate([table.index for table in tables]),
             shaders=tuple(shaders),
             line=np.concatenate([table.lines for table in tables]),

@@ -22,25 +22,26 @@ from tracer.scene.schema import Floats, construct_unchecked
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# Patterns in a text with numbers that float() may have rounded to 0, and of a word that is 0.
+# Patterns of texts that contain numbers that float() may have rounded to 0, and of words for 0.
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
 
 def parse_numbers(text: str, count: int) -> Sequence[float]:
-    """Return the decimal numbers that a text consists of.
+    """Parse a text that consists of decimal numbers and white space.
 
     Parameters
     ----------
     text : str
+        The text.
     count : int
-        How many numbers the text must consist of.
+        Required count of numbers, at least 1.
 
     Returns
     -------
     numbers : sequence of float
-        Empty if the text consists of anything else, or of a number that is not 0, but so small that
-        float64 would round it to 0.
+        The numbers.  Empty if the text contains anything else or another count of numbers, or if a
+        number other than 0 is so small that float64 would round it to 0.
     """
     words = text.split()
     try:
@@ -54,22 +55,29 @@ def parse_numbers(text: str, count: int) -> Sequence[float]:
 
 
 class Column:
-    """The numbers of one field in all rows of a table, and where the file contains them.
+    """A column of a table: the numbers of one field of a dataclass, for many objects.
+
+    Each row belongs to one object, and is read from one XML element inside the object's element.
+
+    Parameters
+    ----------
+    field : dataclasses.Field
+        The field, which consists of numbers.
 
     Attributes
     ----------
     count : int
-        How many numbers the field has.
+        Count of numbers in each row.
     tags : tuple of str
-        Tags that an element with these numbers may have; nearly all fields have one.
-    required : bool
+        Tags that the elements may have; nearly all fields have one.
+    is_required : bool
         Whether each object must have such an element.
     default : object
         Value of the field if the element is absent.
     numbers : array of double
         The numbers of all rows, one row after the other; NaN for unknown and invalid numbers.
     lines : array of int
-        For each row, the line of the element; 0 if the element is absent.
+        For each row, the line of the element in the file; 0 if the element is absent.
     tag_index : array of signed char
         For each row, the index of the element's tag in `tags`.
     """
@@ -77,83 +85,115 @@ class Column:
     def __init__(self, field: Field[Any]) -> None:
         self.count, self.tags = field.metadata["validator"].count, field.metadata["tags"]
         self.default: Any = field.default
-        self.required = self.default is MISSING
-        is_unknown = self.required or self.default is None
-        default: Any = np.nan if is_unknown else self.default
-        self._missing = np.broadcast_to(default, self.count).tolist()
+        self.is_required = self.default is MISSING
+        has_default = not self.is_required and self.default is not None
+        default_numbers: Any = self.default if has_default else np.nan
+        self._default_row = np.broadcast_to(default_numbers, self.count).tolist()
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: Sequence[float], line: int, tag: str) -> None:
-        """Add a row with the numbers of an element."""
+        """Add the row of an object that has an element for this field.
+
+        Parameters
+        ----------
+        numbers : sequence of float
+            The numbers in the element: `count` of them.
+        line : int
+            Line of the element in the file.
+        tag : str
+            Tag of the element, one of `tags`.
+        """
         self.numbers.extend(numbers)
         self.lines.append(line)
         self.tag_index.append(self.tags.index(tag))
 
-    def append_missing(self) -> None:
-        """Add a row without an element: the default, or NaN if there is none."""
-        self.numbers.extend(self._missing)
+    def append_default(self) -> None:
+        """Add the row of an object without an element: the default, or NaN if there is none."""
+        self.numbers.extend(self._default_row)
         self.lines.append(0)
         self.tag_index.append(0)
 
     def array(self) -> Floats:
-        """Return the numbers as an array (rows, numbers per row)."""
+        """Return the numbers as a float array (rows, count)."""
         return np.reshape(self.numbers, (-1, self.count))
 
     def values(self) -> Iterable[Any]:
-        """Return the field's value in each row: a float, a tuple of float, or the default."""
+        """Return the value of the field in each row, as the constructor of the dataclass takes it.
+
+        If no row has an element, all values are the default of the field.  Otherwise each value is
+        a float if `count` is 1, and a tuple of floats if not.
+        """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
-        rows = self.array().T.tolist()
-        return zip(*rows, strict=True) if len(rows) > 1 else rows[0]
+        components = self.array().T.tolist()
+        return zip(*components, strict=True) if self.count > 1 else components[0]
 
 
 class Table:
-    """All elements of a file that become objects of one dataclass, a row for each.
+    """A table of the objects of one dataclass in a scene file, with one row for each object.
 
     Parameters
     ----------
-    made : subclass of Checked
-        The dataclass.  Its fields' metadata name the tags and the validator of each field.
+    dataclass : subclass of Validated
+        The class of the objects.  The metadata of its fields contain tags and validators.
 
     Attributes
     ----------
-    tags : dict of str
-        Names of the fields by their tags.
+    field_of_tag : dict of str
+        For each tag of an XML element that an object may contain, the name of the object's field.
     columns : dict of Column
-        Columns of the fields that consist of numbers, by the fields' names.
+        For the name of each field that consists of numbers, its column.
     lines : array of int
-        For each row, the line of the element.
+        For each row, the line of the object in the file.
     index : array of int
-        For each row of shaders or surfaces, the index among all shaders or all surfaces.
-    shaders : array of int
-        For each row of surfaces, the index of the surface's shader.
+        In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
+    shader_index : array of int
+        In a table of surfaces: for each row, the index of the surface's shader.
     """
 
-    def __init__(self, made: type[schema.Checked]) -> None:
-        self.made, validators = made, schema.number_validators(made)
-        tagged = [field for field in fields(cast(Any, made)) if field.metadata]
-        self.tags = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
+    def __init__(self, dataclass: type[schema.Validated]) -> None:
+        self.dataclass, validators = dataclass, schema.number_validators(dataclass)
+        tagged = [field for field in fields(cast(Any, dataclass)) if field.metadata]
+        self.field_of_tag = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
         self.columns = {field.name: Column(field) for field in tagged if field.name in validators}
-        self.lines, self.index, self.shaders = array("i"), array("i"), array("i")
+        self.lines, self.index, self.shader_index = array("i"), array("i"), array("i")
 
     def errors(self) -> Iterator[tuple[int, str, str]]:
-        """Yield the line, the tag and the message of each invalid number."""
+        """Validate all numbers of the table, and yield the errors.
+
+        Rows that contain NaN are skipped: their errors were reported when they were read.
+
+        Yields
+        ------
+        line : int
+            Line of the file with the invalid number.
+        tag : str
+            Tag of the element that contains the number.
+        message : str
+            What is wrong.
+        """
         numbers = {name: column.array() for name, column in self.columns.items()}
-        for row, name, message in schema.errors(self.made, numbers):
+        for row, name, message in schema.errors(self.dataclass, numbers):
             column = self.columns[name]
-            if not np.isnan(numbers[name][row]).any():  # otherwise it is reported already
+            if not np.isnan(numbers[name][row]).any():
                 line = column.lines[row] or self.lines[row]
-                yield line, column.tags[column.tag_index[row]], _with_tags(message)
+                yield line, column.tags[column.tag_index[row]], _replace_names(message)
 
     def objects(self) -> Iterator[Any]:
-        """Yield the object of each row of a table without errors."""
+        """Create the object of each row, without validation; call this only if there are no errors.
+
+        Yields
+        ------
+        instance : object of the dataclass
+            In the order of the rows.
+        """
         values = {name: column.values() for name, column in self.columns.items()}
-        if self.made in (model.PointLight, model.Lambertian, model.Phong):
+        if self.dataclass in (model.PointLight, model.Lambertian, model.Phong):
             values["line"] = self.lines
         for row in zip(*values.values(), strict=True):
-            yield construct_unchecked(self.made, **dict(zip(values, row, strict=True)))
+            yield construct_unchecked(self.dataclass, **dict(zip(values, row, strict=True)))
 
 
-def _with_tags(message: str) -> str:
-    """Replace the names of fields in a message by tags, such as view_dir by viewDir."""
+def _replace_names(message: str) -> str:
+    """Replace the names of fields in a message by XML tags: view_dir becomes viewDir."""
     return re.sub("_([a-z])", lambda match: match[1].upper(), message)
