@@ -51,7 +51,7 @@ def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
     return x, y, z
 
 
-def dot(a: Triple, b: Triple | Vector, out: Floats | None = None) -> Floats:
+def dot(a: Triple, b: Triple | Vector) -> Floats:
     """Compute the dot product a . b of each pair of vectors.
 
     Parameters
@@ -60,15 +60,13 @@ def dot(a: Triple, b: Triple | Vector, out: Floats | None = None) -> Floats:
         The x, y and z components of the first vectors.
     b : tuple of three arrays or of three floats
         The components of the second vectors; three floats are one vector, paired with all of `a`.
-    out : array, optional
-        Receives the result.  By default, a new array is created.
 
     Returns
     -------
     product : array
-        The dot products: `out`, if it is given.
+        The dot products.
     """
-    total: Floats = np.multiply(a[0], b[0], out=out)
+    total: Floats = a[0] * b[0]
     total += a[1] * b[1]  # in place, as this memory is in the CPU cache
     total += a[2] * b[2]
     return total

@@ -405,7 +405,7 @@ class Boxes:
 
 
 def _intersect_slab(
-    low: Floats, high: Floats, direction: Floats, *, closed: bool | None = None
+    low: Floats, high: Floats, direction: Floats, *, closed: bool = False
 ) -> tuple[Floats, Floats]:
     """Compute where n lines enter and leave slabs: spaces between two parallel planes.
 
@@ -416,9 +416,8 @@ def _intersect_slab(
         planes are perpendicular.
     direction : (n,) float array
         Component of the line's direction along this axis.
-    closed : bool, optional
-        Whether a line that lies in one of the planes is inside the slab.  It may be None if no
-        component in `direction` is 0.
+    closed : bool
+        Whether a line that lies in one of the planes is inside the slab.
 
     Returns
     -------
@@ -429,7 +428,7 @@ def _intersect_slab(
     """
     low_t, high_t = low / direction, high / direction
     enter, leave = np.minimum(low_t, high_t), np.maximum(low_t, high_t)
-    if closed is not None and np.count_nonzero(direction) < direction.size:
+    if np.count_nonzero(direction) < direction.size:
         is_parallel = direction == 0
         is_inside = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
         enter = np.where(is_parallel, np.where(is_inside, -np.inf, np.inf), enter)
@@ -454,7 +453,7 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
     for from_x, to_x, low_x, high_x in zip(start, end, low, high, strict=True):
-        near, far = _intersect_slab(low_x - from_x, high_x - from_x, to_x - from_x, closed=False)
+        near, far = _intersect_slab(low_x - from_x, high_x - from_x, to_x - from_x)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return crosses

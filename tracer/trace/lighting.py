@@ -229,7 +229,7 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
                 # 0 would count as a terminator: a line at which light begins.
                 n_dot_l[group.object_values(is_blocked)] = -np.inf
             geometry.n_dot_l[light, group.interval] = n_dot_l
-            dot(to_light, to_light, out=geometry.length2[light, group.interval])
+            geometry.length2[light, group.interval] = dot(to_light, to_light)
     return geometry
 
 
