@@ -1,9 +1,9 @@
 """Read a scene file into a :class:`~tracer.scene.model.Scene`.
 
-The elements of the file become rows of tables, one table for each dataclass; the numbers in the
-tables are validated at the end, in arrays.  Each error is reported in a line of its own, as
-``FILE:LINE: element: what is wrong; suggested fix``.  Reading ends early if the file stops being
-XML, exceeds a limit, or has `MAX_ERRORS`.
+The elements of the file become rows of tables, one table for each dataclass.  The numbers in the
+tables are validated at the end, in arrays.  Each error is reported in a separate line, as
+``FILE:LINE: element: what is wrong; suggested fix``.  Reading ends early at a syntax error, at a
+limit, or after `MAX_ERRORS` errors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tracer.scene.schema import SceneError
 from tracer.scene.tables import Table, parse_numbers
 
 MAX_ERRORS = 1_000
-"""Maximum number of errors in a file; the reader reports no more."""
+"""Maximum number of errors that are reported for a file."""
 
 # Maximum number of undefined shaders for which a similar name is searched: milliseconds for each.
 _MAX_SEARCHES = 32
@@ -40,10 +40,11 @@ _SCENE_TAGS = "camera", "image", "light", "shader", "surface"
 
 
 class SceneFileError(SceneError):
-    """A scene file with errors; the message has a line for each error, in the file's order.
+    """The error that a scene file is invalid or cannot be read.
 
-    The lines are ``FILE:LINE: element: what is wrong; suggested fix``, or ``FILE: ...`` for errors
-    without a line number.
+    The message has a line for each error in the file, in the order of the file:
+    ``FILE:LINE: element: what is wrong; suggested fix``, or ``FILE: what is wrong; suggested fix``
+    for errors without a line number.
     """
 
 
@@ -55,24 +56,28 @@ def load_scene(
     Parameters
     ----------
     source : str, bytes, path-like or binary file object
-        An XML file of at most 256 MiB; its format is described in the README.
+        Path of the file, or an open file.  It contains XML of at most 256 MiB, in the format that
+        the README describes.
 
     Returns
     -------
     scene : Scene
+        The scene.
 
     Raises
     ------
     SceneFileError
-        If the file cannot be read or contains an error; the message has a line for each error.
+        If the file cannot be read, or contains errors.  The message has a line for each error.
+    TypeError
+        If `source` is an open file, but not a binary one.
     """
-    reader, given = _Reader(), cast(Any, source)
-    is_stream = hasattr(given, "read")
-    name = getattr(given, "name", None) if is_stream else os.fsdecode(given)
+    reader, source_object = _Reader(), cast(Any, source)
+    is_stream = hasattr(source_object, "read")
+    name = getattr(source_object, "name", None) if is_stream else os.fsdecode(source_object)
     if not isinstance(name, str):
         name = "<stream>"
     try:
-        with nullcontext(given) if is_stream else open_scene(name) as file:
+        with nullcontext(source_object) if is_stream else open_scene(name) as file:
             reader.read(file)
     except FatalError as error:
         reader.errors.append(error.args)
@@ -80,8 +85,9 @@ def load_scene(
         reason = error.strerror or str(error)
         reader.errors.append((0, f"cannot be read: {reason}; check the path and its permissions"))
     if not reader.errors:
-        return reader.scene()
-    # Text from the file must not break a message into lines, or reach the terminal as controls.
+        return reader.make_scene()
+    # Text from the file must not break a message into lines, or send control characters to the
+    # terminal.
     raise SceneFileError(
         printable(f"{name or repr(name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.errors, key=lambda error: error[0])
@@ -89,71 +95,122 @@ def load_scene(
 
 
 class _Reader:
-    """Collects the elements of a file in tables, and computes the scene from them.
+    """A reader of one scene file: it collects XML elements in tables, and makes a scene of them.
 
     Attributes
     ----------
-    errors : list of tuple
-        Line and message of each error so far.
+    errors : list of (int, str)
+        Line and message of each error so far; line 0 if the error concerns the whole file.
     unique : dict of Element
-        The root, the camera and the image, by their tags.
-    misspelt : set of (str or None)
-        Tags that unknown children of the scene probably stand for.  They do not count as missing.
+        The elements that a file contains only once: the key is "scene" (the root), "camera" or
+        "image".
+    intended_tags : set of (str or None)
+        Tags for which unknown children of the scene probably stand.  An element with such a tag is
+        not reported as missing.
     empty : Scene
-        A scene of the right size, without content.
+        A scene with the size of the picture, but without content.
     cameras, lights : Table
+        The cameras, of which a valid file has one, and the lights.
     shaders, surfaces : dict of Table
-        Tables by the value of the attribute `type`.
+        The shaders and surfaces.  The key is the value of the attribute `type`, such as "Sphere".
     surface_count : int
         Number of surfaces so far, in all tables.
     shader_indices : dict of int
-        Indices of the shaders that have names.  A shader gets its index when the name first occurs,
-        in a reference or in a definition.
+        For each name of a shader, the shader's index.  A shader gets its index when the name first
+        occurs, in a reference or in a definition.
     definition_lines : array of int
         For each shader, the line that defines it; 0 if no definition has been read yet.  Shader 0
-        is the default, white.
+        is the default shader, white.
     reference_lines, reference_shaders : array of int
-        For each reference to a shader that was undefined at the time, its line and the shader.
+        For each reference to a shader that was not defined before it, the line of the reference and
+        the index of the shader.
     """
 
     def __init__(self) -> None:
         self.errors: list[tuple[int, str]] = []
         self.unique: dict[str, Element] = {}
-        self.misspelt: set[str | None] = set()
+        self.intended_tags: set[str | None] = set()
         self.empty = Scene(width=1, height=1)
         self.cameras, self.lights = Table(model.Camera), Table(model.PointLight)
-        self.shaders = {made.__name__: Table(made) for made in (model.Lambertian, model.Phong)}
-        self.surfaces = {made.__name__: Table(made) for made in (model.Sphere, model.Box)}
+        self.shaders = {kind.__name__: Table(kind) for kind in (model.Lambertian, model.Phong)}
+        self.surfaces = {kind.__name__: Table(kind) for kind in (model.Sphere, model.Box)}
         self.surface_count = 0
         self.shader_indices: dict[str, int] = {}
         self.definition_lines = array("i", [1])
         self.reference_lines, self.reference_shaders = array("i"), array("i")
 
     def report_at(self, line: int, tag: str, message: str) -> None:
-        """Report an error in an element with this tag; raise `FatalError` for one too many."""
+        """Add an error to the list of errors.
+
+        Parameters
+        ----------
+        line : int
+            Line of the error in the file.
+        tag : str
+            Tag of the element that contains the error.
+        message : str
+            What is wrong, and a suggested fix.
+
+        Raises
+        ------
+        FatalError
+            If there are already `MAX_ERRORS` errors.
+        """
         if len(self.errors) == MAX_ERRORS:
-            last = max(line for line, _ in self.errors)
-            raise FatalError(last, f"{MAX_ERRORS} errors so far; fix these first")
+            last_line = max(line for line, _ in self.errors)
+            raise FatalError(last_line, f"{MAX_ERRORS} errors so far; fix these first")
         self.errors.append((line, f"{shortened(tag)}: {message}"))
 
     def report(self, element: Element, message: str) -> None:
-        """Report an error in an element."""
+        """Add an error to the list of errors, at the line where an element begins.
+
+        Parameters
+        ----------
+        element : Element
+            The element that contains the error.
+        message : str
+            What is wrong, and a suggested fix.
+        """
         self.report_at(element.line, element.tag, message)
 
     def read(self, file: IO[bytes]) -> None:
-        """Read a file, and report its errors up to the place where it stops being XML."""
+        """Read a scene file, fill the tables, and collect the errors.
+
+        Parameters
+        ----------
+        file : binary file
+            The scene file, open for reading.
+
+        Raises
+        ------
+        FatalError
+            If the file is not XML, exceeds a limit, or has more than `MAX_ERRORS` errors.  Errors
+            that were found before are in `errors`.
+        """
         try:
             Parser(self.read_child, self.report_at).parse(file)
         finally:
-            typed = (*self.shaders.values(), *self.surfaces.values())
-            for table in (self.cameras, self.lights, *typed):
+            typed_tables = (*self.shaders.values(), *self.surfaces.values())
+            for table in (self.cameras, self.lights, *typed_tables):
                 for error in table.errors():
                     self.report_at(*error)
         self.report_missing()
         self.report_undefined_shaders()
 
     def read_child(self, element: Element) -> None:
-        """Read the root, or a child of the root."""
+        """Read the root of the file, or a child of the root.
+
+        Parameters
+        ----------
+        element : Element
+            At the first call the root, without children; later each child of the root, with all its
+            descendants.
+
+        Raises
+        ------
+        FatalError
+            If the root is not that of a scene file.
+        """
         tag = element.tag
         if tag == "surface" and self.unique:
             self.read_surface(element)
@@ -172,10 +229,16 @@ class _Reader:
         else:
             remedy, intended = tag_remedy(tag, _SCENE_TAGS)
             self.report(element, f"unknown in scene; {remedy}")
-            self.misspelt.add(intended)
+            self.intended_tags.add(intended)
 
     def read_root(self, element: Element) -> None:
-        """Read the root; raise `FatalError` if it is not that of a scene file."""
+        """Check that the root element is that of a scene file, and store it.
+
+        Raises
+        ------
+        FatalError
+            If it is another element, or has a version, which scene files of Mitsuba have.
+        """
         if element.tag != "scene":
             raise FatalError(element.line, f"{shortened(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
@@ -185,10 +248,10 @@ class _Reader:
         self.unique["scene"] = element
 
     def read_image(self, element: Element) -> None:
-        """Read the size of the picture."""
+        """Read the size of the picture from the element <image>, and store it in `empty`."""
         self.report_parts(element)
-        word = r"\s*([-+]?\d{1,18})"
-        match = re.fullmatch(rf"{word}\s{word}\s*", element.text, re.ASCII)
+        number = r"\s*([-+]?\d{1,18})"
+        match = re.fullmatch(rf"{number}\s{number}\s*", element.text, re.ASCII)
         if match is None:
             text = element.text.strip()
             needed = "needs two whole numbers, width and height, as in 640 480"
@@ -202,7 +265,7 @@ class _Reader:
                 self.report(element, line)
 
     def read_surface(self, element: Element) -> None:
-        """Read a surface as a row of the table of its type."""
+        """Add a surface to the table of its type, and its shader to that of the shader's type."""
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
             # The children of an unknown surface are unknown, too, but they may define shaders.
@@ -214,17 +277,28 @@ class _Reader:
         table.index.append(self.surface_count)
         self.surface_count += 1
         shader = self.read_row(table, element, "type").get("shader")
-        index = 0 if shader is None else self.read_shader_or_reference(shader)
-        table.shader_index.append(index)
-        if shader is not None and not self.definition_lines[index]:
+        shader_index = 0 if shader is None else self.read_shader_or_reference(shader)
+        table.shader_index.append(shader_index)
+        if shader is not None and not self.definition_lines[shader_index]:
             self.reference_lines.append(shader.line)
-            self.reference_shaders.append(index)
+            self.reference_shaders.append(shader_index)
 
     def read_shader(self, element: Element) -> int:
-        """Read a shader as a row of the table of its type; return the shader's index."""
+        """Add a shader to the table of its type.
+
+        Parameters
+        ----------
+        element : Element
+            The definition of the shader.
+
+        Returns
+        -------
+        index : int
+            Index of the shader among all shaders.
+        """
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
-        index = self.shader_index(name)
+        index = self.find_shader(name)
         if name is not None and self.definition_lines[index]:
             earlier = f"the shader in line {self.definition_lines[index]}"
             self.report(element, f"the name {quoted(name)} is taken by {earlier}; choose another")
@@ -238,7 +312,18 @@ class _Reader:
         return index
 
     def read_shader_or_reference(self, element: Element) -> int:
-        """Read a surface's shader, or a reference to a shader; return the shader's index."""
+        """Read the element <shader> of a surface: a definition, or a reference by name.
+
+        Parameters
+        ----------
+        element : Element
+            The element.  It is a reference if it has the attribute `ref`.
+
+        Returns
+        -------
+        index : int
+            Index of the shader among all shaders.
+        """
         name = element.attrib.get("ref")
         if name is not None:
             if len(element.attrib) > 1 or element:
@@ -249,102 +334,140 @@ class _Reader:
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
-        return self.shader_index(name)
+        return self.find_shader(name)
 
-    def shader_index(self, name: str | None) -> int:
-        """Return the index of the shader with this name; a new index if it has none yet."""
-        new = len(self.definition_lines)
-        index = new if name is None else self.shader_indices.setdefault(name, new)
-        if index == new:
+    def find_shader(self, name: str | None) -> int:
+        """Return the index of the shader with a name; reserve a new index if it has none yet.
+
+        Parameters
+        ----------
+        name : str or None
+            The name; None for a shader without a name, which always gets a new index.
+
+        Returns
+        -------
+        index : int
+            Index of the shader among all shaders.
+        """
+        new_index = len(self.definition_lines)
+        index = new_index if name is None else self.shader_indices.setdefault(name, new_index)
+        if index == new_index:
             self.definition_lines.append(0)
         return index
 
     def read_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Read an element as a row of a table, and report what is wrong with it.
+        """Add a row with the numbers of an element to a table, and report errors in the element.
 
         Parameters
         ----------
         table : Table
-            The table, which gets a new row.
+            The table that gets the new row.
         element : Element
+            A camera, light, shader or surface.
         *attributes : str
-            Names of the attributes that the element may have.
+            Names of the attributes that are allowed in the element.
 
         Returns
         -------
         children : dict of Element
-            Children of the element by the names of their fields.
+            The known children of the element.  The key is the name of the field to which the child
+            belongs.
         """
-        misspelt: set[str | None] = set()
+        intended: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
-            misspelt = self.report_attributes(element, attributes, table.field_of_tag)
+            intended = self.report_attributes(element, attributes, table.field_of_tag)
         children: dict[str, Element] = {}
         for child in element:
             name = table.field_of_tag.get(child.tag)
             if name is None:
-                misspelt.add(self.report_unknown(child, element, table.field_of_tag))
+                intended.add(self.report_unknown(child, element, table.field_of_tag))
             elif name in children:
                 self.report_duplicate(child, children[name])
             else:
                 children[name] = child
         table.lines.append(element.line)
         for name, column in table.columns.items():
-            given = children.get(name)
-            if given is not None:
-                column.append(self.read_numbers(given, column.count), given.line, given.tag)
+            numbers = children.get(name)
+            if numbers is not None:
+                values = self.read_numbers(numbers, column.count)
+                column.append(values, numbers.line, numbers.tag)
                 continue
             column.append_default()
-            if column.is_required and (tag := column.tags[0]) not in misspelt:
+            if column.is_required and (tag := column.tags[0]) not in intended:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
 
     def read_numbers(self, element: Element, count: int) -> Sequence[float]:
-        """Return the numbers that an element contains; after an error, `count` times NaN."""
+        """Parse the numbers in an element such as <center>, and report errors in the element.
+
+        Parameters
+        ----------
+        element : Element
+            The element.
+        count : int
+            Required count of numbers.
+
+        Returns
+        -------
+        numbers : sequence of float
+            The numbers; after an error, `count` times NaN.
+        """
         if element or element.attrib:
             self.report_parts(element)
         numbers = parse_numbers(element.text, count)
         if numbers:
             return numbers
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
-        wrong = [word for word in words[:_MAX_CHECKED_WORDS] if not parse_numbers(word, 1)]
-        for word in wrong:
+        invalid_words = [word for word in words[:_MAX_CHECKED_WORDS] if not parse_numbers(word, 1)]
+        for word in invalid_words:
             self.report(element, number_remedy(word))
-        if not wrong and not element:
+        if not invalid_words and not element:
             self.report(element, f"needs {count} number{'s' * (count > 1)}, has {len(words)}")
         return (np.nan,) * count
 
     # Errors in elements and attributes
 
     def report_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
-        """Report that the `type` of a shader or surface is missing or unknown.
+        """Report that the attribute `type` of a shader or surface is missing or unknown.
+
+        Unknown attributes of the element are reported, too.
 
         Parameters
         ----------
         element : Element
             The shader or surface.
         tables : mapping of Table
-            Tables by the types that the element may have.
+            The keys are the types that are known.
         *attributes : str
-            Names of the attributes that the element may have besides `type`.
+            Names of the attributes that are allowed in the element, in addition to `type`.
         """
-        misspelt = self.report_attributes(element, (*attributes, "type"))
-        name = element.attrib.get("type")
-        if name is not None:
-            remedy = name_remedy(tables, closest_name(name, tables))
-            self.report(element, f"unknown type {quoted(name)}; {remedy}")
-        elif "type" not in misspelt:
-            choice = " or ".join(f'type="{name}"' for name in tables)
+        intended = self.report_attributes(element, (*attributes, "type"))
+        unknown_type = element.attrib.get("type")
+        if unknown_type is not None:
+            remedy = name_remedy(tables, closest_name(unknown_type, tables))
+            self.report(element, f"unknown type {quoted(unknown_type)}; {remedy}")
+        elif "type" not in intended:
+            choice = " or ".join(f'type="{known_type}"' for known_type in tables)
             self.report(element, f"has no type; add {choice}")
 
     def report_unknown(
         self, element: Element, parent: Element, tags: Collection[str]
     ) -> str | None:
-        """Report an unknown child of `parent`.
+        """Report a child element whose tag is unknown.
+
+        Parameters
+        ----------
+        element : Element
+            The child.
+        parent : Element
+            The element that contains the child.
+        tags : collection of str
+            Tags of the children that are allowed there.
 
         Returns
         -------
         intended : str or None
-            Which of the known `tags` the child probably stands for, if that is clear.
+            The tag for which the unknown one probably stands; None if that is not clear.
         """
         if element.tag in _SCENE_TAGS:
             remedy, intended = f"close the {parent.tag} of line {parent.line} first", None
@@ -355,27 +478,38 @@ class _Reader:
         return intended
 
     def report_duplicate(self, element: Element, earlier: Element) -> None:
-        """Report that an element repeats an earlier one, which may have another tag."""
+        """Report that an element gives a value that an earlier element has already given.
+
+        Parameters
+        ----------
+        element : Element
+            The later element.
+        earlier : Element
+            The earlier element.  Its tag can differ, because two tags have the same meaning.
+        """
         given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
         self.report(element, f"{given} already, in line {earlier.line}; keep one of the two")
 
     def report_attributes(
         self, element: Element, known: Sequence[str] = (), child_tags: Collection[str] = ()
     ) -> set[str | None]:
-        """Report all attributes of an element that are unknown.
+        """Report all unknown attributes of an element.
 
         Parameters
         ----------
         element : Element
+            The element.
         known : sequence of str
-            Names of the attributes that it may have.
+            Names of the attributes that are allowed in the element.
         child_tags : collection of str
-            Tags of the children that it may have, which may be given as attributes by mistake.
+            Tags of the children that are allowed in the element.  An attribute with a similar name
+            is probably such a child, written as an attribute by mistake.
 
         Returns
         -------
         intended : set of (str or None)
-            Names in `known` and `child_tags` that the unknown attributes probably stand for.
+            The names of attributes or tags of children for which the unknown attributes probably
+            stand.  None stands for unclear ones.
         """
         intended: set[str | None] = set()
         for name, value in element.attrib.items():
@@ -396,7 +530,15 @@ class _Reader:
         return intended
 
     def report_parts(self, element: Element, *known: str) -> None:
-        """Report all attributes of an element but those `known`, and all its children."""
+        """Report all children and all unknown attributes of an element that must have no children.
+
+        Parameters
+        ----------
+        element : Element
+            The element.
+        *known : str
+            Names of the attributes that are allowed in the element.
+        """
         self.report_attributes(element, known)
         for child in element:
             message = f"no element may stand in it; remove <{shortened(child.tag)}>"
@@ -405,44 +547,53 @@ class _Reader:
     # From tables to a scene
 
     def report_missing(self) -> None:
-        """Report that the file has no camera or no image."""
+        """Report that the file has no camera or no image, unless one is probably misspelt."""
         for tag in ("camera", "image"):
-            if tag not in self.unique and tag not in self.misspelt:
+            if tag not in self.unique and tag not in self.intended_tags:
                 self.report(self.unique["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
 
     def report_undefined_shaders(self) -> None:
-        """Report each reference to a shader that the file does not define."""
-        lines = self.definition_lines
-        undefined = {k: name for name, k in self.shader_indices.items() if not lines[k]}
-        if not undefined:
+        """Report each reference to a shader that the file does not define, with a suggested fix."""
+        # A shader is identified by its index k.
+        definition_line = self.definition_lines
+        undefined_name = {
+            k: name for name, k in self.shader_indices.items() if not definition_line[k]
+        }
+        if not undefined_name:
             return
-        defined = {name: lines[k] for name, k in self.shader_indices.items() if lines[k]}
-        twins = {normalize("NFC", name): name for name in defined}
+        line_of_name = {
+            name: definition_line[k]
+            for name, k in self.shader_indices.items()
+            if definition_line[k]
+        }
+        name_of_normalized = {normalize("NFC", name): name for name in line_of_name}
         remedies: dict[int, str] = {}
         for line, k in zip(self.reference_lines, self.reference_shaders, strict=True):
-            name = undefined.get(k)
+            name = undefined_name.get(k)
             if name is None:
                 continue
             if k not in remedies:
-                match = closest_name(name, defined) if len(remedies) < _MAX_SEARCHES else None
-                remedies[k] = name_remedy(defined, match) if defined else "define it"
-                if twin := twins.get(normalize("NFC", name)):
+                match = closest_name(name, line_of_name) if len(remedies) < _MAX_SEARCHES else None
+                remedies[k] = name_remedy(line_of_name, match) if line_of_name else "define it"
+                if twin := name_of_normalized.get(normalize("NFC", name)):
                     remedies[k] = (
-                        f"the name in line {defined[twin]} looks the same, but has other Unicode"
-                        " characters (one is composed, one decomposed); copy it from there"
+                        f"the name in line {line_of_name[twin]} looks the same, but has other"
+                        " Unicode characters (one is composed, one decomposed); copy it from there"
                     )
             self.report_at(line, "shader", f"no shader is named {quoted(name)}; {remedies[k]}")
 
-    def scene(self) -> Scene:
-        """Return the scene of a file without errors."""
+    def make_scene(self) -> Scene:
+        """Create the scene from the tables.  Call this after `read`, and only without errors."""
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shaders.values():
             for index, shader in zip(table.index, table.objects(), strict=True):
                 shaders[index] = shader
         tables = self.surfaces.values()
-        columns = {name: c.array() for table in tables for name, c in table.columns.items()}
+        numbers = {
+            name: column.array() for table in tables for name, column in table.columns.items()
+        }
         surfaces = Surfaces(
-            **columns | {"radius": columns["radius"][:, 0]},
+            **numbers | {"radius": numbers["radius"][:, 0]},
             shader_index=np.concatenate([table.shader_index for table in tables]),
             file_index=np.concatenate([table.index for table in tables]),
             shaders=tuple(shaders),
