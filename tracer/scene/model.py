@@ -18,9 +18,8 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Floats
 from tracer.scene import schema
-from tracer.scene.schema import Columns, RowError, Validated, number_text, xml_field
+from tracer.scene.schema import Columns, Floats, RowError, Validated, number_text, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""

@@ -16,9 +16,8 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Floats
-
 _Instance = TypeVar("_Instance")
+Floats: TypeAlias = NDArray[np.float64]
 Columns: TypeAlias = Mapping[str, Floats]
 """The numbers of n objects of one dataclass.  The key is the name of a field; the value is an array
 (n, count) with the numbers of this field, NaN where an object has no value."""
