@@ -208,7 +208,7 @@ def classify(
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
     lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
-    shading, all_lines = Shading(hits, with_ids=True), [lines]
+    shading, all_lines = Shading(hits), [lines]
     for lights in prepared.light_batches:
         lines, unresolved_cell, crowded_cell = _add_lights(shading, surfaces, lights, tolerance)
         all_lines.append(lines)
