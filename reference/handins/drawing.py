@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from reference.figures import linear
-from reference.handins.formulas import Array, Formulas, parameters
-from reference.handins.mistakes import FITTED, RIGHT, mistakes_of, offset
+from reference.handins.formulas import Array, Formulas, parameter_names
+from reference.handins.mistakes import FITTED, RIGHT, list_mistakes, sample_position_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
@@ -26,168 +26,261 @@ _AVERAGED = ("radiance", "kd", "hit", "n")
 
 
 def scene_values(scene: Scene | Codes) -> dict[str, Any]:
-    """Return the values that formulas are computed from, by name.
+    """Convert a scene to the arrays from which the formulas of a picture are computed.
 
     Parameters
     ----------
     scene : Scene or (h, w, 3) uint8 array
-        A scene; or the codes of a right picture, if there is no scene.  From a picture, only
+        A scene; or, if there is no scene, the codes of a right picture.  From a picture, only
         formulas that need nothing but its light can be computed.
+
+    Returns
+    -------
+    dict of str to array or float
+        The values by the names that formulas use, such as "view_dir" (3,), "center"
+        (3, surfaces, 1), "diffuse" (3, surfaces) and "position" (lights, 3, 1).  For a picture, it
+        contains only the linear light "picture" (h, w, 3).
     """
     if not isinstance(scene, Scene):
         return {"picture": linear(scene)}
-    c, surfaces = scene.camera, list(scene.surfaces) or [Sphere()]
-    shaders = [s.shader for s in surfaces]
-    # Formulas need a surface: in an empty scene, one that all rays miss.
+    camera, surfaces = scene.camera, list(scene.surfaces) or [Sphere()]
+    shaders = [surface.shader for surface in surfaces]
+    # Formulas need a surface.  In an empty scene, its radius is NaN, so that all rays miss it.
     radius_factor = 1 if len(scene.surfaces) else np.nan
-    listed = [*dict.fromkeys(shaders)]  # about as in the file: in the order of their first use
-    by_number = [listed[k % len(listed)] for k in range(len(surfaces))]
+    distinct = [*dict.fromkeys(shaders)]  # about as in the file: in the order of their first use
+    shader_by_number = [distinct[k % len(distinct)] for k in range(len(surfaces))]
 
-    def column(items: Sequence[Any], name: str, default: Any) -> Array:
-        return np.array([getattr(item, name, default) for item in items])
+    def numbers(items: Sequence[Any], attribute: str, default: Any) -> Array:
+        return np.array([getattr(item, attribute, default) for item in items])
 
-    def vectors(items: Sequence[Any], name: str, default: Any = (0.0, 0, 0)) -> Array:
-        return column(items, name, default).reshape(-1, 3).T
+    def vectors(items: Sequence[Any], attribute: str, default: Any = (0.0, 0, 0)) -> Array:
+        return numbers(items, attribute, default).reshape(-1, 3).T
 
     return {
-        "view_point": np.array(c.view_point), "view_dir": np.array(c.view_dir),
-        "view_up": np.array(c.view_up), "normal": np.array(c.proj_normal or c.view_dir),
-        "proj_distance": c.proj_distance, "view_width": c.view_width,
-        "view_height": c.view_height,
-        "is_sphere": np.array([isinstance(s, Sphere) for s in surfaces]),
+        "view_point": np.array(camera.view_point), "view_dir": np.array(camera.view_dir),
+        "view_up": np.array(camera.view_up),
+        "normal": np.array(camera.proj_normal or camera.view_dir),
+        "proj_distance": camera.proj_distance, "view_width": camera.view_width,
+        "view_height": camera.view_height,
+        "is_sphere": np.array([isinstance(surface, Sphere) for surface in surfaces]),
         "center": vectors(surfaces, "center")[:, :, None],
         "min_pt": vectors(surfaces, "min_pt", (-1.0, -1, -1))[:, :, None],
         "max_pt": vectors(surfaces, "max_pt", (1.0, 1, 1))[:, :, None],
-        "radius": column(surfaces, "radius", 1.0)[:, None] * radius_factor,
-        "phong": np.array([isinstance(s, Phong) for s in shaders]),
+        "radius": numbers(surfaces, "radius", 1.0)[:, None] * radius_factor,
+        "phong": np.array([isinstance(shader, Phong) for shader in shaders]),
         "diffuse": vectors(shaders, "diffuse"), "specular": vectors(shaders, "specular"),
-        "exponent": column(shaders, "exponent", 1.0),
-        "shader_of_number": np.array([shaders.index(shader) for shader in by_number]),
+        "exponent": numbers(shaders, "exponent", 1.0),
+        "shader_of_number": np.array([shaders.index(shader) for shader in shader_by_number]),
         "position": vectors(scene.lights, "position").T[:, :, None],
         "color": vectors(scene.lights, "intensity").T[:, :, None],
     }  # fmt: skip
 
 
 @cache
-def _dependents(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the formulas that depend on some of `names`, and these, in order of computation."""
-    dependents = {*names}
+def _with_dependents(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the formulas `names`, and all formulas that are computed from them.
+
+    The result is in the order in which the formulas of the right picture are computed.  Formulas
+    that are computed indirectly, from other results, are included.
+    """
+    affected = {*names}
     for name, function in RIGHT.items():
-        if not dependents.isdisjoint(parameters(function)):
-            dependents.add(name)
-    return tuple(name for name in RIGHT if name in dependents)
+        if not affected.isdisjoint(parameter_names(function)):
+            affected.add(name)
+    return tuple(name for name in RIGHT if name in affected)
 
 
 class FormulaCache:
-    """Compute formulas for a set of pixels; combinations of formulas share their values.
+    """The values of formulas for a set of pixels, each computed when it is first requested.
 
-    The version of a value is the index of its recipe: its formula, and the versions of the
-    formula's arguments.  Two mistakes share a value where it has the same version in both.
+    A picture is defined by formulas (functions for values such as the radiance), and a mistake by
+    the formulas that it replaces.  Pictures with different mistakes share those values that are
+    computed in the same way.  The *version* of a value is the index of its *recipe*: the tuple of
+    its formula and of the versions of the formula's arguments.
 
     Parameters
     ----------
-    values : dict
-        The values of `scene_values`, `width` and `height` of the picture in pixels, and for the n
-        pixels their columns `i` (n,), rows `j` (n,), and the `handin`'s codes (3, n).
+    inputs : dict of str to array or number
+        The values of `scene_values`; the `width` and `height` of the picture in pixels; and for
+        the n pixels their columns `i` (n,), rows `j` (n,), and the codes `handin` (3, n) of the
+        picture that was handed in.
     fitted_pixels : FormulaCache, optional
-        The pixels from which the numbers `FITTED` are computed, such as the brightest radiance of
-        the whole picture.  By default, the pixels of this cache itself.
+        The pixels from which the numbers `FITTED` are computed, such as the largest radiance in
+        the whole picture.  By default, they are computed from the pixels of this cache itself.
     """
 
-    def __init__(self, values: dict[str, Any], fitted_pixels: FormulaCache | None = None) -> None:
-        self._given, self._fitted_pixels = values, fitted_pixels
-        self._values: dict[int, Any] = dict(enumerate(values.values()))
-        self._recipes: list[Any] = [None] * len(values)
+    def __init__(self, inputs: dict[str, Any], fitted_pixels: FormulaCache | None = None) -> None:
+        self._inputs, self._fitted_pixels = inputs, fitted_pixels
+        self._values: dict[int, Any] = dict(enumerate(inputs.values()))
+        self._recipes: list[Any] = [None] * len(inputs)
         self._version_of: dict[Any, int] = {}
-        self._right = self._versions(RIGHT, {name: k for k, name in enumerate(values)}, {})
+        self._right = self._update_versions(RIGHT, {name: k for k, name in enumerate(inputs)}, {})
         self._right_count, self._cached_bytes = len(self._recipes), 0
 
-    def _versions(
-        self, names: Iterable[str], known: dict[str, int], changes: Formulas
+    def _update_versions(
+        self, names: Iterable[str], versions: dict[str, int], changes: Formulas
     ) -> dict[str, int]:
-        """Update and return the versions `known`, by the formulas' names.
+        """Determine the versions of formulas, and register recipes that are new.
+
+        The version of a value is the index of its recipe: the tuple of its formula and of the
+        versions of the formula's arguments.
 
         Parameters
         ----------
         names : iterable of str
-            Formulas whose versions have to be determined anew, in the order of computation.
-        known : dict of str to int
-            Versions of other formulas; of a formula that cannot be computed, none.
-        changes : dict
+            The formulas whose versions are determined, in the order of computation.
+        versions : dict of str to int
+            Versions of formulas by their names.  It is changed: the versions of `names` are
+            replaced, or removed if an argument of the formula has no version.
+        changes : dict of str to callable
             Formulas that replace those of the right picture.
+
+        Returns
+        -------
+        dict of str to int
+            The argument `versions`.
         """
         for name in names:
-            if name in self._given:
+            if name in self._inputs:
                 continue
             formula = changes.get(name, RIGHT[name])
             try:
-                recipe = (formula, *map(known.__getitem__, parameters(formula)))
-            except KeyError:  # an argument cannot be computed, so neither can this
-                known.pop(name, None)
+                recipe = (formula, *map(versions.__getitem__, parameter_names(formula)))
+            except KeyError:  # an argument cannot be computed, so neither can this formula
+                versions.pop(name, None)
                 continue
             version = self._version_of.get(recipe)
             if version is None:
                 version = self._version_of[recipe] = len(self._recipes)
                 self._recipes.append(recipe)
-            known[name] = version
-        return known
+            versions[name] = version
+        return versions
 
-    def _changed(self, changes: Formulas) -> dict[str, int]:
-        return self._versions(_dependents(tuple(changes)), dict(self._right), changes)
+    def _versions_with(self, changes: Formulas) -> dict[str, int]:
+        """Return the versions of all formulas, by name, if `changes` replace some of them."""
+        return self._update_versions(_with_dependents(tuple(changes)), dict(self._right), changes)
 
     def is_computable(self, changes: Formulas) -> bool:
-        """Return whether the codes depend only on values that are known."""
-        return "codes" in self._changed(changes)
+        """Test whether the picture's codes can be computed from the inputs of this cache.
+
+        Parameters
+        ----------
+        changes : dict of str to callable
+            Formulas, by name, that replace those of the right picture.
+        """
+        return "codes" in self._versions_with(changes)
 
     def get(self, name: str, changes: Formulas) -> Any:
-        """Compute the formula `name`, where `changes` replace formulas of the right picture."""
-        return self._value(self._changed(changes)[name])
+        """Compute one formula for all pixels, or return its cached value.
+
+        Parameters
+        ----------
+        name : str
+            Name of the formula, such as "radiance".
+        changes : dict of str to callable
+            Formulas, by name, that replace those of the right picture.
+
+        Returns
+        -------
+        array or number
+            The value of the formula, with one column for each of the n pixels if it differs from
+            pixel to pixel.
+
+        Raises
+        ------
+        KeyError
+            If the formula cannot be computed from the inputs of this cache.
+        """
+        return self._value(self._versions_with(changes)[name])
 
     def _value(self, version: int) -> Any:
+        """Return the value with the index `version`, computed from its recipe if necessary.
+
+        If the cached values take more than `_MAX_CACHED_BYTES`, those that do not belong to the
+        right picture are first deleted; they are computed anew when they are next requested.
+        """
         if version not in self._values:
-            formula, *used = self._recipes[version]
-            known = self._values
-            value = formula(*[known[v] if v in known else self._value(v) for v in used])
+            formula, *argument_versions = self._recipes[version]
+            cached = self._values
+            arguments = [cached[k] if k in cached else self._value(k) for k in argument_versions]
+            value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
             if self._cached_bytes > _MAX_CACHED_BYTES:
-                self._values = {v: known[v] for v in range(self._right_count) if v in known}
+                self._values = {k: cached[k] for k in range(self._right_count) if k in cached}
                 self._cached_bytes = 0
             self._values[version] = value
         return self._values[version]
 
     def codes(self, changes: Formulas) -> Array:
-        """Compute 8-bit codes (3, n), where `changes` replace formulas of the right picture."""
+        """Compute the 8-bit codes of all pixels of a picture with mistakes.
+
+        If the mistakes include several samples per pixel, the radiance is clipped for each sample,
+        and then averaged.
+
+        Parameters
+        ----------
+        changes : dict of str to callable
+            Formulas, by name, that replace those of the right picture.
+
+        Returns
+        -------
+        codes : (3, n) array
+        """
         if self._fitted_pixels:
-            used = {name for formula in changes.values() for name in parameters(formula)}
+            used = {name for formula in changes.values() for name in parameter_names(formula)}
             for name in FITTED & used:
                 changes = changes | {name: _constant(self._fitted_pixels.get(name, changes))}
         if "samples" not in changes:
             return self.get("codes", changes)
-        count = changes["samples"]()
-        positions = [(k + 0.5) / count for k in range(count)]
-        versions = [self._changed(changes | offset(x, y)) for x in positions for y in positions]
-        values = [{name: self._value(known[name]) for name in _AVERAGED if name in known}
-                  for known in versions]  # fmt: skip
-        light = [np.where(v["hit"], np.clip(np.nan_to_num(v["radiance"]), 0, 1), 0) for v in values]
-        means = {"radiance": sum(light) / count**2, "hit": np.any([v["hit"] for v in values], 0)}
-        return FormulaCache(self._given | values[0] | means).get("codes", changes)
+        side = changes["samples"]()
+        positions = [(k + 0.5) / side for k in range(side)]
+        versions = [self._versions_with(changes | sample_position_formulas(x, y))
+                    for x in positions for y in positions]  # fmt: skip
+        samples = [{name: self._value(known[name]) for name in _AVERAGED if name in known}
+                   for known in versions]  # fmt: skip
+        light = [np.where(sample["hit"], np.clip(np.nan_to_num(sample["radiance"]), 0, 1), 0)
+                 for sample in samples]  # fmt: skip
+        is_hit = np.any([sample["hit"] for sample in samples], 0)
+        means = {"radiance": sum(light) / side**2, "hit": is_hit}
+        return FormulaCache(self._inputs | samples[0] | means).get("codes", changes)
 
-    def pairs(self, first: Formulas, others: Iterable[Formulas]) -> Iterator[Array]:
-        """Yield, for each of `others`, the codes (3, n) with its formulas and those of `first`."""
-        known = self._changed(first)
+    def codes_of_pairs(self, first: Formulas, others: Iterable[Formulas]) -> Iterator[Array]:
+        """Yield the codes (3, n) of pictures with two mistakes, of which the first is the same.
+
+        Parameters
+        ----------
+        first : dict of str to callable
+            The formulas, by name, that the first mistake replaces.
+        others : iterable of dict of str to callable
+            The formulas of each second mistake.  One array of codes is yielded for each.
+        """
+        versions = self._versions_with(first)
         for other in others:
-            both = self._versions(_dependents(tuple(other)), dict(known), first | other)
+            dependents = _with_dependents(tuple(other))
+            both = self._update_versions(dependents, dict(versions), first | other)
             yield self._value(both["codes"])
 
 
 def _constant(value: Any) -> Any:
+    """Return a function without parameters that returns `value`."""
     return lambda: value
 
 
-def join(parts: Iterable[Formulas]) -> Formulas | None:
-    """Return the formulas of several mistakes together; None if two change the same formula."""
+def join_formulas(formula_sets: Iterable[Formulas]) -> Formulas | None:
+    """Combine the formulas that several mistakes replace.
+
+    Parameters
+    ----------
+    formula_sets : iterable of dict of str to callable
+        For each mistake, the replaced formulas by name.
+
+    Returns
+    -------
+    dict of str to callable, or None
+        All replaced formulas; None if two mistakes replace the same formula.
+    """
     joined: Formulas = {}
-    for formulas in parts:
+    for formulas in formula_sets:
         if joined.keys() & formulas.keys():
             return None
         joined |= formulas
@@ -195,36 +288,38 @@ def join(parts: Iterable[Formulas]) -> Formulas | None:
 
 
 @np.errstate(all="ignore")
-def draw(scene: Scene, *kinds: str, formula: str = "codes") -> Array:
-    """Render a scene with mistakes.
+def render_with_mistakes(scene: Scene, *kinds: str, formula: str = "codes") -> Array:
+    """Render a scene as a tracer with the given mistakes would.
 
     Parameters
     ----------
     scene : Scene
-    kinds : str
-        The mistakes' names, as in `mistakes_of`.
+    *kinds : str
+        Keywords of the mistakes, such as "gamma-none"; without any, the right picture is rendered.
+        The keywords are those of `list_mistakes(scene)`.
     formula : str
-        The formula to return for each pixel.
+        Name of the formula whose values are returned, such as "radiance".
 
     Returns
     -------
     (h, w, 3) array
-        By default, the picture's 8-bit codes.
+        The values of the formula at each pixel, with 0 in place of NaN; by default, the picture's
+        8-bit codes.
 
     Raises
     ------
     KeyError
-        For a name that is not in the table.
+        If a keyword is unknown.
     ValueError
-        If two mistakes exclude each other.
+        If two mistakes replace the same formula, and so exclude each other.
     """
-    table, count = mistakes_of(scene), scene.width * scene.height
-    changes = join(table[kind].formulas for kind in kinds)
+    table, pixel_count = list_mistakes(scene), scene.width * scene.height
+    changes = join_formulas(table[kind].formulas for kind in kinds)
     if changes is None:
         raise ValueError(f"{' and '.join(kinds)} change the same formula")
-    j, i = np.divmod(np.arange(count), scene.width)
+    row, column = np.divmod(np.arange(pixel_count), scene.width)
     size = {"width": scene.width, "height": scene.height}
-    pixels = {"i": i, "j": j, "handin": np.zeros((3, count), dtype=np.uint8)}
+    pixels = {"i": column, "j": row, "handin": np.zeros((3, pixel_count), dtype=np.uint8)}
     formulas = FormulaCache(scene_values(scene) | size | pixels)
     values = formulas.codes(changes) if formula == "codes" else formulas.get(formula, changes)
     return np.nan_to_num(values.T.reshape(scene.height, scene.width, 3))

@@ -19,269 +19,465 @@ from scipy.ndimage import map_coordinates
 Array: TypeAlias = Any
 Formulas: TypeAlias = dict[str, Callable[..., Any]]
 
-
-def unit(v: Array, axis: int = 0) -> Array:
-    """Scale vectors along an axis to length 1."""
-    return v / np.sqrt((v * v).sum(axis=axis, keepdims=True))
+# Minimum t of a hit: a camera ray ignores surfaces that are closer to its origin.
+_MIN_T = 1e-9
 
 
-def dot(a: Array, b: Array) -> Array:
-    """Return the scalar products (..., n) of vectors (..., 3, n)."""
-    return (a * b).sum(axis=-2)
-
-
-def at(vectors: Array, surface: Array) -> Array:
-    """Select, from the vectors (3, surfaces, 1) of surfaces, those of n indices: (3, n)."""
-    return vectors[:, surface, 0]
-
-
-def box_center(low: Array, high: Array, surface: Array) -> Array:
-    """Return the centres (3, n) of the boxes that the indices `surface` (n,) select."""
-    return (at(low, surface) + at(high, surface)) / 2
-
-
-def sphere_roots(c: Array, r: Array, o: Array, d: Array, *, unit_d: bool = False) -> Array:
-    """Intersect n rays with spheres.
+def normalize(vectors: Array, axis: int = 0) -> Array:
+    """Scale vectors to length 1.
 
     Parameters
     ----------
-    c, r : (3, spheres, 1) and (spheres, 1) arrays
-        Centres and radii.
-    o, d : (3, n) arrays
-        Origins and directions.
-    unit_d : bool
-        Whether to omit d.d, as if the directions had length 1.
+    vectors : array
+        Vectors of any length other than 0.
+    axis : int
+        The axis of the array along which the three components lie.
+    """
+    return vectors / np.sqrt((vectors * vectors).sum(axis=axis, keepdims=True))
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the scalar products (..., n) of the vectors `a` and `b` (..., 3, n)."""
+    return (a * b).sum(axis=-2)
+
+
+def select_vectors(surface_vectors: Array, surface: Array) -> Array:
+    """Select, for each of n pixels, the vector of the surface that the pixel shows.
+
+    Parameters
+    ----------
+    surface_vectors : (3, surfaces, 1) array
+        One vector for each surface of the scene, such as its centre.
+    surface : (n,) int array
+        Index of the surface that each pixel shows.
 
     Returns
     -------
-    t : (2, spheres, n) array
-        Near and far t; NaN if the ray misses the sphere.
+    (3, n) array
     """
-    m = [c[k] - o[k] for k in range(3)]
-    b = sum(m[k] * d[k] for k in range(3))
-    if unit_d:
-        root = np.sqrt(b * b - sum(m[k] * m[k] for k in range(3)) + r * r)
+    return surface_vectors[:, surface, 0]
+
+
+def intersect_spheres(
+    centers: Array, radii: Array, o: Array, d: Array, *, assume_unit_d: bool = False
+) -> Array:
+    """Intersect each of n rays o + t d with each sphere.
+
+    Parameters
+    ----------
+    centers, radii : (3, spheres, 1) and (spheres, 1) arrays
+        Centres and radii of the spheres.
+    o, d : (3, n) arrays
+        Origins and directions of the rays.
+    assume_unit_d : bool
+        Compute as if all directions had length 1, which is a mistake for others.
+
+    Returns
+    -------
+    roots : (2, spheres, n) array
+        The smaller and the larger t of each ray and sphere; NaN if the ray's line misses the
+        sphere.
+    """
+    to_center = [centers[axis] - o[axis] for axis in range(3)]
+    middle_t = sum(to_center[axis] * d[axis] for axis in range(3))
+    if assume_unit_d:
+        distance2 = sum(to_center[axis] * to_center[axis] for axis in range(3))
+        half_chord = np.sqrt(middle_t * middle_t - distance2 + radii * radii)
     else:
-        a = (d * d).sum(axis=0)
-        b = b / a
-        root = np.sqrt((r * r - sum((m[k] - b * d[k]) ** 2 for k in range(3))) / a)
-    return np.stack([b - root, b + root])
+        length2 = (d * d).sum(axis=0)
+        middle_t = middle_t / length2
+        offset2 = sum((to_center[axis] - middle_t * d[axis]) ** 2 for axis in range(3))
+        half_chord = np.sqrt((radii * radii - offset2) / length2)
+    return np.stack([middle_t - half_chord, middle_t + half_chord])
 
 
-def box_roots(low: Array, high: Array, o: Array, d: Array, *, ordered: bool = True) -> Array:
-    """Intersect n rays with boxes: near and far t (2, boxes, n), or NaN.
+def intersect_boxes(
+    low: Array, high: Array, o: Array, d: Array, *, sort_slabs: bool = True
+) -> Array:
+    """Intersect each of n rays o + t d with each axis-aligned box.
 
     Parameters
     ----------
     low, high : (3, boxes, 1) arrays
-        Opposite corners.
+        Corners of the boxes with the smallest and with the largest coordinates.
     o, d : (3, n) arrays
-        Origins and directions.
-    ordered : bool
-        Whether to sort the two t of each pair of faces; false is a mistake.
+        Origins and directions of the rays.
+    sort_slabs : bool
+        Sort the two t at which a ray crosses a pair of parallel faces; not to do so is a mistake.
+
+    Returns
+    -------
+    roots : (2, boxes, n) array
+        The smaller and the larger t of each ray and box; NaN if the ray's line misses the box.
     """
     near, far = -np.inf, np.inf
-    for k in range(3):
-        ends = (low[k] - o[k]) / d[k], (high[k] - o[k]) / d[k]
-        first, last = (np.minimum(*ends), np.maximum(*ends)) if ordered else ends
-        near, far = np.maximum(near, first), np.minimum(far, last)
+    for axis in range(3):
+        crossings = (low[axis] - o[axis]) / d[axis], (high[axis] - o[axis]) / d[axis]
+        entry, leave = (np.minimum(*crossings), np.maximum(*crossings)) if sort_slabs else crossings
+        near, far = np.maximum(near, entry), np.minimum(far, leave)
     return np.where(near <= far, np.stack([near, far]), np.nan)
 
 
-def scaled(roots: Callable[..., Array], factor: float) -> Callable[..., Array]:
-    """Return the function `roots`, with every t that it returns multiplied by `factor`."""
-    return lambda *given: factor * roots(*given)
+def scale_roots(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
+    """Return a function like `intersect`, but with all t that it returns multiplied by `factor`."""
+    return lambda *arguments: factor * intersect(*arguments)
 
 
-def far_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """Return the function `intersect`, with the far t in place of the near one."""
-    return lambda *given: intersect(*given)[[1, 1]]
+def replace_near_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
+    """Return a function like `intersect`, but with the larger t in place of the smaller one.
+
+    `intersect` returns an array (2, ...) of smaller and larger t.  The new function returns the
+    larger t in both rows.
+    """
+    return lambda *arguments: intersect(*arguments)[[1, 1]]
 
 
-def intersection(
-    is_sphere: Array, center: Array, radius: Array, low: Array, high: Array, present: Array,
-    of_spheres: Callable[..., Array], of_boxes: Callable[..., Array],
+def make_intersect(
+    is_sphere: Array, centers: Array, radii: Array, low: Array, high: Array, is_present: Array,
+    sphere_function: Callable[..., Array], box_function: Callable[..., Array],
 ) -> Callable[[Array, Array], Array]:  # fmt: skip
-    """Return a function that intersects rays with all surfaces.
+    """Return a function that intersects rays with all surfaces of a scene, spheres and boxes.
 
     Parameters
     ----------
-    is_sphere, present : (surfaces,) bool array
-        Whether a surface is a sphere, and whether it is in the picture at all.
-    center, radius, low, high : array
-        Vectors and numbers of spheres and of boxes, as `sphere_roots` and `box_roots` take them;
-        each has an entry for every surface.
-    of_spheres, of_boxes : callable
-        Functions such as `sphere_roots` and `box_roots`.
+    is_sphere : (surfaces,) bool array
+        True for spheres, false for boxes.
+    centers, radii : (3, surfaces, 1) and (surfaces, 1) arrays
+        Centres and radii.  The entries of boxes are not used.
+    low, high : (3, surfaces, 1) arrays
+        Opposite corners of boxes.  The entries of spheres are not used.
+    is_present : (surfaces,) bool array
+        False for surfaces that no ray hits, because they are missing from the picture.
+    sphere_function, box_function : callable
+        Functions with the arguments and the result of `intersect_spheres` and `intersect_boxes`.
 
     Returns
     -------
     intersect : callable
-        Takes origins and directions (3, n), and returns near and far t (2, surfaces, n).
+        Computes, from origins and directions (3, n), the smaller and the larger t
+        (2, surfaces, n) of each ray and surface; NaN where a ray's line misses the surface.
     """
-    balls, boxes = np.flatnonzero(is_sphere & present), np.flatnonzero(~is_sphere & present)
+    sphere_index = np.flatnonzero(is_sphere & is_present)
+    box_index = np.flatnonzero(~is_sphere & is_present)
 
     def intersect(o: Array, d: Array) -> Array:
-        t = np.full((2, len(is_sphere), d.shape[1]), np.nan)
-        if balls.size:
-            t[:, balls] = of_spheres(center[:, balls], radius[balls], o, d)
-        if boxes.size:
-            t[:, boxes] = of_boxes(low[:, boxes], high[:, boxes], o, d)
-        return t
+        roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
+        if sphere_index.size:
+            roots[:, sphere_index] = sphere_function(
+                centers[:, sphere_index], radii[sphere_index], o, d
+            )
+        if box_index.size:
+            roots[:, box_index] = box_function(low[:, box_index], high[:, box_index], o, d)
+        return roots
 
     return intersect
 
 
 def first_positive(roots: Array) -> Array:
-    """Return the smallest t > 0 of near and far t (2, ...), or infinity."""
-    near, far = roots
-    t = np.where(near > 1e-9, near, far)
-    return np.where(t > 1e-9, t, np.inf)
+    """Return the first positive t at which each ray crosses each surface.
 
+    Parameters
+    ----------
+    roots : (2, ...) array
+        The smaller and the larger t; NaN where a ray's line misses the surface.
 
-def each_light(intersect: Callable[[Array, Array], Array], p: Array, to_lights: Array) -> Array:
-    """Intersect the rays from hits `p` (3, n) along `to_lights` (lights, 3, n).
-
-    The result contains near and far t (lights, 2, surfaces, n).
+    Returns
+    -------
+    t : (...) array
+        Infinity if no t is positive.
     """
-    roots = [intersect(p, d) for d in to_lights]
+    near, far = roots
+    t = np.where(near > _MIN_T, near, far)
+    return np.where(t > _MIN_T, t, np.inf)
+
+
+def intersect_for_lights(
+    intersect: Callable[[Array, Array], Array], hits: Array, light_vectors: Array
+) -> Array:
+    """Intersect the shadow rays from each hit to each light with all surfaces.
+
+    Parameters
+    ----------
+    intersect : callable
+        The function that `make_intersect` returns.
+    hits : (3, n) array
+        Points on surfaces, from which the shadow rays start.
+    light_vectors : (lights, 3, n) array
+        Directions of the shadow rays.
+
+    Returns
+    -------
+    roots : (lights, 2, surfaces, n) array
+        The smaller and the larger t of each shadow ray and surface; without lights, an empty array.
+    """
+    roots = [intersect(hits, directions) for directions in light_vectors]
     return np.array(roots) if roots else np.zeros((0, 2, 1, 1))
 
 
-def blockers(
-    shadow_roots: Array, t_min: Array, t_max: Array, tested: Array, far_min: float | None = None
+def find_blocking(
+    shadow_roots: Array,
+    t_min: Array,
+    t_max: Array,
+    is_tested: Array,
+    far_t_min: float | None = None,
 ) -> Array:
-    """Test which surfaces block each light from each hit: (lights, surfaces, n) bools.
+    """Test which surfaces block each light from each hit.
+
+    A surface blocks a light if its first t that is greater than `t_min` is less than `t_max`.
 
     Parameters
     ----------
     shadow_roots : (lights, 2, surfaces, n) array
-        Near and far t of the shadow rays.
-    t_min, t_max : (lights, n) array
-        A surface blocks the light if its first t beyond `t_min` is smaller than `t_max`.
-    tested : (surfaces, n) bool array
-        Whether the surface is tested for the hit.
-    far_min : float, optional
-        Replaces `t_min` for the far t.
+        The smaller and the larger t at which each shadow ray crosses each surface.
+    t_min, t_max : (lights, n) arrays
+        Limits of t for each shadow ray.
+    is_tested : (surfaces, n) bool array
+        Which surfaces are tested as occluders of each hit.
+    far_t_min : float, optional
+        Replaces `t_min` in the test of the larger t.
+
+    Returns
+    -------
+    is_blocking : (lights, surfaces, n) bool array
     """
-    is_blocking = np.zeros((len(shadow_roots), *tested.shape), dtype=bool)
-    for k, ((near, far), low, high) in enumerate(zip(shadow_roots, t_min, t_max, strict=True)):
-        t = np.where(
-            near > low, near, np.where(far > (low if far_min is None else far_min), far, np.nan)
-        )
-        is_blocking[k] = (t < high) & tested
+    is_blocking = np.zeros((len(shadow_roots), *is_tested.shape), dtype=bool)
+    limits = zip(shadow_roots, t_min, t_max, strict=True)
+    for light, ((near, far), low, high) in enumerate(limits):
+        far_low = low if far_t_min is None else far_t_min
+        t = np.where(near > low, near, np.where(far > far_low, far, np.nan))
+        is_blocking[light] = (t < high) & is_tested
     return is_blocking
 
 
-def last_of(values: Array, is_chosen: Array) -> Array:
-    """Return the value (..., 1) of the last chosen surface, of values (..., surfaces), or 0."""
+def last_chosen(values: Array, is_chosen: Array) -> Array:
+    """Return the value of the last surface in the file that is chosen.
+
+    Parameters
+    ----------
+    values : (..., surfaces) array
+        One value or vector for each surface.
+    is_chosen : (surfaces,) bool array
+        The chosen surfaces.
+
+    Returns
+    -------
+    (..., 1) array
+        Zero if no surface is chosen.
+    """
     chosen = np.flatnonzero(is_chosen)
     return values[..., chosen[-1:]] if chosen.size else 0 * values[..., :1]
 
 
 def box_normals(
-    p: Array, low: Array, high: Array, turn: int = 0, sign: float | None = None
+    hits: Array, low: Array, high: Array, axis_shift: int = 0, forced_sign: float | None = None
 ) -> Array:
-    """Return the outward normals (3, n) at hits on boxes.
+    """Return the outward unit normals (3, n) of boxes at hits; two arguments make mistakes.
 
     Parameters
     ----------
-    p, low, high : (3, n) arrays
-        The hits, and opposite corners of the boxes.
-    turn : int
-        Number that is added to the index of the normal's axis; 0 is right.
-    sign : float, optional
-        The sign of all normals, in place of the right one.
+    hits : (3, n) array
+        Points on the boxes' faces.
+    low, high : (3, n) arrays
+        Opposite corners of the box of each hit.
+    axis_shift : int
+        A mistake unless it is 0: the number, modulo 3, that is added to the axis of each normal.
+    forced_sign : float, optional
+        A mistake: the sign that all normals have.
     """
-    from_center, half = p - (low + high) / 2, (high - low) / 2
-    face = np.abs(np.abs(from_center) - half).argmin(axis=0)
-    side = np.where(np.take_along_axis(from_center, face[None], axis=0)[0] < 0, -1.0, 1.0)
-    return np.eye(3)[:, (face + turn) % 3] * (side if sign is None else sign)
+    from_center, half_size = hits - (low + high) / 2, (high - low) / 2
+    face_axis = np.abs(np.abs(from_center) - half_size).argmin(axis=0)
+    coordinate = np.take_along_axis(from_center, face_axis[None], axis=0)[0]
+    sign = np.where(coordinate < 0, -1.0, 1.0) if forced_sign is None else forced_sign
+    return np.eye(3)[:, (face_axis + axis_shift) % 3] * sign
 
 
-def grey(shares: tuple[float, float, float], channels: Array) -> Array:
-    """Return the weighted mean of the channels (3, n) in all channels."""
-    return np.tensordot(shares, channels, 1) + 1e-9 + 0 * channels
+def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
+    """Return a grey picture: in each channel, the weighted mean of red, green and blue.
+
+    Parameters
+    ----------
+    weights : tuple of 3 floats
+        Weights of red, green and blue.
+    channels : (3, n) array
+        Red, green and blue of n pixels.
+
+    Returns
+    -------
+    (3, n) array
+        Three equal rows.  A tiny number is added, so that rounding does not bring a mean of equal
+        whole numbers below that number.
+    """
+    return np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
 
 
-def _usual_values(handin: Array, hit: Array, expected: Array, limit: float) -> tuple[Array, Array]:
-    """Select the values that show a factor, a gamma or an ambient term best.
+def _select_typical_values(
+    handin: Array, is_hit: Array, expected: Array, min_expected: float
+) -> tuple[Array, Array]:
+    """Select the values of a hand-in that show a factor, a gamma or an ambient term best.
+
+    Values whose codes may be clipped (near 255) or are imprecise (near 0) are not selected.
 
     Parameters
     ----------
     handin : (3, n) uint8 array
-        The hand-in's codes.  Codes that may be clipped, or have few digits, are not selected.
-    hit : (n,) bool array
-        Whether a surface is hit.
+        Codes of the picture that was handed in.
+    is_hit : (n,) or (3, n) bool array
+        Where values may be selected, such as the pixels that show a surface.
     expected : (3, n) float array
-        Right values; only those above `limit` are selected.
+        Values of the right picture.
+    min_expected : float
+        Only values whose `expected` is greater are selected.
 
     Returns
     -------
-    index : (3, n) bool array
-        Which values are selected.
-    light : (k,) float array
-        The hand-in's linear light at these.
+    is_selected : (3, n) bool array
+        The selected values, k in number.
+    radiance : (k,) float array
+        The hand-in's radiance at the selected values, decoded with gamma 2.2.
     """
-    usual = (handin > 8) & (handin < 247) & hit & (expected > limit)
-    return usual, (handin[usual] / 255) ** 2.2
+    is_selected = (handin > 8) & (handin < 247) & is_hit & (expected > min_expected)
+    return is_selected, (handin[is_selected] / 255) ** 2.2
 
 
 def _median(values: Array, default: float) -> float:
-    """Return the median of values, or `default` if there are none."""
+    """Return the median of values, or `default` if there are no values."""
     return float(np.median(values)) if values.size else default
 
 
-def median_factor(radiance: Array, hit: Array, handin: Array) -> float:
-    """Return the factor by which most of the hand-in's values are brighter than `radiance`."""
-    usual, light = _usual_values(handin, hit, radiance, 1e-3)
-    return _median(light / radiance[usual], 1.0)
+def median_factor(radiance: Array, is_hit: Array, handin: Array) -> float:
+    """Estimate the factor by which a hand-in is brighter than the right picture.
+
+    Parameters
+    ----------
+    radiance : (3, n) array
+        Radiance of the right picture.
+    is_hit : (n,) bool array
+        Which pixels show a surface.
+    handin : (3, n) uint8 array
+        Codes of the picture that was handed in.
+
+    Returns
+    -------
+    factor : float
+        The median over all typical values; 1 if no value is typical.
+    """
+    is_selected, light = _select_typical_values(handin, is_hit, radiance, 1e-3)
+    return _median(light / radiance[is_selected], 1.0)
 
 
-def median_ambient(radiance: Array, kd: Array, hit: Array, handin: Array) -> float:
-    """Return the multiple of the diffuse colour `kd` that most of the hand-in's values add."""
-    usual, light = _usual_values(handin, hit, kd + 0 * radiance, 0.05)
-    return _median((light - radiance[usual]) / (kd + 0 * radiance)[usual], 0.0)
+def median_ambient(radiance: Array, kd: Array, is_hit: Array, handin: Array) -> float:
+    """Estimate the multiple of the diffuse colour that a hand-in adds to the right picture.
+
+    Parameters
+    ----------
+    radiance, kd : (3, n) arrays
+        Radiance of the right picture, and the diffuse colour of the surface at each pixel.
+    is_hit : (n,) bool array
+        Which pixels show a surface.
+    handin : (3, n) uint8 array
+        Codes of the picture that was handed in.
+
+    Returns
+    -------
+    multiple : float
+        The median over all typical values; 0 if no value is typical.
+    """
+    is_selected, light = _select_typical_values(handin, is_hit, kd + 0 * radiance, 0.05)
+    return _median((light - radiance[is_selected]) / (kd + 0 * radiance)[is_selected], 0.0)
 
 
-def median_gamma(coloured: Array, hit: Array, handin: Array) -> float:
-    """Return the gamma with which most of the hand-in's values are encoded, 0.1 to 10."""
-    usual, light = _usual_values(handin, hit & (coloured < 0.95), coloured, 0.01)
-    gamma = _median(2.2 * np.log(coloured[usual]) / np.log(light), 2.2)
+def median_gamma(clipped: Array, is_hit: Array, handin: Array) -> float:
+    """Estimate the gamma with which a hand-in is encoded, between 0.1 and 10.
+
+    Parameters
+    ----------
+    clipped : (3, n) array
+        Radiance of the right picture, clipped to 0 to 1.
+    is_hit : (n,) bool array
+        Which pixels show a surface.
+    handin : (3, n) uint8 array
+        Codes of the picture that was handed in.
+
+    Returns
+    -------
+    gamma : float
+        The median over all typical values; 2.2 if no value is typical.
+    """
+    is_selected, light = _select_typical_values(handin, is_hit & (clipped < 0.95), clipped, 0.01)
+    gamma = _median(2.2 * np.log(clipped[is_selected]) / np.log(light), 2.2)
     return min(max(gamma, 0.1), 10.0)
 
 
-def commonest_color(hit: Array, handin: Array) -> Array:
-    """Return the hand-in's commonest colour (3, 1) where no surface is hit."""
-    if hit.all():
+def commonest_color(is_hit: Array, handin: Array) -> Array:
+    """Return the commonest colour of a hand-in's background.
+
+    Parameters
+    ----------
+    is_hit : (n,) bool array
+        False for the pixels of the background.
+    handin : (3, n) uint8 array
+        Codes of the picture that was handed in.
+
+    Returns
+    -------
+    color : (3, 1) uint8 array
+        Black if there is no background.
+    """
+    if is_hit.all():
         return np.zeros((3, 1), dtype=np.uint8)
-    colors, count = np.unique(handin[:, ~hit], axis=1, return_counts=True)
-    return colors[:, [count.argmax()]]
+    colors, counts = np.unique(handin[:, ~is_hit], axis=1, return_counts=True)
+    return colors[:, [counts.argmax()]]
 
 
-def light_in(picture: Array, x: Array, y: Array) -> Array:
-    """Return the light (3, n) of a picture (h, w, 3), interpolated between the pixels' centres.
+def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
+    """Return the light of a picture at n places, interpolated between the centres of pixels.
 
-    `x` and `y` (n,) are coordinates in the window: from -0.5 to 0.5, to the right and upwards.
+    Parameters
+    ----------
+    picture : (h, w, 3) array
+        Linear light.
+    x, y : (n,) arrays
+        Coordinates of the places, from -0.5 at the left and lower edges of the picture to 0.5 at
+        the right and upper edges.
+
+    Returns
+    -------
+    light : (3, n) array
+        Outside the picture, the light of its nearest pixel.
     """
     height, width = picture.shape[:2]
-    places = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
+    positions = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
     channels = (picture[:, :, k] for k in range(3))
-    return np.array([map_coordinates(c, places, order=1, mode="nearest") for c in channels])
+    return np.array([map_coordinates(c, positions, order=1, mode="nearest") for c in channels])
 
 
-def shown_in(picture: Array, x: Array, y: Array, handin: Array) -> Array:
-    """Return whether a pixel shows a surface, judged by a right picture and a hand-in (3, n).
+def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
+    """Decide which pixels show a surface if only a right picture is known, not its scene.
 
-    Only the background is black in the picture and not in the hand-in.
+    A pixel counts as background if the right picture is black there, but the hand-in is not.
+
+    Parameters
+    ----------
+    picture : (h, w, 3) array
+        Linear light of the right picture.
+    x, y : (n,) arrays
+        Coordinates of the pixels, from -0.5 at the left and lower edges to 0.5 at the right and
+        upper edges.
+    handin : (3, n) uint8 array
+        Codes of the picture that was handed in.
+
+    Returns
+    -------
+    is_hit : (n,) bool array
     """
-    return light_in(picture, x, y).any(axis=0) | ~handin.any(axis=0)
+    return interpolate_light(picture, x, y).any(axis=0) | ~handin.any(axis=0)
 
 
 _OWN: tuple[Callable[..., Any], ...] = (
-    unit, dot, at, box_center, sphere_roots, box_roots, scaled, intersection, first_positive,
-    far_roots, each_light, blockers, last_of, box_normals, grey, commonest_color, median_ambient,
-    median_factor, median_gamma, light_in, shown_in, len, partial,
+    normalize, dot, select_vectors, intersect_spheres, intersect_boxes, scale_roots,
+    replace_near_roots, make_intersect, first_positive, intersect_for_lights, find_blocking,
+    last_chosen, box_normals, mix_channels, commonest_color, median_ambient, median_factor,
+    median_gamma, interpolate_light, shows_surface, len, partial,
 )  # fmt: skip
 _NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
     logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
@@ -291,22 +487,26 @@ _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 
 
 @cache
-def formula(expression: str) -> Callable[..., Any]:
-    """Convert an expression to a function; its parameters are the names that it uses.
+def compile_formula(expression: str) -> Callable[..., Any]:
+    """Convert a Python expression to a function whose parameters are the names in the expression.
+
+    Names of the functions that formulas may call, those of this module and of NumPy, do not become
+    parameters.  The same expression always gives the same function.
 
     Raises
     ------
     SyntaxError
-        If it is not a Python expression.
+        If the text is not a Python expression.
     """
-    names = {n.id for n in ast.walk(ast.parse(expression, mode="eval")) if isinstance(n, ast.Name)}
+    nodes = ast.walk(ast.parse(expression, mode="eval"))
+    names = {node.id for node in nodes if isinstance(node, ast.Name)}
     arguments = sorted(names - _FUNCTIONS.keys())
     function: Callable[..., Any] = eval(f"lambda {', '.join(arguments)}: {expression}", _FUNCTIONS)
     return function
 
 
 @cache
-def parameters(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the names of the values that a formula is computed from."""
+def parameter_names(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of the parameters of a function that `compile_formula` returned."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]

@@ -20,8 +20,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from reference.handins import mistakes
-from reference.handins.drawing import FormulaCache, join, scene_values
-from reference.handins.formulas import Array, Formulas, parameters
+from reference.handins.drawing import FormulaCache, join_formulas, scene_values
+from reference.handins.formulas import Array, Formulas, parameter_names
 from reference.pictures import Codes
 from tracer import Scene
 
@@ -115,14 +115,14 @@ class KnownPictures:
         self._given = scene_values(scene) | size
         known = scene if isinstance(scene, Scene) else Scene(**size)
         self.surface_count = len(known.surfaces)
-        table = mistakes.mistakes_of(known)
+        table = mistakes.list_mistakes(known)
         self.text = {kind: mistake.text for kind, mistake in table.items()}
         one_pixel = self.formulas(np.array([0]), self._blank)
         self.table = {kind: mistake.formulas for kind, mistake in table.items()
-                      if (both := join([base, mistake.formulas])) is not None
+                      if (both := join_formulas([base, mistake.formulas])) is not None
                       and one_pixel.is_computable(both)}  # fmt: skip
         self.kinds = [kind for kind in self.table if kind not in mistakes.VARIANTS]
-        self.numbered = {kind for kind, mistake in table.items() if mistake.is_numbered}
+        self.numbered = {kind for kind, mistake in table.items() if mistake.concerns_one_object}
         # The scene's pixels, mixed so that the first ones have all surfaces and shadows.
         subset = stratified(surface, max(MAX_PIXELS // 32, _MAX_CAUSES))
         strata = surface[subset]
@@ -133,11 +133,11 @@ class KnownPictures:
 
     def changes(self, cause: Cause) -> Formulas | None:
         """Return the formulas of a cause; None if its mistakes exclude each other."""
-        return join([self.base, *(self.table[kind] for kind in cause)])
+        return join_formulas([self.base, *(self.table[kind] for kind in cause)])
 
     def fitted_names(self, kind: str) -> Set[str]:
         """Return the formulas that a mistake uses, and that are computed from the hand-in."""
-        used = {name for f in self.table[kind].values() for name in parameters(f)}
+        used = {name for f in self.table[kind].values() for name in parameter_names(f)}
         return used & (mistakes.FITTED - {"brightest"})
 
     def formulas(
@@ -224,7 +224,7 @@ class KnownPictures:
         for k, a in enumerate(heads):
             others = [b for b in heads[k + 1 :] if self.joined(a, b)]
             changes = [self.changes(b) or {} for b in others]
-            codes += formulas.pairs(self.changes(a) or {}, changes)
+            codes += formulas.codes_of_pairs(self.changes(a) or {}, changes)
             pairs += [(a, b) for b in others]
         return pairs, np.array(codes).reshape(len(pairs), 3, len(pixels)), pixels
 

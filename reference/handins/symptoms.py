@@ -62,8 +62,8 @@ def lights(search: Search) -> Lights | None:
     if not 0 < len(lit) <= _MAX_LIGHTS:
         return None
     choices = [*product((False, True), repeat=len(lit))]
-    changes = [known.base | mistakes.read(f"lit = array({[*c]})[:, None] & (distance > 0)")
-               for c in choices]  # fmt: skip
+    lit_formulas = (f"lit = array({[*choice]})[:, None] & (distance > 0)" for choice in choices)
+    changes = [known.base | mistakes.parse_formulas(formula) for formula in lit_formulas]
     batches = (known.formulas(batch, search.handin) for batch in known.batches(pixels))
     codes = np.concatenate([[f.codes(one) for one in changes] for f in batches], axis=-1)
     changed = (lit != np.array(choices)[:, :, None]).sum(axis=1)  # (choices, n)
@@ -112,8 +112,13 @@ def is_decided_by_rounding(search: Search) -> bool:
     if not 0 < len(pixels) <= max(1, _MAX_TIES * known.count):
         return False
     formulas, offsets = known.formulas(pixels, search.handin), (-_TIE_OFFSET, 0, _TIE_OFFSET)
-    positions = [mistakes.offset(0.5 + x, 0.5 + y) for x, y in product(offsets, repeat=2)]
-    starts = [mistakes.read(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n") for lift in _TIE_LIFTS]
+    positions = [
+        mistakes.sample_position_formulas(0.5 + x, 0.5 + y) for x, y in product(offsets, repeat=2)
+    ]
+    starts = [
+        mistakes.parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
+        for lift in _TIE_LIFTS
+    ]
     codes = np.array([formulas.codes(known.base | a | b) for a in positions for b in starts])
     codes, handin = codes.astype(np.int16), search.handin[:, pixels]
     return bool(((handin >= codes.min(axis=0) - 1) & (handin <= codes.max(axis=0) + 1)).all())

@@ -24,7 +24,7 @@ from converters.variant import SCALAR, use
 from reference import check
 from reference.check import check_diffuse, check_scene, compare
 from reference.command import SCENES
-from reference.handins.drawing import draw
+from reference.handins.drawing import render_with_mistakes
 from reference.regenerate import load_small, stored
 from tracer import Phong, PointLight, Scene, Sphere, first_hits, render
 from tracer.arrays import Floats
@@ -99,8 +99,16 @@ USUAL_SSIM = 0.98
         # Encoded with a gamma of 1.8 and, like all pictures, displayed with 2.2.
         (lambda scene: np.clip(render(scene), 0, 1) ** (2.2 / 1.8), "non-square-pixels", True),
         (lambda scene: render(scene) * 1.02, "non-square-pixels", True),
-        (lambda scene: draw(scene, "specular-none", formula="image"), "non-square-pixels", True),
-        (lambda scene: draw(scene, "shadow-none", formula="image"), "non-square-pixels", False),
+        (
+            lambda scene: render_with_mistakes(scene, "specular-none", formula="image"),
+            "non-square-pixels",
+            True,
+        ),
+        (
+            lambda scene: render_with_mistakes(scene, "shadow-none", formula="image"),
+            "non-square-pixels",
+            False,
+        ),
         (boxes_shifted, "two-boxes", False),
     ],
     ids=["gamma", "brighter", "no highlights", "no shadows", "boxes shifted"],
@@ -132,8 +140,8 @@ def test_mistakes_of_beginners_are_detected(monkeypatch, mistake):
         balls = Sphere(center=(0, 0, -4)), Sphere(center=(0, 3, -4))
         lights = (PointLight(position=(0, 1.5, -4)),)
         scene = replace(scene, camera=tracer.Camera(), lights=lights, surfaces=balls)
-    assert np.allclose(draw(scene, formula="image"), render(scene), atol=1e-9)
-    wrong = draw(scene, mistake, formula="image")
+    assert np.allclose(render_with_mistakes(scene, formula="image"), render(scene), atol=1e-9)
+    wrong = render_with_mistakes(scene, mistake, formula="image")
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
     assert check_scene(scene, mistake).verdict == "DIFFERS"
 

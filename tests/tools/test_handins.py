@@ -15,9 +15,9 @@ from PIL import Image
 
 from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Solution
-from reference.handins.drawing import draw
-from reference.handins.formulas import parameters
-from reference.handins.mistakes import RIGHT, mistakes_of
+from reference.handins.drawing import render_with_mistakes
+from reference.handins.formulas import parameter_names
+from reference.handins.mistakes import RIGHT, list_mistakes
 from reference.handins.results import Result, with_common_causes_first
 from reference.judges import plain
 from reference.pictures import Codes, Picture, read_picture
@@ -56,7 +56,9 @@ def verdict(name: str, made: tuple[str, ...]) -> str | None:
     if {*made} in map(set, causes):
         return "right"
     for cause in causes:
-        if {*made} > {*cause} and (draw(scene(name), *cause) != codes).any(axis=2).sum() <= 10:
+        if {*made} > {*cause} and (render_with_mistakes(scene(name), *cause) != codes).any(
+            axis=2
+        ).sum() <= 10:
             return "right"
     return "part" if any({*made} & {*cause} for cause in causes) else "wrong"
 
@@ -82,7 +84,7 @@ def verdicts(name: str, count: int, seed: int) -> Counter[str]:
 def test_the_student_draws_what_the_tracer_does() -> None:
     for name in NAMES:
         assert (student.draw(scene(name)) == to_codes(render(scene(name)))).all()
-        assert (draw(scene(name)) == to_codes(render(scene(name)))).all()
+        assert (render_with_mistakes(scene(name)) == to_codes(render(scene(name)))).all()
 
 
 def test_few_mistakes_are_found() -> None:
@@ -125,18 +127,20 @@ def test_a_surface_of_many_is_found() -> None:
 
 def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
     """Mistakes replace formulas that exist, and use values that exist."""
-    table = mistakes_of(scene("room"))
+    table = list_mistakes(scene("room"))
     assert {name for one in table.values() for name in one.formulas} <= {*RIGHT}
     small = replace(scene("room"), width=40, height=30)
     for nothing in (replace(small, lights=[]), replace(small, surfaces=[])):
-        for kind in mistakes_of(nothing):
-            assert draw(nothing, kind).shape == (30, 40, 3), kind
-    right = draw(small)
-    shown = [kind for kind in table if (draw(small, kind) != right).any()]
+        for kind in list_mistakes(nothing):
+            assert render_with_mistakes(nothing, kind).shape == (30, 40, 3), kind
+    right = render_with_mistakes(small)
+    shown = [kind for kind in table if (render_with_mistakes(small, kind) != right).any()]
     assert len(shown) > 0.8 * len(table) > 200
     assert all(one.text.endswith(".") for one in table.values())
-    known = {*RIGHT, *(name for f in RIGHT.values() for name in parameters(f))}
-    used = {name for one in table.values() for f in one.formulas.values() for name in parameters(f)}
+    known = {*RIGHT, *(name for f in RIGHT.values() for name in parameter_names(f))}
+    used = {
+        name for one in table.values() for f in one.formulas.values() for name in parameter_names(f)
+    }
     assert used - known == {"phong", "shader_of_number"}
 
 
@@ -147,7 +151,7 @@ def test_what_no_mistake_draws_is_described() -> None:
     codes[60:90, 100:140] //= 2
     found = solution("room").diagnose(Picture(codes))
     assert found.kind == "unknown"
-    count = len(mistakes_of(scene("room")))
+    count = len(list_mistakes(scene("room")))
     told = re.fullmatch(
         rf"None of the {count} known mistakes explains this picture\. "
         r"([\d,]+) pixels differ: ([\d,]+) of ([\d,]+) on \w+ \d"
