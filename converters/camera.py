@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tracer import Camera, Scene, Surfaces, first_hits
 
-__all__ = ["Floats", "Window", "bounds", "visible_points", "window_of"]
+__all__ = ["Floats", "Window", "bounding_box", "camera_window", "visible_points"]
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -47,26 +47,41 @@ class Window(NamedTuple):
     height: float
 
     def points(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Return the vectors from the eye to points of the window.
+        """Compute the vectors from the eye to points of the window.
 
         Parameters
         ----------
-        x, y : float or float array
-            Distances from the window's left and upper edges, relative to its width and height.
+        x, y : float or (...) float array
+            Distances from the window's left edge relative to its width, and from its upper edge
+            relative to its height.
 
         Returns
         -------
         vectors : (..., 3) float array
+            Vectors in scene axes, in the scene's unit of length.
         """
         right, down, ahead = self.axes
-        across = self.center[0] + (np.asarray(x)[..., None] - 0.5) * self.width
-        below = self.center[1] + (np.asarray(y)[..., None] - 0.5) * self.height
-        vectors: Floats = across * right + below * down + self.center[2] * ahead
+        offset_right = self.center[0] + (np.asarray(x)[..., None] - 0.5) * self.width
+        offset_down = self.center[1] + (np.asarray(y)[..., None] - 0.5) * self.height
+        vectors: Floats = offset_right * right + offset_down * down + self.center[2] * ahead
         return vectors
 
 
-def window_of(camera: Camera) -> Window:
-    """Return the window of a camera (Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2)."""
+def camera_window(camera: Camera) -> Window:
+    """Compute the rectangle in the scene that a camera's picture shows.
+
+    The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera; its normal is `view_dir` if `proj_normal` is None.
+
+    Returns
+    -------
+    window : Window
+        The rectangle, as seen from the eye.
+    """
     direction = _unit(camera.view_dir)
     normal = _unit(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
     ahead = normal if normal @ direction > 0 else -normal
@@ -77,19 +92,24 @@ def window_of(camera: Camera) -> Window:
 
 
 def _unit(vector: Sequence[float] | Floats) -> Floats:
-    """Return the unit vector (3,) in the direction of a vector (3,) other than 0."""
+    """Scale a vector (3,) other than 0 to length 1."""
     scaled = np.asarray(vector) / np.abs(vector).max()  # so that no square over- or underflows
     unit: Floats = scaled / np.linalg.norm(scaled)
     return unit
 
 
-def bounds(surfaces: Surfaces) -> Floats:
-    """Return the bounding box of all surfaces.
+def bounding_box(surfaces: Surfaces) -> Floats:
+    """Compute the axis-aligned bounding box of all surfaces of a scene.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        The surfaces.
 
     Returns
     -------
     corners : (2, 3) float array
-        Minimum and maximum coordinates; 0 if there are no surfaces.
+        The smallest and the largest coordinates; all 0 if there are no surfaces.
     """
     radius = surfaces.radius[:, None]
     low = np.concatenate([surfaces.center - radius, surfaces.min_pt])
@@ -98,17 +118,23 @@ def bounds(surfaces: Surfaces) -> Floats:
 
 
 def visible_points(scene: Scene) -> Floats:
-    """Return the points where rays through a regular grid of the picture hit surfaces.
+    """Find points of visible surfaces, which show where the visible part of a scene lies.
 
-    The points show where the visible part of the scene is, and how large it is.  The grid is
-    refined until about a dozen rays hit a surface, if any do.
+    Rays are traced through a regular grid of positions in the picture.  The grid is refined up to
+    two times, until at least `_MIN_VISIBLE_POINTS` rays hit a surface.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene, with its camera.
 
     Returns
     -------
     points : (n, 3) float array
+        The points where rays of the last grid hit surfaces; none if all rays miss.
     """
-    for count in _RAYS_PER_SIDE:
-        y, x = (np.indices((count, count)).reshape(2, -1) + 0.5) / count
+    for side in _RAYS_PER_SIDE:
+        y, x = (np.indices((side, side)).reshape(2, -1) + 0.5) / side
         hits = first_hits(scene, x * scene.width, y * scene.height)
         points: Floats = hits.point[hits.surface >= 0]
         if len(points) >= _MIN_VISIBLE_POINTS:

@@ -14,11 +14,12 @@ from xml.etree.ElementTree import Comment, Element
 
 import numpy as np
 
-from converters.camera import Floats, Window, bounds, visible_points, window_of
+from converters.camera import Floats, Window, bounding_box, camera_window, visible_points
 from converters.mitsuba_xml import ConversionError, Document, matrix, plugin, rgb, xyz
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
-__all__ = ["SAMPLES", "convert", "exact", "gain", "normalisation", "squared", "stock"]
+__all__ = ["SAMPLES", "choose_normalisation", "convert", "convert_exact", "convert_stock"]
+__all__ += ["reflectance_divisor", "with_square_pixels"]
 
 SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
@@ -55,40 +56,52 @@ _MAX_PIXELS = 1 << 28
 
 
 def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
-    """Convert a scene to the content of a file for Mitsuba.
+    """Convert a scene to the text of a Mitsuba scene file.
 
     Parameters
     ----------
     scene : Scene
+        The scene to convert.
     flavour : str
-        A key of `SAMPLES`.
+        "exact" to reproduce the tracer's picture by this project's plugins, or "stock" to
+        approximate the picture by Mitsuba's own plugins.
     samples : int, optional
-        Number of samples per pixel; the default depends on the flavour.
+        Number of samples per pixel; the default depends on the flavour: see `SAMPLES`.
 
     Returns
     -------
     text : str
+        XML, which begins with a comment about the conversion.
 
     Raises
     ------
     ConversionError
-        If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
+        If the scene has numbers that Mitsuba cannot represent, or a window so high that square
+        pixels would be too many.
     """
     count = SAMPLES[flavour] if samples is None else samples
-    return str({"stock": stock, "exact": exact}[flavour](scene, count))
+    return str({"stock": convert_stock, "exact": convert_exact}[flavour](scene, count))
 
 
 class Normalisation(NamedTuple):
-    """A translation and a scaling of the scene, p -> (p - center) * scale.
+    """A translation and a scaling of all points p of a scene: p -> (p - center) * scale.
 
-    It changes no picture, but keeps the numbers in the range where float32 is accurate.
+    The normalisation changes no picture, but moves the numbers into the range where float32 is
+    accurate.
+
+    Attributes
+    ----------
+    center : (3,) float array
+        The point of the scene that becomes the origin.
+    scale : float
+        Size of the scene's unit of length after the normalisation.
     """
 
     center: Floats
     scale: float
 
     def __call__(self, points: Floats) -> Floats:
-        """Return the normalised points (..., 3)."""
+        """Translate and scale points (..., 3) of the scene; return an array of the same shape."""
         return (points - self.center) * self.scale
 
     def __str__(self) -> str:
@@ -100,20 +113,45 @@ class Normalisation(NamedTuple):
         )
 
 
-def normalisation(scene: Scene) -> Normalisation:
-    """Return the normalisation that moves the visible part of a scene to the origin.
+def choose_normalisation(scene: Scene) -> Normalisation:
+    """Choose the normalisation that centres the visible part of a scene, and scales it to 10 units.
 
-    The visible part is scaled to 10 units.  If no surface is visible, all are normalised.
+    If no surface is visible, all surfaces together take the place of the visible part.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene, with its camera.
+
+    Returns
+    -------
+    normalisation : Normalisation
+        A translation and a scaling; the scale is 1 if the visible part has no extent.
     """
-    points = visible_points(scene)
-    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else bounds(scene.surfaces)
+    visible, surfaces = visible_points(scene), scene.surfaces
+    points = visible if len(visible) else bounding_box(surfaces)
+    low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
     return Normalisation((low + high) / 2, _SCENE_SIZE / size if size > 0 else 1.0)
 
 
 def _stock_normalisation(scene: Scene) -> Normalisation:
-    """Return a normalisation that keeps the file's coordinates, if float32 allows it."""
-    normalised = normalisation(scene)
+    """Choose the normalisation of a stock scene: none, if float32 is accurate enough without.
+
+    The scene keeps the file's coordinates if its visible part is neither too small nor too large
+    nor too far from the origin.  A scene with very large spheres is scaled down.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene, with its camera.
+
+    Returns
+    -------
+    normalisation : Normalisation
+        The scale is 1 and the centre is the origin if the scene keeps its coordinates.
+    """
+    normalised = choose_normalisation(scene)
     size = _SCENE_SIZE / normalised.scale
     is_near = np.abs(normalised.center).max() <= _MAX_OWN_DISTANCE * size
     if is_near and _MIN_OWN_SIZE <= size <= _MAX_OWN_SIZE:
@@ -125,33 +163,48 @@ def _stock_normalisation(scene: Scene) -> Normalisation:
     return normalised
 
 
-def _film(scene: Scene) -> Element:
-    """Return a linear picture, in which each sample counts in its own pixel only."""
-    box, width, height = plugin("rfilter", "box"), scene.width, scene.height
-    kind = {"pixel_format": "rgb", "component_format": "float32"}
-    return plugin("film", "hdrfilm", box, width=width, height=height, **kind)
-
-
-def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) -> list[Element]:
-    """Convert all surfaces.
+def _film_element(scene: Scene) -> Element:
+    """Describe the picture that Mitsuba writes: linear radiance, without filtering across pixels.
 
     Parameters
     ----------
     scene : Scene
+        Its width and height are those of the picture.
+
+    Returns
+    -------
+    film : Element
+        The plugin "hdrfilm" with a box filter.
+    """
+    box, width, height = plugin("rfilter", "box"), scene.width, scene.height
+    pixel_type = {"pixel_format": "rgb", "component_format": "float32"}
+    return plugin("film", "hdrfilm", box, width=width, height=height, **pixel_type)
+
+
+def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) -> list[Element]:
+    """Convert all surfaces of a scene to Mitsuba shapes.
+
+    A flat box becomes slightly thick, because Mitsuba cannot invert the transform of a flat cube.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
     normalised : Normalisation
-        Applied to all points and lengths.
+        Translation and scaling of all points and lengths.
     bsdf_names : sequence of str
         For each shader of the scene, the name of its BSDF.
 
     Returns
     -------
     shapes : list of Element
-        A shape for each surface, in the file's order.
+        One plugin "sphere" or "cube" for each surface, in the order of the scene file.
     """
     surfaces = scene.surfaces
     half_size = (surfaces.max_pt - surfaces.min_pt) * (normalised.scale / 2)
     # A cube without thickness has no inverse transform.
-    half_size[half_size == 0] = _MIN_HALF_THICKNESS * np.abs(normalised(bounds(surfaces))).max()
+    largest = np.abs(normalised(bounding_box(surfaces))).max()
+    half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest
     spheres = normalised(surfaces.center).tolist(), (surfaces.radius * normalised.scale).tolist()
     shapes = [
         plugin("shape", "sphere", xyz("point", "center", center), radius=radius)
@@ -168,15 +221,20 @@ def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) 
     return [shapes[index] for index in np.argsort(surfaces.file_index).tolist()]
 
 
-def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Choose a name for the BSDF of each shader; equal shaders get the same name.
+def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
+    """Choose a name for each shader's BSDF; equal shaders get the same name.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        All surfaces of a scene, with their shaders.
 
     Returns
     -------
     names : list of str
-        For each shader of the surfaces, the name of its BSDF.
-    used : dict of Shader
-        The shaders that surfaces refer to, by the names of their BSDFs.
+        For each shader, the name of its BSDF.
+    used : dict of str to Shader
+        The shader for each name.  Shaders that no surface refers to are omitted.
     """
     named: dict[Shader, str] = {}
     names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in surfaces.shaders]
@@ -184,8 +242,21 @@ def _bsdf_names(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     return names, {name: shader for shader, name in named.items() if name in used}
 
 
-def _document(comment: str, parts: Sequence[Element]) -> Document:
-    """Return a scene with these plugins."""
+def _build_document(comment: str, parts: Sequence[Element]) -> Document:
+    """Build a Mitsuba scene from its plugins.
+
+    Parameters
+    ----------
+    comment : str
+        Text about the conversion, for the beginning of the file.
+    parts : sequence of Element
+        The plugins: integrator, sensor, lights, BSDFs and shapes.
+
+    Returns
+    -------
+    document : Document
+        The scene; its `str` is the text of the file.
+    """
     root = Element("scene", version="3.0.0")
     root.extend(parts)
     return Document(comment, root)
@@ -201,26 +272,30 @@ variant that ends in _rgb, and "import converters.plugins".
 
 
 @_IGNORE_OVERFLOW
-def exact(scene: Scene, samples: int = 1) -> Document:
+def convert_exact(scene: Scene, samples: int = 1) -> Document:
     """Convert a scene to the exact flavour, in which Mitsuba computes the tracer's picture.
+
+    The converted scene needs this project's Mitsuba plugins (`converters.plugins`).
 
     Parameters
     ----------
     scene : Scene
+        The scene to convert.
     samples : int
         Number of samples per pixel.  A single sample is at the pixel's centre.
 
     Returns
     -------
     document : Document
+        The converted scene; its `str` is the text of the file.
 
     Raises
     ------
     ConversionError
         If the scene has numbers that Mitsuba cannot represent.
     """
-    normalised = normalisation(scene)
-    names, shaders = _bsdf_names(scene.surfaces)
+    normalised = choose_normalisation(scene)
+    names, shaders = _name_bsdfs(scene.surfaces)
     largest = max(_SCENE_SIZE, float(scene.surfaces.radius.max(initial=0)) * normalised.scale)
     parts = [
         plugin("integrator", "every_light", tolerance=_TOLERANCE_ROUNDINGS * largest * 2.0**-24),
@@ -235,28 +310,30 @@ def exact(scene: Scene, samples: int = 1) -> Document:
         colors = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
         parts.append(plugin("bsdf", "blinn_phong", *colors, name=name, exponent=phong.exponent))
     shapes = _shapes(scene, normalised, names)
-    return _document(_EXACT.format(moved=normalised), [*parts, *shapes])
+    return _build_document(_EXACT.format(moved=normalised), [*parts, *shapes])
 
 
 def _exact_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
-    """Convert the camera to the plugin "window", whose rays start on a box around the scene.
+    """Convert the camera to this project's plugin "window".
 
     Parameters
     ----------
     scene : Scene
+        The scene, with its camera.
     normalised : Normalisation
-        Applied to all points and lengths.
+        Translation and scaling of all points and lengths.
     samples : int
         Number of samples per pixel.
 
     Returns
     -------
     sensor : Element
+        A sensor whose rays start on a box around the scene, where float32 is accurate.
     """
-    window = window_of(scene.camera)
+    window = camera_window(scene.camera)
     right, down, _ = window.axes
     # The box is slightly larger than the scene, so that no ray starts on a surface.
-    (low, high), margin = normalised(bounds(scene.surfaces)), 1e-3 * _SCENE_SIZE
+    (low, high), margin = normalised(bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
     return plugin(
         "sensor",
         "window",
@@ -266,16 +343,26 @@ def _exact_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Elem
         xyz("vector", "down", down * (window.height * normalised.scale)),
         xyz("point", "low", low - margin),
         xyz("point", "high", high + margin),
-        _film(scene),
+        _film_element(scene),
         plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
     )
 
 
-def squared(scene: Scene) -> Scene:
-    """Return a scene of the same width with square pixels.
+def with_square_pixels(scene: Scene) -> Scene:
+    """Replace the pixels of a scene's picture by square pixels, at the same width.
 
-    The number of rows is the one that shows the window best, to within half a pixel; the window's
-    height is adjusted to it.
+    The new number of rows fits the camera's window to within half a pixel.  The height of the
+    window is then adjusted to this number of rows.
+
+    Parameters
+    ----------
+    scene : Scene
+        A scene whose pixels may be higher than wide, or wider than high.
+
+    Returns
+    -------
+    square : Scene
+        The same scene with another height; `scene` itself if its pixels are square already.
 
     Raises
     ------
@@ -292,8 +379,8 @@ def squared(scene: Scene) -> Scene:
     height = max(1, round(rows))
     if height == rows == scene.height:
         return scene
-    window = replace(camera, view_height=height * camera.view_width / scene.width)
-    return replace(scene, height=height, camera=window)
+    square_camera = replace(camera, view_height=height * camera.view_width / scene.width)
+    return replace(scene, height=height, camera=square_camera)
 
 
 _STOCK = """
@@ -316,55 +403,72 @@ divided by {gain:g}, lights multiplied.
 
 
 @_IGNORE_OVERFLOW
-def stock(scene: Scene, samples: int = 64) -> Document:
+def convert_stock(scene: Scene, samples: int = 64) -> Document:
     """Convert a scene to the stock flavour, in which Mitsuba computes a similar picture.
 
-    Pixels are square, and lights fall off with distance.
+    The converted scene needs no plugins but Mitsuba's.  Its pixels are square, its lights fall off
+    with distance, and its highlights have another shape.
 
     Parameters
     ----------
     scene : Scene
+        The scene to convert.
     samples : int
-        Number of samples per pixel; it may be rounded up.
+        Number of samples per pixel, which may be rounded up: see `_samples_for_lights`.
 
     Returns
     -------
     document : Document
+        The converted scene; its `str` is the text of the file.
 
     Raises
     ------
     ConversionError
         If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
     """
-    normalised, square, factor = _stock_normalisation(scene), squared(scene), gain(scene.surfaces)
-    names, shaders = _bsdf_names(scene.surfaces)
+    normalised, square = _stock_normalisation(scene), with_square_pixels(scene)
+    divisor = reflectance_divisor(scene.surfaces)
+    names, shaders = _name_bsdfs(scene.surfaces)
     points = visible_points(scene)
     if not len(points):
-        points = bounds(scene.surfaces).mean(axis=0, keepdims=True)
+        points = bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
     count = _samples_for_lights(samples, len(scene.lights))
     parts = [
         # Light directly from the lights, of which one is picked at random for each sample.
         plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
         _stock_sensor(square, normalised, count),
-        *(_stock_light(light, normalised, factor, normalised(points)) for light in scene.lights),
-        *(_stock_bsdf(shader, name, factor) for name, shader in shaders.items()),
+        *(_stock_light(light, normalised, divisor, normalised(points)) for light in scene.lights),
+        *(_stock_bsdf(shader, name, divisor) for name, shader in shaders.items()),
         *_shapes(scene, normalised, names),
     ]
     notes = ""
     if square.height != scene.height:
         notes += _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
-    if factor != 1:
-        notes += _GAIN.format(gain=factor)
+    if divisor != 1:
+        notes += _GAIN.format(gain=divisor)
     if normalised.scale != 1 or normalised.center.any():
         notes += str(normalised)
-    return _document(_STOCK.format(notes=notes), parts)
+    return _build_document(_STOCK.format(notes=notes), parts)
 
 
 def _samples_for_lights(samples: int, light_count: int) -> int:
-    """Round a number of samples per pixel up so that each light gets the same number of them.
+    """Round the number of samples per pixel up, so that each light gets the same number.
 
-    Mitsuba's `multijitter` picks lights evenly if the number of samples is a multiple of the number
-    of lights, and fills whole rows of a grid.  Fewer samples than lights are not rounded.
+    Mitsuba's `multijitter` sampler picks lights evenly if the number of samples (1) is a multiple
+    of the number of lights, and (2) fills whole rows of a grid.
+
+    Parameters
+    ----------
+    samples : int
+        Requested number of samples per pixel.
+    light_count : int
+        Number of lights.
+
+    Returns
+    -------
+    count : int
+        The smallest suitable number that is at least `samples`; `samples` itself if there are no
+        lights, or fewer samples than lights.
     """
     count = samples
     while light_count and samples >= light_count and (count % light_count or count % isqrt(count)):
@@ -372,35 +476,49 @@ def _samples_for_lights(samples: int, light_count: int) -> int:
     return count
 
 
-def _to_world(window: Window, normalised: Normalisation) -> Element:
-    """Return the transform of a stock camera, which looks along +z with +x left and +y up."""
+def _camera_transform(window: Window, normalised: Normalisation) -> Element:
+    """Compute the transform of a Mitsuba camera, which looks along +z with +x left and +y up.
+
+    Parameters
+    ----------
+    window : Window
+        The camera's eye and axes.
+    normalised : Normalisation
+        Translation and scaling of all points.
+
+    Returns
+    -------
+    transform : Element
+        The transform "to_world", as a matrix.
+    """
     right, down, ahead = window.axes
     rows = np.column_stack([-right, -down, ahead, normalised(window.eye)])
     return matrix("to_world", [*rows, (0, 0, 0, 1)])
 
 
 def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
-    """Convert the camera to Mitsuba's "perspective": a field of view and a principal point.
+    """Convert the camera to Mitsuba's sensor "perspective".
 
     Parameters
     ----------
     scene : Scene
         A scene whose pixels are square.
     normalised : Normalisation
-        Applied to all points and lengths.
+        Translation and scaling of all points and lengths.
     samples : int
         Number of samples per pixel.
 
     Returns
     -------
     sensor : Element
+        The sensor, which is defined by its transform, field of view and principal point.
 
     Raises
     ------
     ConversionError
-        If Mitsuba would refuse the field of view, or float32 has too few digits of it.
+        If the field of view is 0 or close to 180 degrees in float32.
     """
-    window = window_of(scene.camera)
+    window = camera_window(scene.camera)
     across, below, depth = window.center
     fov = degrees(2 * atan(window.width / 2 / depth))
     if not 0 < np.float32(fov) <= _MAX_FOV:
@@ -408,13 +526,13 @@ def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Elem
             f"its field of view would be {fov:g} degrees, and Mitsuba needs more than 0 and at most"
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
-    farthest = np.abs(bounds(scene.surfaces) - window.eye).max(axis=0)
+    farthest = np.abs(bounding_box(scene.surfaces) - window.eye).max(axis=0)
     far = normalised.scale * float(np.linalg.norm(farthest)) or 1.0
     return plugin(
         "sensor",
         "perspective",
-        _to_world(window, normalised),
-        _film(scene),
+        _camera_transform(window, normalised),
+        _film_element(scene),
         plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
         fov=fov,
@@ -428,55 +546,84 @@ def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Elem
 
 
 def _stock_light(
-    light: PointLight, normalised: Normalisation, factor: float, points: Floats
+    light: PointLight, normalised: Normalisation, divisor: float, points: Floats
 ) -> Element:
-    """Convert a light to a Mitsuba light that falls off, and is as strong at one distance.
+    """Convert a light to a Mitsuba light, which falls off with the square of the distance.
+
+    The Mitsuba light has the strength of `light` at one distance.  This distance minimises the sum
+    of the squared errors of the irradiance at the given points.
 
     Parameters
     ----------
     light : PointLight
+        The light to convert.
     normalised : Normalisation
-        Applied to the light's position.
-    factor : float
-        Factor that reflectances are divided by.
+        Translation and scaling of the light's position.
+    divisor : float
+        Number by which all reflectances are divided; intensities are multiplied by it.
     points : (n, 3) float array
-        Normalised points.  The distance is chosen so that the squared error of the irradiance at
-        these is a minimum.
+        Points of visible surfaces, after the normalisation.
 
     Returns
     -------
     emitter : Element
+        The plugin "point", with a comment that gives the distance.
     """
     position = normalised(np.array(light.position))
     distance2 = ((points - position) ** 2).sum(axis=1)
-    # Relative to the largest, so that nothing overflows; a point in the light counts as near it.
+    # Relative to the largest, so that nothing overflows; a point in the light is moved off it.
     largest = float(distance2.max()) or 1.0
     inverse = 1 / np.maximum(distance2 / largest, 1e-12)
     best_distance2 = largest * float(inverse.sum() / (inverse * inverse).sum())
     # A diffuse surface reflects 1 / pi of its reflectance.
-    intensity = np.array(light.intensity) * (np.pi * factor * best_distance2)
+    intensity = np.array(light.intensity) * (np.pi * divisor * best_distance2)
     note = Comment(f" right at a distance of {best_distance2**0.5:.4g} ")
     point = xyz("point", "position", position)
     return plugin("emitter", "point", note, point, rgb("intensity", intensity))
 
 
-def gain(surfaces: Surfaces) -> float:
-    """Return the factor that all reflectances are divided by, so that none is above 1.
+def reflectance_divisor(surfaces: Surfaces) -> float:
+    """Compute the number by which all reflectances are divided, so that Mitsuba allows them.
 
-    It is 1, or the largest reflectance if that is larger; those in blends count twice.
+    Mitsuba allows reflectances up to 1.  The reflectances of a shader with highlights are doubled
+    first, because its BSDF is a blend that halves them.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        All surfaces of a scene, with their shaders.
+
+    Returns
+    -------
+    divisor : float
+        The largest reflectance, but at least 1.
     """
-    used = [surfaces.shaders[k] for k in np.unique(surfaces.shader_index).tolist()]
-    needed = [(2 if _is_blend(shader) else 1) * np.array(_reflectances(shader)) for shader in used]
-    return float(np.max(needed, initial=1))
+    used = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
+    largest = [
+        (2 if _has_highlight(shader) else 1) * np.max(_reflectances(shader)) for shader in used
+    ]
+    return float(max([1, *largest]))
 
 
-def _is_blend(shader: Shader) -> TypeGuard[Phong]:
-    """Return whether a shader has a highlight, so that it becomes a blend of two BSDFs."""
+def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
+    """Test whether a shader has a highlight; if so, it is converted to a blend of two BSDFs."""
     return isinstance(shader, Phong) and any(shader.specular)
 
 
 def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
-    """Return the diffuse and the specular reflectance (3,), as Mitsuba defines them."""
+    """Convert the colours of a shader to reflectances, as Mitsuba defines them.
+
+    Parameters
+    ----------
+    shader : Lambertian or Phong
+        The shader.
+
+    Returns
+    -------
+    diffuse, specular : (3,) float arrays
+        Linear RGB reflectances of the diffuse BSDF, and of the Beckmann lobe that replaces the
+        highlight; they may exceed 1.
+    """
     diffuse = np.array(shader.diffuse)
     if not isinstance(shader, Phong):
         return diffuse, np.zeros(3)
@@ -484,30 +631,32 @@ def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
     return diffuse, np.array(shader.specular) * 8 / (shader.exponent + 2)
 
 
-def _stock_bsdf(shader: Shader, name: str, factor: float) -> Element:
-    """Convert a shader to stock BSDFs.
+def _stock_bsdf(shader: Shader, name: str, divisor: float) -> Element:
+    """Convert a shader to a two-sided BSDF of Mitsuba's own plugins.
 
     Parameters
     ----------
     shader : Lambertian or Phong
+        The shader to convert.
     name : str
-        Name of the BSDF.
-    factor : float
-        Factor that reflectances are divided by.
+        Name of the BSDF, by which shapes refer to it.
+    divisor : float
+        Number by which all reflectances are divided.
 
     Returns
     -------
     bsdf : Element
+        A diffuse BSDF; for a shader with a highlight, a blend of diffuse and Beckmann BSDFs.
     """
     diffuse, specular = _reflectances(shader)
-    if _is_blend(shader):
+    if _has_highlight(shader):
         # The Beckmann lobe is as wide as the highlight.  A blend of weight 0.5 halves both BSDFs.
         alpha = (2 / (shader.exponent + 2)) ** 0.5
-        color = rgb("specular_reflectance", 2 * specular / factor)
+        color = rgb("specular_reflectance", 2 * specular / divisor)
         material = {"material": "none", "distribution": "beckmann"}
         lobe = plugin("bsdf", "roughconductor", color, **material, alpha=alpha)
-        matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / factor))
+        matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / divisor))
         bsdf = plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:
-        bsdf = plugin("bsdf", "diffuse", rgb("reflectance", diffuse / factor))
+        bsdf = plugin("bsdf", "diffuse", rgb("reflectance", diffuse / divisor))
     return plugin("bsdf", "twosided", bsdf, name=name)

@@ -54,7 +54,7 @@ def plugin(
     name: str | None = None,
     **parameters: bool | int | float | str,
 ) -> Element:
-    """Return the element of a plugin.
+    """Create the XML element of a Mitsuba plugin.
 
     Parameters
     ----------
@@ -63,15 +63,16 @@ def plugin(
     plugin_type : str
         Mitsuba's name of the plugin, such as "perspective" or "diffuse".
     *children : Element
-        Parameters of several numbers, and plugins inside this one.
+        Parameters that consist of several numbers, and plugins inside this one.
     name : str, optional
         Identifier by which other plugins refer to this one.
     **parameters : bool, int, float or str
-        Parameters of one value.
+        Parameters that have a single value, by their names.
 
     Returns
     -------
     element : Element
+        The new element.  It contains an element for each parameter, then the children.
 
     Raises
     ------
@@ -80,7 +81,7 @@ def plugin(
     """
     element = Element(tag, {"type": plugin_type} | ({} if name is None else {"id": name}))
     for key, value in parameters.items():
-        text = _number(key, value) if isinstance(value, float) else str(value)
+        text = _format_number(key, value) if isinstance(value, float) else str(value)
         text = text.lower() if isinstance(value, bool) else text
         ET.SubElement(element, _PARAMETER_TAGS[type(value)], name=key, value=text)
     element.extend(children)
@@ -88,25 +89,99 @@ def plugin(
 
 
 def xyz(tag: str, name: str | None, value: Iterable[float]) -> Element:
-    """Return the element of a point, a vector or, without a name, a step of a transform."""
-    numbers = {axis: _number(name or tag, x) for axis, x in zip("xyz", value, strict=True)}
+    """Create the XML element of a parameter with the components x, y and z.
+
+    Parameters
+    ----------
+    tag : str
+        Kind of the parameter, such as "point", "vector" or "translate".
+    name : str or None
+        Name of the parameter; None for a step of a transform, which has no name.
+    value : iterable of three floats
+        The components.
+
+    Returns
+    -------
+    element : Element
+        The new element.
+
+    Raises
+    ------
+    ConversionError
+        If a number is beyond the range of float32.
+    """
+    numbers = {axis: _format_number(name or tag, x) for axis, x in zip("xyz", value, strict=True)}
     return Element(tag, ({} if name is None else {"name": name}) | numbers)
 
 
 def rgb(name: str, value: Iterable[float]) -> Element:
-    """Return the element of a colour, in linear RGB."""
-    return Element("rgb", name=name, value=_numbers(name, value))
+    """Create the XML element of a colour.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter.
+    value : iterable of three floats
+        Linear red, green and blue.
+
+    Returns
+    -------
+    element : Element
+        The new element.
+
+    Raises
+    ------
+    ConversionError
+        If a number is beyond the range of float32.
+    """
+    return Element("rgb", name=name, value=_format_numbers(name, value))
 
 
 def matrix(name: str, rows: Iterable[Iterable[float]]) -> Element:
-    """Return the element of a transform by its matrix (4, 4)."""
+    """Create the XML element of a transform that is given by a matrix.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter.
+    rows : iterable of four iterables of four floats
+        The matrix, row by row.
+
+    Returns
+    -------
+    element : Element
+        The new element.
+
+    Raises
+    ------
+    ConversionError
+        If a number is beyond the range of float32.
+    """
     element = Element("transform", name=name)
-    ET.SubElement(element, "matrix", value=_numbers(name, (x for row in rows for x in row)))
+    ET.SubElement(element, "matrix", value=_format_numbers(name, (x for row in rows for x in row)))
     return element
 
 
-def _number(name: str, value: float) -> str:
-    """Return the text of a number; raise `ConversionError` if it is beyond float32's range."""
+def _format_number(name: str, value: float) -> str:
+    """Format a number as text.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter, for the error message.
+    value : float
+        The number.
+
+    Returns
+    -------
+    text : str
+        The shortest text that denotes the same float64 number.
+
+    Raises
+    ------
+    ConversionError
+        If the number is NaN, or beyond the range of float32.
+    """
     if not abs(value) <= _MAX_FLOAT32:
         raise ConversionError(
             f"{name} would be {value:g}, and Mitsuba's numbers end at {_MAX_FLOAT32:.2g};"
@@ -115,6 +190,6 @@ def _number(name: str, value: float) -> str:
     return repr(float(value))
 
 
-def _numbers(name: str, values: Iterable[float]) -> str:
-    """Return the text of several numbers, separated by spaces."""
-    return " ".join(_number(name, value) for value in values)
+def _format_numbers(name: str, values: Iterable[float]) -> str:
+    """Format numbers as one text, separated by spaces; raise the errors of `_format_number`."""
+    return " ".join(_format_number(name, value) for value in values)

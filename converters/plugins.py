@@ -20,24 +20,25 @@ import sys
 import drjit as dr
 import mitsuba as mi
 
-from converters.variant import ensure
+from converters.variant import ensure_variant
 
-ensure()
+ensure_variant()
 
 
 def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
-    """Convert a vector of Python numbers to one of the current variant."""
+    """Convert a vector of Python numbers to a float64 vector of the current variant."""
     return mi.Vector3d(value[0], value[1], value[2])
 
 
 class Window(mi.Sensor):
-    """A sensor whose rays go from the eye through a rectangle, the window.
+    """A Mitsuba sensor whose rays go from the eye through a rectangle, called window.
 
-    Its parameters are
-    eye : the position of the eye;
-    corner : the vector from the eye to the window's upper left corner;
-    right, down : the vectors along the window's edges;
-    low, high : opposite corners of a box around the scene, on which rays start.
+    Parameters
+    ----------
+    props : mitsuba.Properties
+        The parameters of the plugin, which are vectors: `eye`, the position of the eye; `corner`,
+        from the eye to the window's upper left corner; `right` and `down`, along the window's
+        edges; `low` and `high`, opposite corners of a box around the scene, on which rays start.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -47,24 +48,52 @@ class Window(mi.Sensor):
         )
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
-        """Return a ray through the point `sample2` of the film, computed in float64."""
+        """Compute the ray through a point of the film, in float64.
+
+        Mitsuba calls this method.  The ray starts where it enters the box around the scene; if the
+        eye is inside the box, the ray starts at the eye.
+
+        Parameters
+        ----------
+        time, sample1, sample3, active
+            Not used.
+        sample2 : mitsuba.Point2f
+            The point, from (0, 0) at the upper left to (1, 1) at the lower right of the film.
+
+        Returns
+        -------
+        ray : mitsuba.Ray3f
+            The ray, with a direction of unit length.
+        weight : mitsuba.Spectrum
+            1
+        """
         x, y = mi.Float64(sample2.x), mi.Float64(sample2.y)
-        d = dr.normalize(self.corner + x * self.right + y * self.down)
+        direction = dr.normalize(self.corner + x * self.right + y * self.down)
         # The slab method.  A component of 0 gets a huge inverse, because infinity times 0 is NaN.
-        inverse = dr.rcp(dr.select(d == 0, 1e-300, d))
-        a, b = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
-        start = dr.maximum(dr.max(dr.minimum(a, b)), 0)
-        ray = mi.Ray3f(mi.Point3f(self.eye + start * d), mi.Vector3f(d))
+        inverse = dr.rcp(dr.select(direction == 0, 1e-300, direction))
+        low, high = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
+        start = dr.maximum(dr.max(dr.minimum(low, high)), 0)
+        ray = mi.Ray3f(mi.Point3f(self.eye + start * direction), mi.Vector3f(direction))
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
-        """Return the same ray; no plugin here needs differentials."""
+        """Compute the same ray and weight as `sample_ray`, without differentials.
+
+        Mitsuba calls this method.  The arguments are those of `sample_ray`.  The result is a
+        `mitsuba.RayDifferential3f` and the weight.
+        """
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
 
 class UnattenuatedPoint(mi.Emitter):
-    """A point light at `position` whose `intensity` does not decrease with distance."""
+    """A Mitsuba point light whose strength does not decrease with distance.
+
+    Parameters
+    ----------
+    props : mitsuba.Properties
+        The parameters of the plugin: the vectors `position` and `intensity` (linear RGB).
+    """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -73,7 +102,26 @@ class UnattenuatedPoint(mi.Emitter):
         self.intensity = mi.Color3f(_vector(props["intensity"]))
 
     def sample_direction(self, it, sample, active=True):
-        """Return the direction from a hit to the light, and the light's intensity."""
+        """Compute the direction from a hit to the light, and the light's intensity.
+
+        Mitsuba calls this method.
+
+        Parameters
+        ----------
+        it : mitsuba.Interaction3f
+            The hit: its position and time are used.
+        sample : mitsuba.Point2f
+            Not used: there is only one direction.
+        active : mitsuba.Bool
+            Whether the result is needed.
+
+        Returns
+        -------
+        ds : mitsuba.DirectionSample3f
+            Position, distance and direction of the light.
+        intensity : mitsuba.Spectrum
+            The light's intensity, or 0 where `active` is False.
+        """
         ds = mi.DirectionSample3f()
         ds.p = self.position
         ds.time = it.time
@@ -91,14 +139,21 @@ class UnattenuatedPoint(mi.Emitter):
         return ds, dr.select(active, self.intensity, 0)
 
     def eval(self, si, active=True):
-        """Return 0, because no ray hits a point."""
+        """Return the radiance of the light as a surface: 0, because no ray hits a point."""
         return mi.Spectrum(0)
 
 
 class BlinnPhong(mi.BSDF):
-    """The BSDF kd n.l + ks (n.h)^exponent on both sides of a surface.
+    """A Mitsuba BSDF, kd n.l + ks (n.h)^exponent, on both sides of a surface.
 
-    Its parameters are `diffuse` (kd), `specular` (ks) and `exponent`.
+    Here n is the normal, l the direction to the light, and h the half vector between the directions
+    to the light and to the eye.
+
+    Parameters
+    ----------
+    props : mitsuba.Properties
+        The parameters of the plugin: the linear RGB vectors `diffuse` (kd) and `specular` (ks), and
+        the number `exponent`.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -111,7 +166,28 @@ class BlinnPhong(mi.BSDF):
         self.m_flags = flags
 
     def eval(self, ctx, si, wo, active=True):
-        """Return the diffuse term times the cosine, plus the highlight without a cosine."""
+        """Compute kd n.l + ks (n.h)^exponent for two directions.
+
+        Mitsuba calls this method, and expects the diffuse term multiplied by the cosine.  The
+        highlight of the scene format has no cosine.
+
+        Parameters
+        ----------
+        ctx : mitsuba.BSDFContext
+            Not used.
+        si : mitsuba.SurfaceInteraction3f
+            The hit; `si.wi` is the direction to the eye, relative to the surface.
+        wo : mitsuba.Vector3f
+            Direction to the light, relative to the surface.
+        active : mitsuba.Bool
+            Whether the result is needed.
+
+        Returns
+        -------
+        value : mitsuba.Spectrum
+            0 where the light and the eye are on different sides of the surface, or `active` is
+            False.
+        """
         h = dr.normalize(si.wi + wo)
         # (n.h)^p is computed from the sine, which is accurate where float32 rounds the cosine to 1.
         cosine2 = 1 - mi.Float64(dr.square(h.x) + dr.square(h.y))
@@ -122,12 +198,22 @@ class BlinnPhong(mi.BSDF):
 
 
 class EveryLight(mi.SamplingIntegrator):
-    """An integrator that adds the light that comes directly from every emitter.
+    """A Mitsuba integrator that adds the direct light of every emitter.
 
     A shadow ray goes from the light to the hit.  All shapes are closed and convex.  An object that
     blocks the ray therefore lies above the tangent plane of the hit, and the object of the hit lies
     below it.  So the hit is lit unless the first point on the ray lies more than `tolerance` above
     the plane.  This needs no offset from the surface, which would move the edges of shadows.
+
+    Parameters
+    ----------
+    props : mitsuba.Properties
+        The parameter of the plugin is the number `tolerance`.
+
+    Raises
+    ------
+    RuntimeError
+        If the current variant of Mitsuba is not an RGB variant.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -137,7 +223,30 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Return the radiance along a ray."""
+        """Compute the radiance along a ray.
+
+        Mitsuba calls this method.
+
+        Parameters
+        ----------
+        scene : mitsuba.Scene
+            The scene.
+        sampler, medium
+            Not used.
+        ray : mitsuba.RayDifferential3f
+            The ray from the eye.
+        active : mitsuba.Bool
+            Whether the result is needed.
+
+        Returns
+        -------
+        radiance : mitsuba.Spectrum
+            0 if the ray hits no surface.
+        is_valid : mitsuba.Bool
+            Whether the ray hits a surface.
+        aovs : list
+            Empty: there are no other outputs.
+        """
         si = scene.ray_intersect(ray, active)
         valid = si.is_valid()
         if valid is False:
@@ -175,7 +284,7 @@ for register, plugin, name in (
 if "_reload" not in globals():
 
     def _reload(_old: str | None, _new: str | None) -> None:
-        """Execute this module again."""
+        """Execute this module again, which defines its plugins for the new variant."""
         importlib.reload(sys.modules[__name__])
 
     mi.detail.add_variant_callback(_reload)

@@ -12,11 +12,11 @@ import numpy as np
 
 from converters.camera import Floats
 from converters.flavours import SAMPLES, convert
-from converters.variant import ensure, mi, use
+from converters.variant import ensure_variant, mi, use_variant
 from tracer import Scene
 from tracer.files import atomic_file
 
-__all__ = ["Rendering", "load", "render_mitsuba", "write_exr"]
+__all__ = ["Rendering", "load_converted", "render_mitsuba", "write_exr"]
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -50,56 +50,59 @@ def render_mitsuba(
     Parameters
     ----------
     scene : Scene
+        The scene to convert and render.
     samples : int, optional
-        Number of samples per pixel; the default depends on the flavour.
+        Number of samples per pixel; the default depends on the flavour: see `SAMPLES`.
     variant : str, optional
         Mitsuba's variant; the default is the fastest that works on this machine.
     flavour : str
-        A key of `SAMPLES`.  The picture of a stock flavour has square pixels.
+        "exact" for the tracer's picture, by this project's plugins; "stock" for a similar picture
+        with square pixels, by Mitsuba's own plugins.
 
     Returns
     -------
     image : (h, w, 3) float array
-        Linear radiance.
+        Linear RGB radiance.  In the stock flavour, h may differ from the scene's height.
 
     Raises
     ------
     ImportError
-        If the variant does not work here.
+        If the variant does not work on this machine.
     ValueError
         If there are more samples than Mitsuba can count, or the scene cannot be converted.
     """
     per_side = isqrt((samples or SAMPLES[flavour]) - 1) + 1
-    total = scene.width * scene.height * per_side**2
-    if total > _MAX_SAMPLES:
+    sample_count = scene.width * scene.height * per_side**2
+    if sample_count > _MAX_SAMPLES:
         raise ValueError(
-            f"{total} samples are too many: Mitsuba takes {_MAX_SAMPLES} at most;"
+            f"{sample_count} samples are too many: Mitsuba takes {_MAX_SAMPLES} at most;"
             " use fewer per pixel"
         )
-    return load(convert(scene, flavour, samples), variant)().image
+    return load_converted(convert(scene, flavour, samples), variant)().image
 
 
-def load(text: str, variant: str | None = None) -> Callable[[], Rendering]:
-    """Load a converted scene, which can then be rendered several times.
+def load_converted(text: str, variant: str | None = None) -> Callable[[], Rendering]:
+    """Load a converted scene into Mitsuba, and return a function that renders it.
 
     Parameters
     ----------
     text : str
-        Content of the converted file.
+        Text of a Mitsuba scene file, from `convert`.
     variant : str, optional
         Mitsuba's variant; the default is the fastest that works on this machine.
 
     Returns
     -------
     render_loaded : callable
-        Takes no arguments; renders the scene and returns a `Rendering`.
+        Takes no arguments; renders the scene and returns a `Rendering`.  It may be called several
+        times.
 
     Raises
     ------
     ImportError
-        If the variant does not work here.
+        If the variant does not work on this machine.
     """
-    chosen = use(variant).variant
+    chosen = use_variant(variant).variant
     import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 
     # Otherwise each process would warn that Python plugins are slow in scalar variants.
@@ -115,14 +118,21 @@ def load(text: str, variant: str | None = None) -> Callable[[], Rendering]:
 
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
-    """Write a linear picture (h, w, 3) as an EXR file of float32.
+    """Write a linear picture to an EXR file, in float32.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file to write.  An EXR file at this path is replaced.
+    image : (h, w, 3) float array
+        Linear RGB radiance.
 
     Raises
     ------
     OSError
         If the file cannot be written, or a file that is not an EXR exists at the path.
     """
-    ensure()
+    ensure_variant()
     stream = mi.MemoryStream()
     mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
     with atomic_file(path, _EXR_MAGIC) as file:

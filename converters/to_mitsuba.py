@@ -43,62 +43,77 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 
 __all__ = ["add_scene_arguments", "choose_variant", "main"]
-__all__ += ["mitsuba_errors_as_failure", "without_converted"]
+__all__ += ["mitsuba_errors_as_failure", "skip_converted"]
 
 _FLAVOURS = "stock", "exact"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Convert or render all scenes that the command line names.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command-line arguments; by default, those of the process.
 
     Returns
     -------
     status : int
-        0, or 1 if a scene cannot be read, converted or rendered, or a file not be written.
+        Exit status: 0, or `FAILED` (1) if any scene could not be read, converted or rendered, or a
+        file could not be written.  The other scenes are processed nevertheless.
 
     Raises
     ------
     Failure
-        If Mitsuba cannot run, or the folder of the results cannot be made.
+        If Mitsuba cannot run, or the output folder cannot be created.
+    SystemExit
+        If the arguments are wrong.
     """
-    parser = _parser()
+    parser = _command_line_parser()
     options = parser.parse_args(arguments)
-    process, default_flavour, ending, files_of = (
-        (_render, "exact", ".mitsuba.png", _png_and_exr)
+    process_scene, default_flavour, ending, paths_of = (
+        (_render_file, "exact", ".mitsuba.png", _picture_paths)
         if options.render
-        else (_convert, "stock", ".mitsuba.xml", lambda target: (target,))
+        else (_convert_file, "stock", ".mitsuba.xml", lambda target: (target,))
     )
     options.flavour = options.flavour or default_flavour
     suffix = ending if options.flavour == default_flavour else f".{options.flavour}{ending}"
-    scenes = without_converted(options.scenes)
+    scenes = skip_converted(options.scenes)
     # A path such as / has no name to replace; reading it fails later, with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
-    targets = output_paths(parser, [*map(str, scenes)], options.output, default_paths, files_of)
+    targets = output_paths(parser, [*map(str, scenes)], options.output, default_paths, paths_of)
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     if options.render:
         choose_variant(options.variant)
     make_output_folder(options.output)
     results = [
-        attempt(process, scene, Path(target), options)
+        attempt(process_scene, scene, Path(target), options)
         for scene, target in zip(scenes, targets, strict=True)
     ]
     return FAILED if any(isinstance(result, Failure) for result in results) else 0
 
 
 def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
-    """Set Mitsuba's variant, and print which it is and why.
+    """Set Mitsuba's variant, and print the variant with the reason for it.
+
+    Parameters
+    ----------
+    variant : str or None
+        The requested variant; None for the fastest that works on this machine.
+    status : int
+        Exit status of the command in case of failure.
 
     Raises
     ------
     Failure
-        With this exit status, if Mitsuba cannot run or the variant does not work here.
+        If Mitsuba cannot run, or the requested variant does not work on this machine.
     """
     try:
         import converters.rendering  # noqa: F401 (and all that it needs)
-        from converters.variant import use
+        from converters.variant import use_variant
 
-        choice = use(variant)
+        choice = use_variant(variant)
     except (ImportError, OSError) as error:
         is_missing = isinstance(error, ModuleNotFoundError)
         remedy = "install it with pip install -e '.[reference]'" if is_missing else ""
@@ -108,14 +123,19 @@ def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
 
 @contextmanager
 def mitsuba_errors_as_failure(path: str | os.PathLike[str], action: str) -> Iterator[None]:
-    """Raise a Failure in place of what the converter or Mitsuba raises in a with block.
+    """Convert errors of the converter and of Mitsuba, in a with block, to a `Failure`.
 
     Parameters
     ----------
     path : str or path-like
-        The scene file.
+        The scene file, which the message names.
     action : str
-        The participle of what the block does with it, such as "rendered".
+        Participle for the message, such as "rendered": the file "cannot be rendered".
+
+    Raises
+    ------
+    Failure
+        If the block raises an error of the converter, of Mitsuba or of the file system.
     """
     with errors_as_failure(path, action, errors=(ImportError, RuntimeError, ValueError)):
         try:
@@ -124,10 +144,20 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], action: str) -> Iter
             raise Failure(os.fspath(path), f"cannot be converted: {error}") from error
 
 
-def without_converted(paths: Sequence[str]) -> list[Path]:
-    """Return the paths without those of converted scenes; print a line for each of these.
+def skip_converted(paths: Sequence[str]) -> list[Path]:
+    """Remove the paths of converted scenes from a list, and print a line for each removed path.
 
-    The shell's *.xml matches them too.
+    The shell's pattern *.xml matches the results of earlier conversions, too.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        Paths from the command line.
+
+    Returns
+    -------
+    kept : list of Path
+        The other paths, in the same order.  They include paths of files that cannot be read.
     """
     kept = []
     for path in paths:
@@ -143,10 +173,19 @@ def without_converted(paths: Sequence[str]) -> list[Path]:
     return kept
 
 
-def _png_and_exr(target: str) -> tuple[Path, Path]:
-    """Return the paths of both files that a rendering writes; -o may name either.
+def _picture_paths(target: str) -> tuple[Path, Path]:
+    """Derive the paths of both files that a rendering writes from the output path.
 
-    Only the suffix of a picture is replaced, so that room.v1 and room.v2 have different files.
+    Parameters
+    ----------
+    target : str
+        The output path.  A suffix .png or .exr is replaced; any other suffix is kept, so that
+        room.v1 and room.v2 have different files.
+
+    Returns
+    -------
+    png, exr : Paths
+        One of them is `target` if it has the suffix .png or .exr.
     """
     path = Path(target)
     if path.suffix.lower() == ".exr":
@@ -157,7 +196,13 @@ def _png_and_exr(target: str) -> tuple[Path, Path]:
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Let a command accept scenes, the path of its results, and Mitsuba's variant."""
+    """Add the arguments for scene files, output path and Mitsuba variant to a parser.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The parser, which is changed: it gets SCENE.xml, -o and --variant.
+    """
     parser.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
@@ -172,8 +217,8 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
+def _command_line_parser() -> argparse.ArgumentParser:
+    """Create the command-line parser of `python -m converters.to_mitsuba`."""
     parser = CommandParser(
         prog="python -m converters.to_mitsuba",
         description=module_docstring(__name__),
@@ -194,13 +239,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _convert(path: Path, target: Path, options: argparse.Namespace) -> None:
-    """Convert the scene file `path` to the file `target`, and print a line.
+def _convert_file(path: Path, target: Path, options: argparse.Namespace) -> None:
+    """Convert one scene file, and print a line with the path of the result.
+
+    Parameters
+    ----------
+    path : Path
+        The scene file.
+    target : Path
+        The file to write.
+    options : argparse.Namespace
+        The parsed command line; `flavour` and `samples` are used.
 
     Raises
     ------
     Failure
-        If the scene cannot be read or converted, or the file not be written.
+        If the scene cannot be read or converted, or the result cannot be written.
     """
     from converters.flavours import convert
     from tracer import load_scene
@@ -217,15 +271,22 @@ def _convert(path: Path, target: Path, options: argparse.Namespace) -> None:
     print_line(sys.stdout, printable(f"{target}: {options.flavour} flavour"))
 
 
-def _render(path: Path, target: Path, options: argparse.Namespace) -> None:
-    """Render the scene file `path` with Mitsuba, and print a line.
+def _render_file(path: Path, target: Path, options: argparse.Namespace) -> None:
+    """Render one scene file with Mitsuba to a PNG and an EXR, and print a line with their paths.
 
-    Two files are written, a PNG and an EXR; `target` is the path of either.
+    Parameters
+    ----------
+    path : Path
+        The scene file.
+    target : Path
+        Path of either picture: see `_picture_paths`.
+    options : argparse.Namespace
+        The parsed command line; `flavour`, `samples` and `variant` are used.
 
     Raises
     ------
     Failure
-        If the scene cannot be read, converted or rendered, or a file not be written.
+        If the scene cannot be read, converted or rendered, or a picture cannot be written.
     """
     from converters.rendering import render_mitsuba, write_exr
     from tracer import load_scene, write_png
@@ -234,7 +295,7 @@ def _render(path: Path, target: Path, options: argparse.Namespace) -> None:
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "rendered"):
         image = render_mitsuba(scene, options.samples, options.variant, options.flavour)
-    png, exr = _png_and_exr(str(target))
+    png, exr = _picture_paths(str(target))
     for picture, write in ((png, write_png), (exr, write_exr)):
         with errors_as_failure(picture, "written", "choose another with -o"):
             write(picture, image)

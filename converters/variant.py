@@ -20,7 +20,7 @@ try:
 except NameError as error:  # raised by Dr.Jit if a library of the system is missing
     raise ImportError(str(error.__context__ or error)) from error
 
-__all__ = ["LLVM", "SCALAR", "Choice", "choose", "ensure", "mi", "use"]
+__all__ = ["LLVM", "SCALAR", "Choice", "ensure_variant", "fastest_variant", "mi", "use_variant"]
 
 # On one processor, Mitsuba's reader and writer of EXR files would wait forever for a second thread.
 if dr.thread_count() < 2:
@@ -43,26 +43,36 @@ assert abs(dr.mean(hit.t)[0] - 2) < .1
 
 
 class Choice(NamedTuple):
-    """A variant of Mitsuba, and the reason why it was chosen."""
+    """A variant of Mitsuba, and the reason why it was chosen.
+
+    Attributes
+    ----------
+    variant : str
+        Mitsuba's name of the variant.
+    reason : str
+        A clause for messages to users.
+    """
 
     variant: str
     reason: str
 
 
-def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
-    """Choose the fastest variant that works here.
+def fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
+    """Find the fastest Mitsuba variant that works on this machine.
+
+    A child process tests LLVM, because an unusable version may abort the process.
 
     Parameters
     ----------
     kernel : str
-        Python code that a child process runs to find out whether LLVM works.
+        Python code that the child process runs.
     timeout : float
-        Seconds after which LLVM counts as unusable.
+        Seconds after which the child process is stopped, and LLVM is treated as unusable.
 
     Returns
     -------
     choice : Choice
-        LLVM if the child process ends with status 0; otherwise scalar.
+        The LLVM variant if the child process ends with status 0; otherwise the scalar variant.
     """
     # The child has no home folder, where kernels of a good libLLVM may hide that this one is bad.
     try:
@@ -84,25 +94,26 @@ def choose(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     return Choice(SCALAR, f"no usable libLLVM: {lines[-1].strip()}")
 
 
-_cached_choice = cache(choose)
+_cached_choice = cache(fastest_variant)
 
 
-def use(variant: str | None = None) -> Choice:
-    """Set Mitsuba's variant.
+def use_variant(variant: str | None = None) -> Choice:
+    """Set the variant that Mitsuba uses in this process from now on.
 
     Parameters
     ----------
     variant : str, optional
-        The variant; the default is the fastest that works here.
+        Mitsuba's name of the variant; the default is the fastest that works on this machine.
 
     Returns
     -------
     choice : Choice
+        The variant, and the reason for it.
 
     Raises
     ------
     ImportError
-        If the given variant does not work here, or is not an RGB variant.
+        If the requested variant does not work on this machine, or is not an RGB variant.
     """
     choice = _cached_choice()
     if variant is not None and variant != choice.variant:
@@ -119,7 +130,10 @@ def use(variant: str | None = None) -> Choice:
     return choice
 
 
-def ensure() -> None:
-    """Set Mitsuba's variant to the fastest that works here, unless one is set already."""
+def ensure_variant() -> None:
+    """Set Mitsuba's variant to the fastest that works on this machine, unless one is set already.
+
+    The variant applies to the whole process, and Mitsuba needs one before most of its operations.
+    """
     if mi.variant() is None:
-        use()
+        use_variant()

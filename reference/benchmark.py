@@ -27,8 +27,8 @@ from time import perf_counter
 import numpy as np
 
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-from converters.flavours import exact, stock
-from converters.variant import SCALAR, mi, use
+from converters.flavours import convert_exact, convert_stock
+from converters.variant import SCALAR, mi, use_variant
 from reference import povray
 from reference.command import HERE, SCENES, built, own_scenes, parser
 from reference.measured.measurements import (
@@ -132,7 +132,7 @@ def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
 
 def whole_process(quick: bool) -> str:
     """Time commands that read a scene file and write a PNG file; return the section of the page."""
-    variant, png = use().variant, str(built("out.png"))
+    variant, png = use_variant().variant, str(built("out.png"))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "-o", png]
     mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT]
     rows: list[tuple[object, ...]] = []
@@ -140,8 +140,8 @@ def whole_process(quick: bool) -> str:
     for size, name in every[:1] if quick else every:
         scene = resize_picture(load_scene(SCENES / f"{name}.xml"), *size)
         save_scene(scene, scene_file := built("tracer.xml"))
-        (exact_file := built("exact.xml")).write_text(str(exact(scene)))
-        (stock_file := built("stock.xml")).write_text(str(stock(scene, 1)))
+        (exact_file := built("exact.xml")).write_text(str(convert_exact(scene)))
+        (stock_file := built("stock.xml")).write_text(str(convert_stock(scene, 1)))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
             "tracer": [*tracer, str(scene_file)],
@@ -172,7 +172,7 @@ def whole_process(quick: bool) -> str:
 
 def rendering(quick: bool) -> str:
     """Time rendering alone, in this process, of every scene; return the section of the page."""
-    variant = use().variant
+    variant = use_variant().variant
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
         speedups: list[tuple[float, float]] = []
@@ -180,8 +180,8 @@ def rendering(quick: bool) -> str:
         scenes |= {f"field-{count}": field_scene(count) for count in (1000, 10_000)}
         for name in _FEW_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
-            ours, exact_timing = _time_both(scene, str(exact(scene)))
-            ours_again, stock_timing = _time_both(scene, str(stock(scene, 1)))
+            ours, exact_timing = _time_both(scene, str(convert_exact(scene)))
+            ours_again, stock_timing = _time_both(scene, str(convert_stock(scene, 1)))
             speedups.append((speedup(ours, exact_timing), speedup(ours_again, stock_timing)))
             timings = ours, exact_timing, stock_timing
             rows.append((f"{name} {size[0]}×{size[1]}", *timings, *speedups[-1]))
@@ -201,11 +201,11 @@ def rendering(quick: bool) -> str:
 
 def objects(quick: bool) -> str:
     """Time loading and rendering of scenes with up to 100,000 objects; return the section."""
-    use()
+    use_variant()
     rows: list[tuple[object, ...]] = []
     for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
         save_scene(field_scene(count), path := built("objects.xml"))
-        scene, text = load_scene(path), str(exact(load_scene(path)))
+        scene, text = load_scene(path), str(convert_exact(load_scene(path)))
         # Mitsuba's many objects must not slow down the garbage collector, nor its kernels.
         gc.collect()
         gc.freeze()
@@ -263,14 +263,17 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
         frame = replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
         save_scene(frame, path := built(f"frame-{k}.xml"))
         files.append(str(path))
-        for name, converted in (("exact", exact(frame)), ("stock", stock(frame, 1))):
+        for name, converted in (
+            ("exact", convert_exact(frame)),
+            ("stock", convert_stock(frame, 1)),
+        ):
             (path := built(f"frame-{k}.{name}.xml")).write_text(str(converted))
             mitsuba_files[name] += [str(path), f"{path}.png"]
         pov_commands.append(povray.command(frame, built(f"frame-{k}.png")))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
     halves = [shlex.join([*tracer, "1", *files[k::2]]) for k in (0, 1)]
     pool = [sys.executable, "-c", _POOL_SCRIPT]
-    mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT, use().variant]
+    mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT, use_variant().variant]
     commands = {
         "tracer, 1 process": [[*tracer, "1", *files]],
         "tracer, 2 processes": [[*tracer, "2", *files]],

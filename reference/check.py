@@ -37,16 +37,21 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from converters.camera import Floats
-from converters.flavours import exact, gain, squared, stock
+from converters.flavours import (
+    convert_exact,
+    convert_stock,
+    reflectance_divisor,
+    with_square_pixels,
+)
 from converters.mitsuba_xml import plugin
-from converters.rendering import Rendering, load
+from converters.rendering import Rendering, load_converted
 from converters.to_mitsuba import (
     add_scene_arguments,
     choose_variant,
     mitsuba_errors_as_failure,
-    without_converted,
+    skip_converted,
 )
-from converters.variant import LLVM, use
+from converters.variant import LLVM, use_variant
 from reference.command import parser
 from reference.figures import Bools, Figures, figures, write_comparison
 from reference.judges import plain
@@ -283,8 +288,8 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     ValueError
         If a radiance is not finite.
     """
-    render_loaded = load(str(exact(scene)), variant)
-    if use(variant).variant == LLVM:
+    render_loaded = load_converted(str(convert_exact(scene)), variant)
+    if use_variant(variant).variant == LLVM:
         render_loaded()  # compiles the kernel
     return compare(scene, name, render_loaded())
 
@@ -314,11 +319,11 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
         If a radiance is not finite.
     """
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
-    matte = replace(squared(scene), surfaces=Surfaces.of(surfaces))
+    matte = replace(with_square_pixels(scene), surfaces=Surfaces.of(surfaces))
     image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
     for light in matte.lights:
         image += _diffuse_light(matte, light, variant)
-    rendering = Rendering(image, use(variant).variant, perf_counter() - start)
+    rendering = Rendering(image, use_variant(variant).variant, perf_counter() - start)
     return compare(matte, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
@@ -343,19 +348,21 @@ def _diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floa
         Linear radiance.
     """
     white = replace(light, intensity=(1.0, 1.0, 1.0))
-    document = stock(replace(matte, lights=(white,)), 1)
+    document = convert_stock(replace(matte, lights=(white,)), 1)
     plugins = {element.get("type"): element for element in document.root.iter()}
     integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
     document.root.remove(integrator)
     document.root.append(plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
-    image = load(str(document), variant)().image
+    image = load_converted(str(document), variant)().image
     radiance, hit = image[..., :3], image[..., -3:]
     position, intensity = next(emitter.iter("point")), next(emitter.iter("rgb"))
     offset = hit - [float(position.get(axis, "")) for axis in "xyz"]
     # Mitsuba's radiance at distance 1 for a reflectance of 1 and light at right angles.
-    unit = float(intensity.get("value", "").split()[0]) / (np.pi * gain(matte.surfaces))
+    unit = float(intensity.get("value", "").split()[0]) / (
+        np.pi * reflectance_divisor(matte.surfaces)
+    )
     undone: Floats = radiance * (offset * offset).sum(axis=2, keepdims=True) / unit
     return undone * light.intensity
 
@@ -534,7 +541,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_scene_arguments(used)
     used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
     options = used.parse_args(arguments)
-    scenes = without_converted(options.scenes)
+    scenes = skip_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
     targets = output_paths(used, [*map(str, scenes)], options.output, default_paths)

@@ -26,7 +26,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
-from converters.variant import ensure, mi, use
+from converters.variant import ensure_variant, mi, use_variant
 from reference.command import HERE, SCENES, own_scenes, parser
 from tracer import Scene, load_scene, render, to_codes
 
@@ -59,7 +59,7 @@ def scene_hash(path: Path) -> str:
 
 def stored(name: str) -> Floats:
     """Read Mitsuba's stored picture of a scene: linear radiance (height, width, 3)."""
-    ensure()
+    ensure_variant()
     return np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
@@ -101,7 +101,7 @@ def main() -> None:
         "drjit": version("drjit"),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
-        "variant": use().variant,
+        "variant": use_variant().variant,
         "samples": 1,
         "width": WIDTH,
         "scenes": {path.stem: {"sha256": scene_hash(path)} for path in own_scenes()},

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-from converters.flavours import exact
-from converters.variant import LLVM, mi, use
+from converters.flavours import convert_exact
+from converters.variant import LLVM, mi, use_variant
 from reference import povray
 from reference.command import SCENES, built
 from reference.figures import Floats
@@ -105,7 +105,7 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
         (height, width, 3).
     """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
-    text = str(exact(scene, 4**k)).replace('"stratified"', '"multijitter"')
+    text = str(convert_exact(scene, 4**k)).replace('"stratified"', '"multijitter"')
     loaded = mi.load_string(text)
     return {
         (_OURS, 1): partial(render, scene, 4**k),
@@ -203,7 +203,7 @@ def _scenes(quick: bool) -> dict[str, Scene]:
 
 def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the table, scene after scene."""
-    use(LLVM)
+    use_variant(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
     scenes = _scenes(quick)
     for name, scene in track(scenes.items(), len(scenes), "scenes"):

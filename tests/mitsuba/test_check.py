@@ -18,7 +18,7 @@ from running import file_names, run
 from scene_files import hard_scenes
 
 from converters.rendering import Rendering
-from converters.variant import SCALAR, use
+from converters.variant import SCALAR, use_variant
 from reference import check, report
 from reference.check import (
     STOCK,
@@ -272,7 +272,7 @@ def test_hostile_scenes_raise_no_false_alarm(seeds):
         for seed in seeds
         for checked in (check_scene, check_diffuse)
     ]
-    use()
+    use_variant()
     assert [result.report() for result in results if result.verdict == "DIFFERS"] == []
     assert sum(result.verdict == "agrees" for result in results) >= len(results) / 2
 
@@ -327,7 +327,7 @@ def test_the_status_of_the_commands_is_that_of_the_verdict(
 ):
     image = render(load_scene(small))
     rendering = Rendering(image + mitsuba_error, "scalar_rgb", 0.0)
-    monkeypatch.setattr(check, "load", Mock(return_value=lambda: rendering))
+    monkeypatch.setattr(check, "load_converted", Mock(return_value=lambda: rendering))
     replace_tracer(monkeypatch, image + tracer_error)
     assert command([*VARIANT, str(small), "-o", f"{small.parent}/made/"]) == status
     assert command is report.main or f"small: {verdict}\n" in capsys.readouterr().out
@@ -382,6 +382,6 @@ def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, co
     ],
 )
 def test_an_error_of_mitsuba_is_reported_in_a_line(small, monkeypatch, capsys, error, message):
-    monkeypatch.setattr(check, "load", Mock(side_effect=error))
+    monkeypatch.setattr(check, "load_converted", Mock(side_effect=error))
     assert main([*VARIANT, str(small)]) == 1
     assert capsys.readouterr().err == f"{small}: cannot be compared: {message}\n"

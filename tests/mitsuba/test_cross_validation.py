@@ -12,7 +12,7 @@ import pytest
 from scene_files import NAMES
 
 from converters.rendering import Rendering, render_mitsuba
-from converters.variant import SCALAR, use
+from converters.variant import SCALAR, use_variant
 from reference import check, regenerate
 from reference.command import HERE, SCENES
 from reference.figures import figures
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.cross_validation
 def test_diffuse_light_agrees_with_stock_plugins(name):
     # In the LLVM variant, a ray through the diagonal of a cube's face may miss the cube.
     result = check.check_diffuse(load_small(SCENES / f"{name}.xml"), name, SCALAR)
-    use()
+    use_variant()
     assert result.verdict == "agrees", result.report()
     assert result.edges.mean() <= 0.001
     assert result.tracer.max() > 0.1

@@ -12,8 +12,15 @@ from probe import close_up, scale_and_shift, scene_of
 from running import run
 from scene_files import small
 
-from converters.camera import visible_points, window_of
-from converters.flavours import SAMPLES, convert, exact, normalisation, squared, stock
+from converters.camera import camera_window, visible_points
+from converters.flavours import (
+    SAMPLES,
+    choose_normalisation,
+    convert,
+    convert_exact,
+    convert_stock,
+    with_square_pixels,
+)
 from converters.mitsuba_xml import ConversionError, plugin
 from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
@@ -73,7 +80,7 @@ def test_shaders_that_no_surface_uses_are_not_converted(flavour):
 
 
 def test_more_samples_than_mitsuba_can_count_are_refused(monkeypatch):
-    monkeypatch.setattr("converters.rendering.load", Mock())
+    monkeypatch.setattr("converters.rendering.load_converted", Mock())
     # 10 per pixel are rounded up to 16.
     with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
         render_mitsuba(replace(close_up(), width=1 << 14, height=1 << 14), samples=10)
@@ -96,7 +103,7 @@ def test_a_parameter_that_is_not_a_number_is_refused():
 def test_a_field_of_view_that_mitsuba_refuses_is_not_converted(camera, fov):
     scene = replace(TINY, camera=replace(TINY.camera, **camera))
     with pytest.raises(ConversionError, match=f"^its field of view would be {fov} degrees"):
-        stock(scene)
+        convert_stock(scene)
     assert np.isfinite(render_mitsuba(scene, variant=SCALAR)).all()
 
 
@@ -135,15 +142,15 @@ def test_a_large_ground_is_lit_in_the_exact_flavour():
 def test_stock_scenes_keep_their_coordinates():
     assert own_scenes()
     for path in own_scenes():
-        assert "moved and scaled" not in stock(load_small(path)).comment
-    assert "moved and scaled" in stock(scale_and_shift(TINY, 1, (1e6,) * 3)).comment
+        assert "moved and scaled" not in convert_stock(load_small(path)).comment
+    assert "moved and scaled" in convert_stock(scale_and_shift(TINY, 1, (1e6,) * 3)).comment
 
 
 def test_a_stock_light_is_exact_at_the_distance_that_its_comment_gives():
     """The fall-off hardly varies over a small matte ball far from its light."""
     ball = Sphere(radius=0.5, shader=Lambertian(diffuse=(0.63, 0.35, 0.07)))
     scene = close_up(ball, light=(300, 400, 500))
-    comment = stock(scene).root.find("emitter")[0].text
+    comment = convert_stock(scene).root.find("emitter")[0].text
     assert comment.startswith(" right at a distance of ")
     assert float(comment.split()[-1]) == pytest.approx(707, rel=2e-3)
     # Over a hit at 707 units the distance varies by 1 in 700, its square by 1 in 350; and
@@ -155,7 +162,7 @@ def test_a_stock_light_is_exact_at_the_distance_that_its_comment_gives():
 @pytest.mark.parametrize("specular", [0, 0.1])
 def test_reflectances_are_halved_if_there_are_highlights(specular):
     shaders = Lambertian(diffuse=(0.9, 0.5, 0)), Phong(specular=(specular,) * 3, exponent=0)
-    document = stock(close_up(*(Sphere(shader=shader) for shader in shaders)))
+    document = convert_stock(close_up(*(Sphere(shader=shader) for shader in shaders)))
     colors = [color.attrib for color in document.root.iter("rgb")]
     reflectances = [color["value"] for color in colors if color["name"] != "intensity"]
     halved = ["0.45 0.25 0.0", "1.0 1.0 1.0", "0.4 0.4 0.4"]
@@ -184,7 +191,10 @@ def number(document, path: str, name: str = "value") -> float:
 def test_boxes_keep_their_thickness_wherever_they_are():
     thin = Box(min_pt=(1e6, 2e6, -1e6), max_pt=(1e6 + 2, 2e6 + 0.5, -1e6 + 1))
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
-    for flavour, scale in ((stock, 1.0), (exact, normalisation(close_up(thin, flat)).scale)):
+    for flavour, scale in (
+        (convert_stock, 1.0),
+        (convert_exact, choose_normalisation(close_up(thin, flat)).scale),
+    ):
         root = flavour(close_up(thin, flat)).root
         half_sizes, centers = (
             np.array([[float(step.get(axis)) for axis in "xyz"] for step in root.iter(tag)])
@@ -200,28 +210,28 @@ def test_lights_get_the_same_number_of_samples_each():
     """The number is also a number of whole rows, as Mitsuba's multijitter needs."""
     for light_count, samples, expected in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
         scene = replace(TINY, lights=[*TINY.lights][:1] * light_count)
-        assert number(stock(scene, samples), ".//*[@name='sample_count']") == expected
+        assert number(convert_stock(scene, samples), ".//*[@name='sample_count']") == expected
 
 
 def test_a_stock_scene_beside_an_enormous_ball_stays_large_enough_for_shadow_rays():
     ground = Sphere(center=(0, -1e12 - 1, 0), radius=1e12)
-    assert number(stock(close_up(Sphere(radius=0.5), ground)), ".//shape/float") > 1e-5
+    assert number(convert_stock(close_up(Sphere(radius=0.5), ground)), ".//shape/float") > 1e-5
 
 
 def test_shapes_are_in_the_order_of_the_file():
     surfaces = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 1)), Sphere(), Sphere(radius=2)
-    types = [shape.get("type") for shape in exact(close_up(*surfaces)).root.iter("shape")]
+    types = [shape.get("type") for shape in convert_exact(close_up(*surfaces)).root.iter("shape")]
     assert types == ["cube", "sphere", "sphere"]
 
 
 def test_several_exact_samples_are_jittered():
     for samples, jitter in ((1, "false"), (4, "true")):
-        assert exact(TINY, samples).root.find(".//*[@name='jitter']").get("value") == jitter
+        assert convert_exact(TINY, samples).root.find(".//*[@name='jitter']").get("value") == jitter
 
 
 def test_the_near_plane_is_nearer_than_a_distant_window():
     camera = Camera(view_point=(0, 0, 4), proj_distance=4000, view_width=3000, view_height=3000)
-    document = stock(replace(close_up(Sphere()), camera=camera))
+    document = convert_stock(replace(close_up(Sphere()), camera=camera))
     assert number(document, ".//*[@name='near_clip']") < 3
     assert number(document, ".//*[@name='far_clip']") > 5
 
@@ -233,7 +243,7 @@ def test_stock_lights_are_right_for_objects_that_are_small_or_out_of_view(z, siz
     camera = Camera(view_point=(0, 0, 9), proj_distance=1 / size, view_width=1 / size,
                     view_height=1 / size)  # fmt: skip
     scene = scale_and_shift(replace(close_up(ball, light=(0, 20, z)), camera=camera), size)
-    root = stock(scene).root
+    root = convert_stock(scene).root
     intensity = float(root.find("emitter/rgb").get("value").split()[0])
     scale = float(root.find("shape/float").get("value")) / 0.05  # the scene may be scaled
     assert intensity / (np.pi * (19.3 * scale) ** 2) == pytest.approx(1, rel=0.02)
@@ -243,31 +253,36 @@ def test_stock_lights_are_right_for_objects_that_are_small_or_out_of_view(z, siz
 
 
 def test_a_picture_of_square_pixels_has_a_row_and_shows_the_window():
-    assert squared(Scene(camera=Camera(view_height=1e-3), width=9, height=9)).height == 1
-    square = squared(Scene(camera=Camera(view_width=3, view_height=4), width=10, height=2))
+    assert with_square_pixels(Scene(camera=Camera(view_height=1e-3), width=9, height=9)).height == 1
+    square = with_square_pixels(
+        Scene(camera=Camera(view_width=3, view_height=4), width=10, height=2)
+    )
     assert (square.height, square.camera.view_height) == (13, pytest.approx(3.9))
-    assert squared(square) == square
+    assert with_square_pixels(square) == square
     # The number of rows is right, but not the window's height.
-    assert squared(Scene(camera=Camera(view_height=1.03), width=9, height=9)).camera == Camera()
+    assert (
+        with_square_pixels(Scene(camera=Camera(view_height=1.03), width=9, height=9)).camera
+        == Camera()
+    )
 
 
 def test_the_window_of_an_oblique_camera():
     """The expected numbers are computed by hand."""
     camera = Camera(view_point=(1, 2, 3), view_dir=(-3, 0, -4), proj_normal=(0, 0, 2),
                     proj_distance=10, view_width=4, view_height=2)  # fmt: skip
-    window = window_of(camera)
+    window = camera_window(camera)
     np.testing.assert_allclose(window.axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
     np.testing.assert_allclose(window.center, [-6, 0, 8], atol=1e-14)
     np.testing.assert_allclose(window.points(0, 0), [-8, 1, -8], atol=1e-14)
     np.testing.assert_allclose(window.points(1, 0.5), [-4, 0, -8], atol=1e-14)
     # No square of a length overflows.
-    ahead = window_of(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
+    ahead = camera_window(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
     np.testing.assert_allclose(ahead, [0.6, 0, -0.8], rtol=1e-15)
 
 
 def test_a_normalised_scene_is_centred_and_ten_units_large():
     scene = close_up(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
-    points = normalisation(scene)(visible_points(scene))
+    points = choose_normalisation(scene)(visible_points(scene))
     np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0, atol=1e-9)
     assert np.ptp(points, axis=0).max() == pytest.approx(10)
 
@@ -278,7 +293,7 @@ def test_a_normalised_scene_is_centred_and_ten_units_large():
 def test_a_room_is_normalised_by_what_is_visible_from_inside(room):
     camera = Camera(view_point=(0.5, 0.25, 0), view_width=2, view_height=2)
     scene = scene_of(room, camera=camera, size=(24, 24), lights=(0, 0, 0))
-    assert normalisation(scene).center[2] < -1
+    assert choose_normalisation(scene).center[2] < -1
     result = check_scene(scene, "room")
     assert (result.verdict, result.tracer.min() > 0) == ("agrees", True)
 

@@ -17,10 +17,10 @@ from probe import Surface
 
 import tracer.geometry.camera
 from converters import flavours
-from converters.camera import Window, window_of
-from converters.flavours import exact
+from converters.camera import Window, camera_window
+from converters.flavours import convert_exact
 from converters.rendering import Rendering
-from converters.variant import SCALAR, use
+from converters.variant import SCALAR, use_variant
 from reference import check
 from reference.check import check_diffuse, check_scene, compare
 from reference.command import SCENES
@@ -206,9 +206,11 @@ def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
     """Put a mistake into the converter, or into the BSDF of the exact flavour."""
     if mistake in WRONG_WINDOWS:
         wrong = WRONG_WINDOWS[mistake]
-        monkeypatch.setattr(flavours, "window_of", lambda camera: wrong(window_of(camera)))
+        monkeypatch.setattr(flavours, "camera_window", lambda camera: wrong(camera_window(camera)))
     elif mistake in WRONG_SCENES:
-        monkeypatch.setattr(check, "exact", lambda scene: exact(WRONG_SCENES[mistake](scene)))
+        monkeypatch.setattr(
+            check, "convert_exact", lambda scene: convert_exact(WRONG_SCENES[mistake](scene))
+        )
     else:
         plugins = importlib.import_module("converters.plugins")
         right = plugins.BlinnPhong.eval
@@ -231,9 +233,9 @@ def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
 @pytest.mark.parametrize("mistake", [*WRONG_WINDOWS, *WRONG_SCENES, "no cosine"])
 def test_a_broken_converter_is_detected(monkeypatch, mistake, name, variant):
     scene = replace(load_small(SCENES / f"{name}.xml"), width=64, height=48)
-    use(variant)
+    use_variant(variant)
     break_converter(monkeypatch, mistake)
     result = check_scene(scene, name, variant)
-    use()
+    use_variant()
     assert result.verdict == "undecided"
     assert "Mitsuba or the converter is wrong" in result.report()

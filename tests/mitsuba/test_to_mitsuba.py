@@ -14,7 +14,7 @@ from PIL import Image
 from running import ROOT, drop_jit, file_names, run
 
 from converters.to_mitsuba import main
-from converters.variant import LLVM, SCALAR, Choice, choose, mi, use
+from converters.variant import LLVM, SCALAR, Choice, fastest_variant, mi, use_variant
 from reference import check, report
 from reference.command import own_scenes
 from tracer.command.failure import Failure
@@ -122,14 +122,15 @@ def test_render_writes_a_png_and_an_exr(small, flavour, output, written):
     # Stock flavours have square pixels.
     assert radiance.shape == codes.shape == (30 if flavour == "exact" else 40, 40, 3)
     np.testing.assert_array_equal(codes, np.round(255 * radiance.clip(0, 1) ** (1 / 2.2)))
-    use()
+    use_variant()
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
 def test_rendering_ends_on_one_processor(small):
     """Mitsuba's writer and reader of EXR files would wait forever for a second thread."""
     exr = small.with_name("small.mitsuba.exr")
-    read = f"from converters.variant import mi, use; use({SCALAR!r}); mi.Bitmap({str(exr)!r})"
+    read = "from converters.variant import mi, use_variant"
+    read += f"; use_variant({SCALAR!r}); mi.Bitmap({str(exr)!r})"
 
     def begin() -> None:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -176,7 +177,7 @@ def test_an_exr_does_not_replace_a_file_of_another_kind(small, capsys):
     message = f"{exr}: cannot be written: a file of another kind is there"
     assert capsys.readouterr().err == f"{message}; choose another with -o\n"
     assert exr.read_text() == "notes"
-    use()
+    use_variant()
 
 
 # The choice of a variant
@@ -210,17 +211,17 @@ def test_the_probe_reports_how_its_child_process_ended(
     (tmp_path / ".drjit").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path))
     options = {"timeout": 0.5} if "hangs" in reason else {}
-    assert choose(kernel, **options) == Choice(variant, reason)
+    assert fastest_variant(kernel, **options) == Choice(variant, reason)
 
 
 def test_the_probe_runs_once_per_process_and_scalar_is_always_available():
-    assert use() is use()
-    assert use(SCALAR).variant == SCALAR
-    use()
+    assert use_variant() is use_variant()
+    assert use_variant(SCALAR).variant == SCALAR
+    use_variant()
 
 
 def test_a_request_for_a_variant_that_does_not_work_gives_the_reason():
-    code = f"from converters.variant import use; use({LLVM!r})"
+    code = f"from converters.variant import use_variant; use_variant({LLVM!r})"
     status, _, err = run(python=("-c", code), env={"DRJIT_LIBLLVM_PATH": "/nonexistent"})
     assert status == 1
     assert f"ImportError: {LLVM} does not work here: no usable libLLVM" in err

@@ -8,7 +8,7 @@ from time import sleep
 import pytest
 from scene_files import small
 
-from converters.variant import LLVM, use
+from converters.variant import LLVM, use_variant
 from reference import benchmark, command, speed_accuracy
 from reference.judges.true_picture import rmse, true_picture
 from reference.measured import measurements
@@ -101,7 +101,7 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     scene = small("four-spheres", 32, 18)
     monkeypatch.setattr(speed_accuracy, "_scenes", lambda quick: {"small": scene})
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
-    if use().variant != LLVM:
+    if use_variant().variant != LLVM:
         with pytest.raises(ImportError, match=LLVM):
             speed_accuracy.main()
         return
