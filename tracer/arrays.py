@@ -122,10 +122,7 @@ def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
         The x, y and z components of the selected vectors, in the order of `index`.
     """
     # `take` is 1.5 times as fast as indexing by an array.
-    x, y, z = (
-        component[index] if isinstance(index, slice) else component.take(index)
-        for component in vectors
-    )
+    x, y, z = (row[index] if isinstance(index, slice) else row.take(index) for row in vectors)
     return x, y, z
 
 

@@ -141,9 +141,7 @@ def output_paths(
     scenes: Sequence[str],
     output: str | None,
     default_paths: Sequence[str],
-    files_of: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda result_path: (
-        result_path,
-    ),
+    files_of: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda path: (path,),
 ) -> list[str]:
     """Choose the path of the result of each scene, so that no file is overwritten by mistake.
 

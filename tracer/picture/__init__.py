@@ -1,1 +1,1 @@
-"""Pictures in tiles, drawn by any processes, and PNG files."""
+"""Render pictures in tiles, in one or several processes, and write picture files."""

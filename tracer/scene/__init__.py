@@ -1,1 +1,1 @@
-"""The scene: its dataclasses, what may stand in a file, and how a file is read."""
+"""The scene: its dataclasses, the rules of the file format, and its reader and writer."""

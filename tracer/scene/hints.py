@@ -88,12 +88,7 @@ _EQUIVALENTS: dict[str, Sequence[str]] = {
 
 
 def syntax_remedy(
-    message: str,
-    line: int,
-    before: bytes,
-    after: bytes,
-    open_elements: Sequence[Any],
-    encoding: str,
+    message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
     """Suggest a fix for an XML syntax error.
 
@@ -105,7 +100,7 @@ def syntax_remedy(
         Line of the error.
     before, after : bytes
         Text of the file that ends just before the error, and text that begins at the error.
-    open_elements : sequence of Element
+    elements : sequence of Element
         Elements whose end tags have not been parsed yet, the root first.
     encoding : str
         Encoding that the file declares; "" if it declares none.
@@ -124,12 +119,12 @@ def syntax_remedy(
             if match and re.match(start_of_after, after):
                 odd = after.decode(errors="replace")[:1] or " "
                 return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
-    if not open_elements:
+    if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE)
-    innermost = f"<{shortened(open_elements[-1].tag)}> of line {open_elements[-1].line}"
+    innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         end_tag = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
-        if all(end_tag != element.tag for element in open_elements):
+        if all(end_tag != element.tag for element in elements):
             return f"only {innermost} can be closed here: no <{shortened(end_tag)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 

@@ -1,8 +1,8 @@
 """The scene: frozen dataclasses that validate their fields, and the arrays of its surfaces.
 
-All numbers are finite.  The magnitude of all but directions is at most 1e75.  Lengths and
-coordinates other than 0 have a magnitude of at least 1e-75.  Colours, intensities and exponents are
-not negative.  `SceneError` lists every error, not only the first.
+All numbers are finite.  The magnitude of numbers is at most 1e75, except in directions.  Lengths
+and coordinates other than 0 have a magnitude of at least 1e-75.  Colours, intensities and exponents
+are not negative.  `SceneError` lists all errors, not only the first.
 
 The metadata of the fields define the elements of scene files: see `schema.xml_field`.
 """
@@ -28,42 +28,57 @@ _ORIGIN, _WHITE, _BLACK = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _MINUS_Z, _PLUS_Y = (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
 
 _PROJ_NORMAL = xml_field(schema.DIRECTION, "projNormal")
-# The specification says color, the published scenes say intensity.
+# The tag is color in the specification, and intensity in the published scenes.
 _INTENSITY = xml_field(schema.COLOR, "intensity", "color")
 
 # Minimum sine of the angle between view_up and the window's normal, and minimum cosine of the angle
-# between view_dir and the normal: below, too few digits of the camera's axes are correct.
+# between view_dir and the normal.  For smaller values, too few digits of the camera's axes would be
+# correct.
 _MIN_SINE = _MIN_COSINE = 1e-10
 
 
 @np.errstate(under="ignore")
 def unit(vector: ArrayLike) -> Floats:
-    """Return the unit vector (3,) in the direction of a vector (3,) other than 0."""
+    """Normalise a vector, without overflow or underflow.
+
+    Parameters
+    ----------
+    vector : (3,) array_like
+        A vector other than 0.
+
+    Returns
+    -------
+    unit_vector : (3,) float array
+        The vector of length 1 with the same direction.
+    """
     array = np.asarray(vector, dtype=np.float64)
-    # Scale the vector so that no square that matters overflows or underflows.  A power of two is
-    # exact, so that pictures of scaled scenes stay bit-identical.
+    # Scale the vector so that the squares of its large components neither overflow nor underflow.
+    # A power of two is exact, so that pictures of scaled scenes stay bit-identical.
     array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
     return array / np.sqrt(array @ array)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera(Validated):
-    """A perspective camera with a window that may be shifted or oblique.
+    """A perspective camera: an eye, and a window through which it views the scene.
+
+    The window is a rectangle in space that the picture fills.  It need not be perpendicular to the
+    direction of view.
 
     Parameters
     ----------
-    view_point : (3,)
-        Centre of projection.
-    view_dir : (3,)
-        Direction from `view_point` to the window's centre; its length is not used.
-    view_up : (3,)
-        Direction that is up in the picture.
-    proj_normal : (3,), optional
+    view_point : (float, float, float)
+        Position of the eye, the centre of projection.
+    view_dir : (float, float, float)
+        Direction from the eye to the window's centre; its length is not used.
+    view_up : (float, float, float)
+        Direction that is up in the picture; its length is not used.
+    proj_normal : (float, float, float), optional
         Normal of the window; its length and sign are not used.  The default is `view_dir`.
     proj_distance : float
-        Distance from `view_point` to the window's centre along `view_dir`.
+        Distance from the eye to the window's centre.
     view_width, view_height : float
-        Size of the window.
+        Size of the window, in the units of the scene.
 
     Raises
     ------
@@ -82,20 +97,40 @@ class Camera(Validated):
 
     @classmethod
     def conflicts(cls, columns: Columns) -> Iterator[RowError]:
-        """Yield errors for vectors that are parallel or perpendicular but must not be."""
+        """Find cameras whose vectors do not define a window.
+
+        `view_up` must not be parallel to the normal of the window, and `proj_normal` must not be
+        perpendicular to `view_dir`.
+
+        Parameters
+        ----------
+        columns : mapping of (n, 3) float arrays
+            The vectors of n cameras, by the names of their fields.  A `proj_normal` of NaN stands
+            for `view_dir`.
+
+        Yields
+        ------
+        index : int
+            Index of a camera.
+        name : str
+            Name of the field with the error.
+        message : str
+            What is wrong.
+        """
         vectors = (columns[name] for name in ("view_up", "view_dir", "proj_normal"))
-        for i, (up, ahead, normal) in enumerate(zip(*vectors, strict=True)):
-            name = "proj_normal"
+        for index, (up, ahead, normal) in enumerate(zip(*vectors, strict=True)):
+            normal_name = "proj_normal"
             if np.isnan(normal).all():
-                name, normal = "view_dir", ahead
+                normal_name, normal = "view_dir", ahead
             with np.errstate(all="ignore"):  # vectors may be zero, or not finite
                 up, ahead, normal = map(unit, (up, ahead, normal))
                 sine, cosine = np.linalg.norm(np.cross(up, normal)), abs(normal @ ahead)
             if sine < _MIN_SINE:
-                yield i, "view_up", f"must not be parallel to {name}; choose another view_up"
+                message = f"must not be parallel to {normal_name}; choose another view_up"
+                yield index, "view_up", message
             if cosine < _MIN_COSINE:
                 message = "must not be perpendicular to view_dir: no ray would meet it"
-                yield i, "proj_normal", message
+                yield index, "proj_normal", message
 
     @property
     def normal(self) -> VectorLike:
@@ -105,15 +140,21 @@ class Camera(Validated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointLight(Validated):
-    """A point light, whose intensity does not decrease with distance.
+    """A point light whose intensity is the same at any distance.
 
     Parameters
     ----------
-    position : (3,)
-    intensity : (3,)
-        Linear RGB.
+    position : (float, float, float)
+        Where the light is.
+    intensity : (float, float, float)
+        Linear RGB intensity.  The default is white, 1 1 1.
     line : int, optional
-        Line number in the source file; ignored by ==.
+        Line of the file where the light begins; ignored by ==.
+
+    Raises
+    ------
+    SceneError
+        For invalid numbers.
     """
 
     position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
@@ -123,16 +164,23 @@ class PointLight(Validated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lambertian(Validated):
-    """A matte surface: its radiance is I kd n.l for each visible light of intensity I.
+    """The shader of a matte surface.
 
-    See Shirley, Fundamentals of Computer Graphics, 2nd edition, 9.1.
+    Each light that is visible from a point of the surface adds I kd n.l to the radiance there.  I
+    is the intensity of the light, n the unit normal, and l the unit vector to the light (Shirley,
+    Fundamentals of Computer Graphics, 2nd edition, 9.1).
 
     Parameters
     ----------
-    diffuse : (3,)
-        The colour kd: linear RGB, where 1 reflects all light.
+    diffuse : (float, float, float)
+        The colour kd: linear RGB, where 1 reflects all light.  The default is white.
     line : int, optional
-        Line number in the source file; ignored by ==.
+        Line of the file where the shader begins; ignored by ==.
+
+    Raises
+    ------
+    SceneError
+        For invalid numbers.
     """
 
     diffuse: VectorLike = field(default=_WHITE, metadata=xml_field(schema.COLOR, "diffuseColor"))
@@ -141,19 +189,27 @@ class Lambertian(Validated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phong(Validated):
-    """A shiny surface (Blinn 1977): I (kd n.l + ks (n.h)^exponent) for each visible light.
+    """The shader of a shiny surface, a matte one with highlights (Blinn 1977).
 
-    I is the light's intensity.  A light behind the surface (n.l <= 0) is not visible, and so causes
-    no highlight either.
+    Each light that is visible from a point of the surface adds I (kd n.l + ks (n.h)^exponent) to
+    the radiance there.  I is the intensity of the light, n the unit normal, l the unit vector to
+    the light, and h the unit vector halfway between l and the direction to the eye.  A light behind
+    the surface (n.l <= 0) is not visible, so it causes no highlight.
 
     Parameters
     ----------
-    diffuse, specular : (3,)
-        The colours kd and ks: linear RGB, where 1 reflects all light.
+    diffuse, specular : (float, float, float)
+        The colours kd and ks: linear RGB, where 1 reflects all light.  The defaults are white and
+        black.
     exponent : float
-        Size of the highlight: the larger the exponent, the smaller the highlight.
+        The larger the exponent, the smaller are the highlights.
     line : int, optional
-        Line number in the source file; ignored by ==.
+        Line of the file where the shader begins; ignored by ==.
+
+    Raises
+    ------
+    SceneError
+        For invalid numbers.
     """
 
     diffuse: VectorLike = field(default=_WHITE, metadata=xml_field(schema.COLOR, "diffuseColor"))
@@ -169,15 +225,23 @@ _SHADER = xml_field(schema.one_of(Lambertian, Phong), "shader")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere(Validated):
-    """A sphere; by default white and Lambertian.
+    """A sphere; by default the unit sphere around the origin.
 
     Parameters
     ----------
-    center : (3,)
+    center : (float, float, float)
+        Centre of the sphere.
     radius : float
+        Radius of the sphere; positive.
     shader : Lambertian or Phong
+        The colours of the surface.  The default is white and matte.
     line : int, optional
-        Line number in the source file; ignored by ==.
+        Line of the file where the sphere begins; ignored by ==.
+
+    Raises
+    ------
+    SceneError
+        For invalid values.
     """
 
     center: VectorLike = field(default=_ORIGIN, metadata=xml_field(schema.POINT, "center"))
@@ -188,20 +252,21 @@ class Sphere(Validated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box(Validated):
-    """An axis-aligned box, which may be flat; by default white and Lambertian.
+    """An axis-aligned box.  Its thickness along an axis can be 0.
 
     Parameters
     ----------
-    min_pt, max_pt : (3,)
-        Opposite corners, with the minimum and the maximum coordinates.
+    min_pt, max_pt : (float, float, float)
+        The corner with the minimum coordinates, and the corner with the maximum coordinates.
     shader : Lambertian or Phong
+        The colours of the surface.  The default is white and matte.
     line : int, optional
-        Line number in the source file; ignored by ==.
+        Line of the file where the box begins; ignored by ==.
 
     Raises
     ------
     SceneError
-        For invalid values, or `min_pt` beyond `max_pt` along any axis.
+        For invalid values, or if a coordinate of `min_pt` exceeds that of `max_pt`.
     """
 
     min_pt: VectorLike = field(metadata=xml_field(schema.POINT, "minPt"))
@@ -211,39 +276,59 @@ class Box(Validated):
 
     @classmethod
     def conflicts(cls, columns: Columns) -> Iterator[RowError]:
-        """Yield an error for each box whose corners are in the wrong order."""
+        """Find boxes whose minimum exceeds their maximum.
+
+        Parameters
+        ----------
+        columns : mapping of (n, 3) float arrays
+            The corners `min_pt` and `max_pt` of n boxes.
+
+        Yields
+        ------
+        index : int
+            Index of a box.
+        name : str
+            Name of the field with the error.
+        message : str
+            What is wrong, with the coordinates.
+        """
         low, high = columns["min_pt"], columns["max_pt"]
-        for i in np.flatnonzero((low > high).any(axis=1)).tolist():
-            has = " and ".join(
-                f"{axis} has {number_text(a)} > {number_text(b)}"
-                for axis, a, b in zip("xyz", low[i].tolist(), high[i].tolist(), strict=True)
-                if a > b
+        for index in np.flatnonzero((low > high).any(axis=1)).tolist():
+            corners = zip("xyz", low[index].tolist(), high[index].tolist(), strict=True)
+            excess = " and ".join(
+                f"{axis} has {number_text(minimum)} > {number_text(maximum)}"
+                for axis, minimum, maximum in corners
+                if minimum > maximum
             )
-            yield i, "min_pt", f"must not exceed max_pt, but {has}; swap these"
+            yield index, "min_pt", f"must not exceed max_pt, but {excess}; swap these"
 
 
 class Surfaces(Sequence[Sphere | Box]):
-    """All surfaces of a scene: arrays, and a sequence of `Sphere` and `Box` in the file's order.
+    """All surfaces of a scene: a sequence of `Sphere` and `Box` that stores its numbers in arrays.
 
-    The arrays are read-only copies.  In arrays of all surfaces, the spheres come first.  Two
-    objects are equal if they are equal as sequences.
+    The order of the sequence is that of the file.  In the arrays, all spheres come before all
+    boxes.  The arrays are read-only copies of the arguments.  Two instances are equal if they are
+    equal as sequences.
 
     Parameters
     ----------
-    center : (S, 3)
-        Centres of the spheres.
-    radius : (S,)
+    center : (S, 3) array_like
+        Centres of S spheres.
+    radius : (S,) array_like
         Radii of the spheres.
-    min_pt, max_pt : (B, 3)
-        Opposite corners of the boxes.
-    shader_index : (S + B,)
+    min_pt, max_pt : (B, 3) array_like
+        Corners of B boxes with the minimum and with the maximum coordinates.
+    shader_index : (S + B,) array_like of int
         For each surface, the index of its shader in `shaders`.
-    file_index : (S + B,), optional
-        For each surface, its position in the file: a permutation of 0 ... S + B - 1.  If two
-        surfaces are at the same distance, the one with the lower position is visible.
+    file_index : (S + B,) array_like of int, optional
+        For each surface, its index in the file: a permutation of 0 ... S + B - 1.  By default, that
+        of the arrays.  If two surfaces are at the same distance, the one with the lower index is
+        visible.
     shaders : tuple of Lambertian or Phong
-    line : (S + B,), optional
-        For each surface, its line number in the source file; 0 if it is not from a file.
+        The shaders, each of which can belong to several surfaces.
+    line : (S + B,) array_like of int, optional
+        For each surface, the line of the file where it begins; 0 if it is not from a file, which is
+        the default.
 
     Raises
     ------
@@ -268,22 +353,23 @@ class Surfaces(Sequence[Sphere | Box]):
         self.min_pt = schema.POINT.rows(min_pt, "min_pt")
         self.max_pt = schema.POINT.rows(max_pt, "max_pt")
         self.shader_index = schema.integer_array(shader_index, "shader_index")
-        every = np.arange(len(self))
+        array_order = np.arange(len(self))
         self.file_index = schema.integer_array(
-            every if file_index is None else file_index, "file_index"
+            array_order if file_index is None else file_index, "file_index"
         )
         self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
-        lines = schema.integer_array(0 * every if line is None else line, "line")
+        lines = schema.integer_array(0 * array_order if line is None else line, "line")
         self.line = lines.astype(np.int32)
-        schema.raise_if_any(self._conflicts())
-        errors = sorted(self._errors(), key=lambda error: error[0])
+        # Numbers can be validated only if the lengths of the arrays match.
+        schema.raise_if_any(self._array_errors())
+        errors = sorted(self._number_errors(), key=lambda error: error[0])
         schema.raise_if_any(f"surface {index}: {message}" for index, message in errors)
         self.__setstate__(vars(self))
 
-    def _conflicts(self) -> Iterator[str]:
-        """Yield errors for arrays whose lengths or indices do not match.
+    def _array_errors(self) -> Iterator[str]:
+        """Yield a message for each array of the wrong length, and for each array of wrong indices.
 
-        After such an error, the numbers cannot be validated.
+        Only the first wrong index of an array is named.
         """
         reason = "one for each surface"
         for name, needed, why in (
@@ -291,24 +377,32 @@ class Surfaces(Sequence[Sphere | Box]):
             ("max_pt", len(self.min_pt), "as many as min_pt"),
             *((name, len(self), reason) for name in ("shader_index", "file_index", "line")),
         ):
-            if (count := len(getattr(self, name))) != needed:
-                yield f"{name}: needs {needed}, {why}; has {count}"
-        index, count = self.shader_index, len(self.shaders)
-        for outside in index[(index < 0) | (index >= count)].tolist()[:1]:
-            yield f"shader_index: must be indices of {count} shaders, has {outside}"
+            if (length := len(getattr(self, name))) != needed:
+                yield f"{name}: needs {needed}, {why}; has {length}"
+        index, shader_count = self.shader_index, len(self.shaders)
+        for wrong_index in index[(index < 0) | (index >= shader_count)].tolist()[:1]:
+            yield f"shader_index: must be indices of {shader_count} shaders, has {wrong_index}"
         count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(count)):
             yield f"file_index: must be a permutation of 0 ... {count - 1}"
 
-    def _errors(self) -> Iterator[tuple[int, str]]:
-        """Yield the position in the file and the message of each invalid number."""
-        sphere_positions, box_positions = np.split(self.file_index, [self.sphere_count])
+    def _number_errors(self) -> Iterator[tuple[int, str]]:
+        """Validate the numbers of all surfaces, and yield the errors.
+
+        Yields
+        ------
+        file_index : int
+            Index in the file of a surface.
+        message : str
+            Name of a field of this surface, and what is wrong.
+        """
+        sphere_file_index, box_file_index = np.split(self.file_index, [self.sphere_count])
         sphere_columns = {"center": self.center, "radius": self.radius[:, None]}
         box_columns = {"min_pt": self.min_pt, "max_pt": self.max_pt}
-        for i, name, message in schema.errors(Sphere, sphere_columns):
-            yield sphere_positions.item(i), f"{name}: {message}"
-        for i, name, message in schema.errors(Box, box_columns):
-            yield box_positions.item(i), f"{name}: {message}"
+        for index, name, message in schema.errors(Sphere, sphere_columns):
+            yield sphere_file_index.item(index), f"{name}: {message}"
+        for index, name, message in schema.errors(Box, box_columns):
+            yield box_file_index.item(index), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
@@ -321,25 +415,37 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @classmethod
     def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
-        """Copy Sphere and Box objects into arrays, in order; return `Surfaces` unchanged."""
+        """Create an instance from Sphere and Box objects, in the same order.
+
+        Parameters
+        ----------
+        surfaces : iterable of Sphere and Box
+            The objects.  An instance of `Surfaces` is returned unchanged.
+
+        Raises
+        ------
+        SceneError
+            If an item is neither a Sphere nor a Box.
+        """
         if isinstance(surfaces, Surfaces):
             return surfaces
-        items: tuple[Any, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces")
-        # Shaders are identified by id(), which is fast.  Surfaces that share one continue to do so.
-        shaders = {id(item.shader): item.shader for item in items}
-        shader_index = {key: i for i, key in enumerate(shaders)}
-        spheres = [i for i, item in enumerate(items) if isinstance(item, Sphere)]
-        boxes = [i for i, item in enumerate(items) if isinstance(item, Box)]
-        order = spheres + boxes
+        objects: tuple[Any, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces")
+        # Shaders are identified by id(), which is fast.  Surfaces that share a shader still share
+        # it in the new instance.
+        shaders = {id(surface.shader): surface.shader for surface in objects}
+        shader_index = {key: index for index, key in enumerate(shaders)}
+        spheres = [index for index, item in enumerate(objects) if isinstance(item, Sphere)]
+        boxes = [index for index, item in enumerate(objects) if isinstance(item, Box)]
+        array_order = spheres + boxes
         return cls(
-            center=[items[i].center for i in spheres],
-            radius=[items[i].radius for i in spheres],
-            min_pt=[items[i].min_pt for i in boxes],
-            max_pt=[items[i].max_pt for i in boxes],
-            shader_index=[shader_index[id(items[i].shader)] for i in order],
-            file_index=order,
+            center=[objects[index].center for index in spheres],
+            radius=[objects[index].radius for index in spheres],
+            min_pt=[objects[index].min_pt for index in boxes],
+            max_pt=[objects[index].max_pt for index in boxes],
+            shader_index=[shader_index[id(objects[index].shader)] for index in array_order],
+            file_index=array_order,
             shaders=tuple(shaders.values()),
-            line=[items[i].line or 0 for i in order],
+            line=[objects[index].line or 0 for index in array_order],
         )
 
     def __len__(self) -> int:
@@ -347,12 +453,15 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @property
     def sphere_count(self) -> int:
-        """Number of spheres."""
+        """Number of spheres, which come first in the arrays."""
         return len(self.radius)
 
     @cached_property
     def file_order(self) -> NDArray[np.intp]:
-        """Indices (S + B,) into the arrays, in the file's order: the inverse of `file_index`."""
+        """For each surface in the order of the file, its index in the arrays: an int array (n,).
+
+        This permutation is the inverse of `file_index`.
+        """
         order = np.argsort(self.file_index)
         order.setflags(write=False)
         return order
@@ -364,21 +473,25 @@ class Surfaces(Sequence[Sphere | Box]):
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
         selected = self.file_order[index].tolist()
         if isinstance(index, slice):
-            return tuple(map(self._surface, selected))
-        return self._surface(selected)
+            return tuple(map(self._make_surface, selected))
+        return self._make_surface(selected)
 
     def __iter__(self) -> Iterator[Sphere | Box]:
         return iter(self[:])
 
-    def _surface(self, i: int) -> Sphere | Box:
-        """Return the surface at index `i` of the arrays."""
-        shader, line = self.shaders[self.shader_index[i]], self.line.item(i) or None
-        if i < self.sphere_count:
-            numbers = {"center": tuple(self.center[i].tolist()), "radius": self.radius.item(i)}
-            return schema.construct_unchecked(Sphere, **numbers, shader=shader, line=line)
-        low, high = (a[i - self.sphere_count].tolist() for a in (self.min_pt, self.max_pt))
-        corners = {"min_pt": tuple(low), "max_pt": tuple(high)}
-        return schema.construct_unchecked(Box, **corners, shader=shader, line=line)
+    def _make_surface(self, index: int) -> Sphere | Box:
+        """Create the Sphere or Box object of a surface, given by its index in the arrays."""
+        shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
+        if index < self.sphere_count:
+            center, radius = tuple(self.center[index].tolist()), self.radius.item(index)
+            return schema.construct_unchecked(
+                Sphere, center=center, radius=radius, shader=shader, line=line
+            )
+        box_index = index - self.sphere_count
+        min_pt, max_pt = (tuple(pt[box_index].tolist()) for pt in (self.min_pt, self.max_pt))
+        return schema.construct_unchecked(
+            Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line
+        )
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -398,20 +511,23 @@ _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
 
 @dataclass(frozen=True, slots=True, init=False)
 class Scene(Validated):
-    """Surfaces, lights, a camera, and the size of the picture.
+    """A scene to render: surfaces, lights, a camera, and the size of the picture.
 
     Parameters
     ----------
     width, height : int
-        Size of the picture in pixels; their product is at most `schema.MAX_PIXELS`, 2^28.
+        Size of the picture in pixels.  Their product is at least 1 and at most 2^28.
     camera : Camera
+        The camera.  The default is at the origin and looks along the negative z axis.
     lights : iterable of PointLight
+        The lights, stored as a tuple.
     surfaces : iterable of Sphere and Box, or Surfaces
+        The surfaces, stored as `Surfaces`.
 
     Raises
     ------
     SceneError
-        For a picture without pixels or with too many, or values of the wrong type.
+        For a picture without pixels or with too many pixels, or values of the wrong type.
     """
 
     camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
@@ -430,8 +546,8 @@ class Scene(Validated):
         lights: Iterable[PointLight] = (),
         surfaces: Iterable[Sphere | Box] = _NO_SURFACES,
     ) -> None:
-        sized = {"width": width, "height": height, "camera": camera}
-        for name, value in (sized | {"lights": lights, "surfaces": surfaces}).items():
+        view = {"width": width, "height": height, "camera": camera}
+        for name, value in (view | {"lights": lights, "surfaces": surfaces}).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
         if (count := self.width * self.height) > schema.MAX_PIXELS:
@@ -441,7 +557,7 @@ class Scene(Validated):
             raise schema.SceneError([f"width, height: {size} {memory}; {limit}"])
 
     def _repr_png_(self) -> bytes:
-        """Show the scene as a picture, in a notebook."""
+        """Render the scene, and return a PNG file: notebooks call this to show the scene."""
         # The only import from a higher layer: Jupyter calls this method of the scene itself.
         from tracer.picture.render import to_png
 

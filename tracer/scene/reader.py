@@ -387,10 +387,9 @@ class _Reader:
                 children[name] = child
         table.lines.append(element.line)
         for name, column in table.columns.items():
-            numbers = children.get(name)
-            if numbers is not None:
-                values = self.read_numbers(numbers, column.count)
-                column.append(values, numbers.line, numbers.tag)
+            source = children.get(name)
+            if source is not None:
+                column.append(self.read_numbers(source, column.count), source.line, source.tag)
                 continue
             column.append_default()
             if column.is_required and (tag := column.tags[0]) not in intended:
@@ -555,17 +554,11 @@ class _Reader:
     def report_undefined_shaders(self) -> None:
         """Report each reference to a shader that the file does not define, with a suggested fix."""
         # A shader is identified by its index k.
-        definition_line = self.definition_lines
-        undefined_name = {
-            k: name for name, k in self.shader_indices.items() if not definition_line[k]
-        }
+        lines = self.definition_lines
+        undefined_name = {k: name for name, k in self.shader_indices.items() if not lines[k]}
         if not undefined_name:
             return
-        line_of_name = {
-            name: definition_line[k]
-            for name, k in self.shader_indices.items()
-            if definition_line[k]
-        }
+        line_of_name = {name: lines[k] for name, k in self.shader_indices.items() if lines[k]}
         name_of_normalized = {normalize("NFC", name): name for name in line_of_name}
         remedies: dict[int, str] = {}
         for line, k in zip(self.reference_lines, self.reference_shaders, strict=True):
@@ -589,9 +582,8 @@ class _Reader:
             for index, shader in zip(table.index, table.objects(), strict=True):
                 shaders[index] = shader
         tables = self.surfaces.values()
-        numbers = {
-            name: column.array() for table in tables for name, column in table.columns.items()
-        }
+        columns = [item for table in tables for item in table.columns.items()]
+        numbers = {name: column.array() for name, column in columns}
         surfaces = Surfaces(
             **numbers | {"radius": numbers["radius"][:, 0]},
             shader_index=np.concatenate([table.shader_index for table in tables]),

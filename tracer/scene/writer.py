@@ -113,13 +113,10 @@ def _elements(instance: Any) -> str:
     text : str
         One element for each field, all on one line, such as " <center>0 0 0</center>".
     """
-    numbers_by_tag = {
-        field.metadata["tags"][0]: np.ravel(value).tolist()
+    texts = {
+        field.metadata["tags"][0]: " ".join(map(number_text, np.ravel(value).tolist()))
         for field in fields(instance)
         if isinstance(field.metadata.get("validator"), Numbers)
         and (value := getattr(instance, field.name)) is not None
     }
-    return "".join(
-        f" <{tag}>{' '.join(map(number_text, numbers))}</{tag}>"
-        for tag, numbers in numbers_by_tag.items()
-    )
+    return "".join(f" <{tag}>{text}</{tag}>" for tag, text in texts.items())
