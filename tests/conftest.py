@@ -19,14 +19,18 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option `--expect-skips`."""
     text = (
         "fail if a test is skipped, unless for lack of one of these programs, separated by commas"
     )
     parser.addoption("--expect-skips", metavar="PROGRAMS", help=text)
 
 
-def need(program: str) -> str:
-    """Return the path of a program, or skip the test: see `--expect-skips`."""
+def find_program(program: str) -> str:
+    """Return the path of an installed program, or skip the test if the program is not installed.
+
+    The option `--expect-skips` lists the programs that may be missing.
+    """
     path = shutil.which(program)
     if path is None:
         pytest.skip(f"{program} is not installed")
@@ -35,7 +39,12 @@ def need(program: str) -> str:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail if a test was skipped for a reason that is not expected: it may hide a failure."""
+    """Make the test run fail if a test was skipped for an unexpected reason.
+
+    A skipped test may hide a failure.  Nothing is checked without the option `--expect-skips`,
+    which lists the programs that may be missing.  Each unexpected reason is printed, and the exit
+    status of the test run is then that of failed tests.
+    """
     expected = session.config.getoption("--expect-skips")
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if expected is None or reporter is None:
@@ -51,13 +60,19 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture
 def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Never replace the subdivision of pixels by lattices, which are faster in crowded pictures."""
+    """Make antialiasing divide pixels that edges cross, however many objects the picture shows.
+
+    Otherwise, if a picture is full of small objects, antialiasing samples all pixels uniformly.
+    """
     monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", math.inf)
 
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    """Write a small scene file into an empty folder; return its path."""
+    """Write the file of a scene with 40 x 30 pixels into an empty folder, and return its path.
+
+    The file is a copy of `scenes/one-sphere.xml`, with the name `small.xml`.
+    """
     text = (Path(__file__).parents[1] / "scenes/one-sphere.xml").read_text(encoding="utf-8")
     path = tmp_path / "small.xml"
     path.write_text(text.replace("300 300", "40 30"), encoding="utf-8")
@@ -65,15 +80,18 @@ def small(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def odd(small: Path) -> Path:
-    """Return the path of a scene file whose name is not UTF-8, and contains a line break."""
+def odd_file(small: Path) -> Path:
+    """Return the path of a scene file whose name is not valid UTF-8, and contains a line break.
+
+    The file is that of the fixture `small`, which is renamed.
+    """
     return small.rename(small.with_name(os.fsdecode(b"\xff\n.xml")))
 
 
 @pytest.fixture
 def pipe_without_reader() -> Iterator[int]:
-    """Yield the end of a pipe that can be written to; the other end is closed."""
-    read, write = os.pipe()
-    os.close(read)
-    yield write
-    os.close(write)
+    """Yield the file descriptor of a pipe's writing end, whose reading end is closed."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    yield write_end
+    os.close(write_end)

@@ -32,9 +32,20 @@ FIELDS = {
 NAMES = [path.stem for path in own_scenes()]
 
 
-def names(*quick: str) -> list:
-    """The project's scenes as parameters of a test, of which all others are slow."""
-    return [pytest.param(m, marks=[pytest.mark.slow] * (m not in quick)) for m in NAMES]
+def scene_parameters(*quick: str) -> list:
+    """Return the names of the project's scenes as parameters of a test, most of them marked slow.
+
+    Parameters
+    ----------
+    *quick : str
+        Names of the scenes that are not marked slow.
+
+    Returns
+    -------
+    parameters : list of pytest.param
+        One parameter for each name in `NAMES`.
+    """
+    return [pytest.param(name, marks=[pytest.mark.slow] * (name not in quick)) for name in NAMES]
 
 
 class HardScene(NamedTuple):
@@ -53,20 +64,36 @@ class HardScene(NamedTuple):
 
     @property
     def scene(self) -> Scene:
-        """The scene that the file describes."""
+        """The scene that the file describes; it is read each time."""
         return load_scene(self.path)
 
     @property
     def samples(self) -> list[int]:
-        """Numbers of samples per pixel to test with."""
+        """Numbers of samples per pixel to test with, from the field "samples"."""
         return [int(count) for count in self.fields["samples"].split()]
 
 
 def hard_scenes(field: str) -> list:
-    """Return all files of `tests/scenes` that have a field, as parameters of a test.
+    """Return the files of `tests/scenes` that have a given field, as parameters of a test.
 
-    A file with "slow: yes" is marked as slow.  An AssertionError is raised if the comment of a file
-    has no reason, or a field that is not in `FIELDS`.
+    The fields of a file are the lines "name: value" in the last paragraph of its first comment.
+    The paragraphs before it give the reason why the scene is hard to render.
+
+    Parameters
+    ----------
+    field : str
+        Name of the field, from `FIELDS`.
+
+    Returns
+    -------
+    parameters : list of pytest.param
+        A `HardScene` for each file with the field, sorted by name.  A file with "slow: yes" is
+        marked slow.
+
+    Raises
+    ------
+    AssertionError
+        If the comment of any file gives no reason, or has a field that is not in `FIELDS`.
     """
     parameters = []
     for path in sorted(HARD_SCENES.glob("*.xml")):
@@ -81,15 +108,40 @@ def hard_scenes(field: str) -> list:
     return parameters
 
 
-def small(name: str, width: int = 48, height: int = 27) -> Scene:
-    """A scene of this project in so few pixels."""
+def small_scene(name: str, width: int = 48, height: int = 27) -> Scene:
+    """Return a scene of this project with a small picture.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scene: that of its file without ".xml".
+    width, height : int
+        Size of the picture, in pixels.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.  The height of its window is unchanged; the width is such that pixels are square.
+    """
     return resize_picture(load_scene(SCENES / f"{name}.xml"), width, height)
 
 
-def overflowing(scene: Path) -> Path:
-    """A scene like another, whose radiance is more than float32 holds."""
+def write_overflowing(small: Path) -> Path:
+    """Write a copy of a scene file whose radiance exceeds the largest float32 number.
+
+    Parameters
+    ----------
+    small : Path
+        The file from the fixture `small`.
+
+    Returns
+    -------
+    copy : Path
+        The new file `bright.xml` in the same folder: its object is brighter, and it has three more
+        lights.
+    """
     light = "<light><position>3 5 4</position></light>"
-    text = scene.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
-    bright = scene.with_name("bright.xml")
-    bright.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
-    return bright
+    text = small.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
+    copy = small.with_name("bright.xml")
+    copy.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
+    return copy

@@ -96,6 +96,7 @@ def encode(image):
     codes = np.floor(255 * shown + 0.5).astype(int).astype(np.uint8)
     return codes
 """
+# For each word in capital letters in `SOURCE`: the expression that replaces it.
 NAMES = {
     "CENTER": "np.array(s.center)",
     "RADIUS": "s.radius",
@@ -106,7 +107,8 @@ NAMES = {
     "VH": "cam.view_height",
 }
 
-# For each keyword of the table of mistakes: replacements in the source.
+# One mistake in each line: its keyword, a colon, and replacements "old => new" in `SOURCE`,
+# separated by " ; ".
 TABLE = r"""
 projNormal-ignored: cam.proj_normal or cam.view_dir => cam.view_dir
 viewUp-ignored: np.array(cam.view_up) => np.array((0.0, 1, 0))
@@ -198,6 +200,7 @@ shift-left-up: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j + 1.5)
 shift-left-down: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j - 0.5)
 shift-right-up: (i + 0.5) => (i - 0.5) ; (j + 0.5) => (j + 1.5)
 """
+# For each keyword of a mistake: pairs of old and new code.
 MISTAKES = {
     kind: [change.split(" => ") for change in changes.split(" ; ")]
     for kind, changes in (line.split(": ", 1) for line in TABLE.strip().splitlines())
@@ -205,11 +208,24 @@ MISTAKES = {
 
 
 def srgb(x):
+    """Return the sRGB codes, between 0 and 1, of linear values `x` between 0 and 1."""
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def source_with(*kinds: str) -> str | None:
-    """Return the source with mistakes, or None if two change the same place."""
+    """Return the source code of the student's tracer with mistakes.
+
+    Parameters
+    ----------
+    *kinds : str
+        The mistakes, as keys of `MISTAKES`.
+
+    Returns
+    -------
+    source : str or None
+        A copy of `SOURCE` with all replacements of these mistakes.  It is None if two mistakes
+        change the same place, so that one of them cannot be made.
+    """
     source = SOURCE
     for kind in kinds:
         for old, new in MISTAKES[kind]:
@@ -220,16 +236,42 @@ def source_with(*kinds: str) -> str | None:
 
 
 @np.errstate(all="ignore")
-def run(source: str, scene: Scene):
-    """Render a scene with a source, and return the codes (h, w, 3)."""
+def render_with_source(source: str, scene: Scene):
+    """Render a scene with the source code of a tracer.
+
+    Parameters
+    ----------
+    source : str
+        Source code such as `SOURCE`.  Words in capital letters are replaced as in `NAMES`.
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    codes : (height, width, 3) uint8 array
+        The picture, gamma-encoded.
+    """
     for name, code in NAMES.items():
         source = source.replace(name, code)
-    space = {"np": np, "Box": Box, "Sphere": Sphere, "Phong": Phong, "srgb": srgb}
-    exec(source, space)
-    return np.ascontiguousarray(space["encode"](space["picture"](scene)))
+    variables = {"np": np, "Box": Box, "Sphere": Sphere, "Phong": Phong, "srgb": srgb}
+    exec(source, variables)
+    return np.ascontiguousarray(variables["encode"](variables["picture"](scene)))
 
 
-def draw(scene: Scene, *kinds: str):
-    """Render a scene with mistakes: codes (h, w, 3), or None if two change the same place."""
+def render_mistakes(scene: Scene, *kinds: str):
+    """Render a scene with the student's tracer, into which mistakes are inserted.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    *kinds : str
+        The mistakes, as keys of `MISTAKES`.
+
+    Returns
+    -------
+    codes : (height, width, 3) uint8 array, or None
+        The picture, gamma-encoded.  It is None if two mistakes change the same place of the source.
+    """
     source = source_with(*kinds)
-    return None if source is None else run(source, scene)
+    return None if source is None else render_with_source(source, scene)

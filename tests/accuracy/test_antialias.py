@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from probe import Surface, record_calls, scene_of
 from random_scenes import random_scene
-from scene_files import NAMES, hard_scenes, names
+from scene_files import NAMES, hard_scenes, scene_parameters
 
 from reference.command import SCENES
 from reference.judges.true_picture import render_supersampled, rmse, true_picture
@@ -102,7 +102,9 @@ def small(name: str) -> Scene:
     return replace(scene, width=64, height=round(64 * scene.height / scene.width))
 
 
-@pytest.mark.parametrize("name", names("room", "highlights", "four-spheres", "one-box", "touching"))
+@pytest.mark.parametrize(
+    "name", scene_parameters("room", "highlights", "four-spheres", "one-box", "touching")
+)
 def test_no_worse_than_the_uniform_grid(name):
     assert_no_worse_than_grid(small(name))
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from probe import Vector, scene_of
 from random_scenes import KINDS, random_scene
-from scene_files import small
+from scene_files import small_scene
 
 import reference.judges
 from reference import command
@@ -150,8 +150,8 @@ def test_points_lit_by_distant_lights(light_scale: float, monkeypatch: Patch) ->
 def test_points_of_crowds(monkeypatch: Patch) -> None:
     pictures = (
         resize_picture(crowd_scene(80), 16, 9),
-        small("sunflower", 6, 6),
-        small("many-objects", 16, 9),
+        small_scene("sunflower", 6, 6),
+        small_scene("many-objects", 16, 9),
     )
     assert check_points(monkeypatch, iter(pictures)) > 100_000
 
@@ -214,7 +214,7 @@ def test_unsound_bounds_are_detected(name: str, monkeypatch: Patch) -> None:
     owner, function, change = BROKEN[name]
     real = getattr(owner, function)
     monkeypatch.setattr(owner, function, lambda *args: change(real(*args), *args))
-    own = (small(name) for name in ("room", "highlights", "touching", "sticks-perspective"))
+    own = (small_scene(name) for name in ("room", "highlights", "touching", "sticks-perspective"))
     with pytest.raises((AssertionError, RuntimeError), match=r"contradicts|<= 1e-09"):
         check_points(monkeypatch, chain(own, scenes(HARD, range(40))), 1 / 128)
 
@@ -266,14 +266,14 @@ def test_means_of_cells_with_loose_edges(monkeypatch: Patch) -> None:
     monkeypatch.setattr(certificate, "enclose", checked)
     monkeypatch.setattr(certificate, "_MAX_LINES", 0)
     for name in ("room", "sticks-perspective", "touching"):
-        certify(small(name), 1 / 4)
+        certify(small_scene(name), 1 / 4)
     assert len(excess) > 100
     assert max(excess) <= 1 / side
 
 
 @pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
 def test_means(name: str) -> None:
-    scene = small(name, 24, 14)
+    scene = small_scene(name, 24, 14)
     certified, sampled = certify(scene, 1 / 256), render(scene, 256)
     assert certified.error.max() <= 1 / 256
     assert (certified.low <= certified.image).all()
@@ -320,7 +320,7 @@ def test_means_with_lights_on_sides_and_in_planes_of_boxes(box: Box, light: Vect
 @pytest.mark.parametrize("name", ["four-spheres", "room", "highlights", "sticks-perspective"])
 def test_means_where_thousands_of_samples_err(name: str) -> None:
     """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
-    scene = small(name, 24, 14)
+    scene = small_scene(name, 24, 14)
     certified, prepared = certify(scene, 1 / 32768), Faces(scene).prepared
     sampled = render_supersampled(scene, 65)
     difference = np.abs(sampled - certified.image).max(axis=2)
@@ -336,7 +336,7 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
 
 
 def test_codes() -> None:
-    scene = small("room")
+    scene = small_scene("room")
     codes_only, accurate = certify(scene, 1 / 8192, codes=True), certify(scene, 1 / 65536)
     assert codes_only.cell_count < accurate.cell_count
     assert codes_only.is_certain.mean() > 0.9
@@ -358,7 +358,7 @@ def test_scenes_and_errors_that_cannot_be_certified() -> None:
 
 
 def test_supersampling_in_strips_gives_the_same_picture(monkeypatch: Patch) -> None:
-    scene, offsets = small("sticks-perspective", 16, 9), np.arange(-3, 4, 2) / 8
+    scene, offsets = small_scene("sticks-perspective", 16, 9), np.arange(-3, 4, 2) / 8
     expected = np.mean([render(scene, offset=(x, y)) for x in offsets for y in offsets], axis=0)
     for samples in (truth._SAMPLES_PER_STRIP, 4 * 4 * 16 * 2):
         monkeypatch.setattr(truth, "_SAMPLES_PER_STRIP", samples)
@@ -369,14 +369,14 @@ def test_supersampling_in_strips_gives_the_same_picture(monkeypatch: Patch) -> N
 def test_true_pictures_are_stored_by_scene_error_and_code(
     monkeypatch: Patch, tmp_path: Path
 ) -> None:
-    scene = small("sticks-perspective", 16, 9)
+    scene = small_scene("sticks-perspective", 16, 9)
     monkeypatch.setattr(command, "BUILD", tmp_path / "build")
     first = true_picture(scene, 1 / 64)
     monkeypatch.setattr(truth, "certify", None)
     stored = true_picture(scene, 1 / 64)
     for name in ("low", "high", "image", "cell_count"):
         np.testing.assert_array_equal(getattr(stored, name), getattr(first, name))
-    for other in ((scene, 1 / 128), (small("room", 16, 9), 1 / 64)):
+    for other in ((scene, 1 / 128), (small_scene("room", 16, 9), 1 / 64)):
         with pytest.raises(TypeError):
             true_picture(*other)
     # A change to any module of the reference makes stored certificates obsolete.

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from probe import random_direction, rgb_lights, scale_and_shift, scene_of
 from random_scenes import FEW_OBJECTS, KINDS, random_scene, scenes
-from scene_files import NAMES, names, small
+from scene_files import NAMES, scene_parameters, small_scene
 
 from reference.command import SCENES, own_scenes
 from reference.judges import plain
@@ -95,7 +95,7 @@ def assert_correct(scenes: Iterable[Scene], tolerance: float, min_certain: float
 
 
 def test_an_error_is_found():
-    scene = small("four-spheres", 8, 6)
+    scene = small_scene("four-spheres", 8, 6)
     image = render(scene)
     assert not compare(scene, image).wrong(1e-12)
     image[2, 3, 1] += 1e-6
@@ -121,7 +121,7 @@ def test_pixels_next_to_edges_and_nearly_coinciding_surfaces_are_not_certain():
 
 @pytest.mark.parametrize("scale", [1e-60, 1e60])
 def test_the_oracle_sees_scenes_of_any_size(scale):
-    scene = small("one-sphere", 16, 12)
+    scene = small_scene("one-sphere", 16, 12)
     exact = plain.render(scene, arithmetic="decimal")
     assert exact.max() > 0.5
     scaled = plain.render(scale_and_shift(scene, scale), arithmetic="decimal")
@@ -172,7 +172,7 @@ def test_any_random_scene(kind, data):
 LARGE = {path.stem for path in own_scenes() if len(load_scene(path).surfaces) > 100}
 
 
-@pytest.mark.parametrize("name", names(*{*NAMES} - LARGE))
+@pytest.mark.parametrize("name", scene_parameters(*{*NAMES} - LARGE))
 def test_own_scenes(name):
     # Some scenes are seen from 1,700 times their size, which is nearly orthographic.
     scene = load_scene(SCENES / f"{name}.xml")

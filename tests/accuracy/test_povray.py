@@ -4,8 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import need
-from scene_files import names, small
+from conftest import find_program
+from scene_files import scene_parameters, small_scene
 
 from reference import povray
 from reference.command import SCENES
@@ -18,9 +18,11 @@ TOLERANCE = 1.01 * povray.WHITE / 65535 / 2
 
 
 @pytest.mark.povray
-@pytest.mark.parametrize("name", names("highlights", "room", "sticks-shifted", "touching"))
+@pytest.mark.parametrize(
+    "name", scene_parameters("highlights", "room", "sticks-shifted", "touching")
+)
 def test_povray_renders_the_same_picture(name, tmp_path):
-    need("povray")
+    find_program("povray")
     scene, path = load_scene(SCENES / f"{name}.xml"), tmp_path / "picture.ppm"
     povray.trace(povray.linear(scene, path))
     image = render(scene)
@@ -35,7 +37,7 @@ def test_povray_renders_the_same_picture(name, tmp_path):
 
 
 def test_all_objects_and_lights_are_converted():
-    scene = small("sticks-perspective")
+    scene = small_scene("sticks-perspective")
     text = povray.to_pov(scene)
     counts = [text.count(f"{name} {{") for name in ("sphere", "box", "light_source")]
     assert counts == [len(scene.surfaces.radius), len(scene.surfaces.min_pt), len(scene.lights)]

@@ -10,7 +10,7 @@ import pytest
 from probe import record_calls, scene_of
 from random_scenes import random_scene
 from running import run
-from scene_files import HARD_SCENES, small
+from scene_files import HARD_SCENES, small_scene
 
 import tracer
 from tracer import Box, Camera, Lambertian, PointLight, SceneWarning, Sphere, load_scene, render
@@ -225,7 +225,7 @@ def test_scenes_that_warn(change, warning):
           for blue in (20.5, 256)),
         replace(BALL, width=100, height=104),
         replace(BALL, width=104, height=100),
-        small("room"),
+        small_scene("room"),
     ],
 )  # fmt: skip
 def test_scenes_that_do_not_warn(scene):

@@ -76,7 +76,7 @@ def replace_tracer(monkeypatch: pytest.MonkeyPatch, image: np.ndarray) -> None:
 
 def four_spheres() -> tuple[Scene, np.ndarray]:
     """Return a scene and its picture."""
-    scene = scene_files.small("four-spheres", 80, 60)
+    scene = scene_files.small_scene("four-spheres", 80, 60)
     return scene, render(scene)
 
 
@@ -303,15 +303,15 @@ VARIANT = ["--variant", SCALAR]
         pytest.param("stock", ", diffuse light by stock plugins: agrees", marks=pytest.mark.slow),
     ],
 )
-def test_the_command_prints_the_result_and_writes_the_comparison(odd, flavour, verdict):
-    arguments = "--flavour", flavour, odd, "-o", f"{odd.parent}/new/"
+def test_the_command_prints_the_result_and_writes_the_comparison(odd_file, flavour, verdict):
+    arguments = "--flavour", flavour, odd_file, "-o", f"{odd_file.parent}/new/"
     environment = {"DRJIT_LIBLLVM_PATH": "/nonexistent", "PYTHONIOENCODING": "utf-8"}
     status, out, err = run(*arguments, python=("-m", "reference.check"), env=environment)
     assert status == 0, err
     assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in out
     assert f"\\udcff\\n{verdict}" in out
     middle = "" if flavour == "exact" else f".{flavour}"
-    with Image.open(odd.parent / "new" / f"{odd.stem}{middle}.check.png") as picture:
+    with Image.open(odd_file.parent / "new" / f"{odd_file.stem}{middle}.check.png") as picture:
         assert picture.width > 3 * 40
 
 
@@ -351,7 +351,10 @@ def test_the_status_after_several_scenes_is_the_worst(verdicts, status):
 
 @pytest.mark.parametrize("command", [main, report.main])
 def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, command):
-    bright, missing = scene_files.overflowing(small), str(small.with_name("missing.xml"))
+    bright, missing = (
+        scene_files.write_overflowing_scene(small),
+        str(small.with_name("missing.xml")),
+    )
     made = small.parent / "made"
     assert command([*VARIANT, str(bright), missing, str(small), "-o", f"{made}/"]) == 1
     captured = capsys.readouterr()

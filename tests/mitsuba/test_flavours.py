@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from probe import close_up, scale_and_shift, scene_of
 from running import run
-from scene_files import small
+from scene_files import small_scene
 
 from converters.camera import camera_window, visible_points
 from converters.flavours import (
@@ -30,7 +30,7 @@ from reference.figures import figures
 from reference.regenerate import load_small
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, Surfaces, render
 
-TINY = small("one-sphere", 8, 8)
+TINY = small_scene("one-sphere", 8, 8)
 
 
 # The files, in Mitsuba

@@ -64,12 +64,14 @@ def test_the_files_are_written_although_no_one_reads_the_output(
 
 
 @pytest.mark.parametrize("flavour", ["stock", "exact"])
-def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd, flavour):
-    odd.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
-    environment = {"PYTHONPATH": odd.parent, "PYTHONIOENCODING": "utf-8"}
-    status, out, err = run("--flavour", flavour, odd, python=COMMAND, cwd=ROOT, env=environment)
+def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd_file, flavour):
+    odd_file.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
+    environment = {"PYTHONPATH": odd_file.parent, "PYTHONIOENCODING": "utf-8"}
+    status, out, err = run(
+        "--flavour", flavour, odd_file, python=COMMAND, cwd=ROOT, env=environment
+    )
     assert (status, err) == (0, "")
-    assert f"{odd.parent}/\\udcff\\n." in out
+    assert f"{odd_file.parent}/\\udcff\\n." in out
 
 
 # Dr.Jit's error if a library of the system is missing.

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from scene_files import small
+from scene_files import small_scene
 
 from reference.certify import judgement, main
 from reference.judges.certificate import Certificate, certify
@@ -23,7 +23,7 @@ MISSING = "No such file or directory"
 def room(tmp_path, monkeypatch):
     """The scene "room" with 32 x 18 pixels, as room.xml in an empty working folder."""
     monkeypatch.chdir(tmp_path)
-    save_scene(small("room", 32, 18), path := tmp_path / "room.xml")
+    save_scene(small_scene("room", 32, 18), path := tmp_path / "room.xml")
     return path
 
 
@@ -36,7 +36,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[
 @pytest.mark.usefixtures("room")
 def test_a_picture_is_written_and_described(capsys):
     status, lines = run(capsys, "room.xml", "--error", "1/64")
-    certificate = certify(small("room", 32, 18), 1 / 64)
+    certificate = certify(small_scene("room", 32, 18), 1 / 64)
     assert status == 0
     within, certain, last = lines
     assert within.startswith("576 of 576 pixels are within 1/64; all within 0.01")
@@ -90,7 +90,7 @@ def test_certain_codes_may_replace_the_permitted_error(capsys, monkeypatch):
 
 def test_codes_within_the_bounds_are_not_wrong():
     """A single sample per pixel has wrong codes at edges, many samples have few."""
-    scene = small("room", 32, 18)
+    scene = small_scene("room", 32, 18)
     certificate = certify(scene, 1 / 1024)
     wrong = [judgement(certificate, to_codes(render(scene, n)))[0] for n in (1, 1024)]
     assert wrong[1] < wrong[0] / 20
@@ -109,7 +109,9 @@ def test_codes_within_the_bounds_are_not_wrong():
 @pytest.mark.usefixtures("room")
 def test_one_line_says_why_the_command_fails(arguments, message):
     write_png("small.png", np.zeros((3, 4, 3)))
-    save_scene(replace(small("one-sphere"), camera=Camera(view_point=(0, 0, 1))), Path("on.xml"))
+    save_scene(
+        replace(small_scene("one-sphere"), camera=Camera(view_point=(0, 0, 1))), Path("on.xml")
+    )
     with pytest.raises(Failure) as caught:
         main(arguments.split())
     assert (str(caught.value), caught.value.status) == (message, 3)

@@ -46,7 +46,7 @@ def verdict(name: str, made: tuple[str, ...]) -> str | None:
     It is "right" if it reports the mistakes, or some of them with the same picture; "part" if it
     reports one of them; "vague" if it reports none; and else "wrong".  None: nothing shows.
     """
-    codes = student.draw(scene(name), *made)
+    codes = student.render_mistakes(scene(name), *made)
     if codes is None or (codes == solution(name).codes).all() or not np.ptp(codes, (0, 1)).any():
         return None
     found = solution(name).diagnose(Picture(codes)).kind
@@ -83,7 +83,7 @@ def verdicts(name: str, count: int, seed: int) -> Counter[str]:
 
 def test_the_student_draws_what_the_tracer_does() -> None:
     for name in NAMES:
-        assert (student.draw(scene(name)) == to_codes(render(scene(name)))).all()
+        assert (student.render_mistakes(scene(name)) == to_codes(render(scene(name)))).all()
         assert (render_with_mistakes(scene(name)) == to_codes(render(scene(name)))).all()
 
 
@@ -121,7 +121,7 @@ def test_a_surface_of_many_is_found() -> None:
         surfaces=[*(Sphere(center=place, radius=0.3) for place in places), wall],
     )
     for kind in ("missing-surface-1", "shadow-none-surface-0"):
-        found = Solution(many).diagnose(Picture(student.draw(many, kind)))
+        found = Solution(many).diagnose(Picture(student.render_mistakes(many, kind)))
         assert found.kind == kind
 
 
@@ -168,7 +168,7 @@ def test_what_no_mistake_draws_is_described() -> None:
 
 
 def test_lights_that_are_lacking_are_named() -> None:
-    right, first = solution("room").codes, student.draw(scene("room"), "light-first")
+    right, first = solution("room").codes, student.render_mistakes(scene("room"), "light-first")
     codes = np.where(np.indices(right.shape)[1] < 120, first, right)
     found = solution("room").diagnose(Picture(codes))
     assert found.kind == "unknown"
@@ -206,7 +206,7 @@ def test_single_levels() -> None:
         assert found.kind == kind
     assert str(found) == "40 pixels are one level off; no known mistake does this."
     source = student.SOURCE.replace("np.floor(255 * shown + 0.5)", "np.ceil(255 * shown)")
-    codes = student.run(source, scene("room"))
+    codes = student.render_with_source(source, scene("room"))
     assert solution("room").diagnose(Picture(codes)).kind == "levels-up"
 
 
@@ -214,7 +214,7 @@ def test_half_a_truth_is_a_hint() -> None:
     """A shift, levels that are cut off, and a third mistake that the table lacks."""
     source = student.source_with("shift-right", "levels-truncated")
     source = source.replace("EXPONENT", "(sh.exponent * (1 + 0.3 * (k == 3)))")
-    codes = student.run(source, scene("four-spheres"))
+    codes = student.render_with_source(source, scene("four-spheres"))
     found = solution("four-spheres").diagnose(Picture(codes))
     assert (found.kind, found.hint) == ("unknown", "shift-right+levels-truncated")
     words = (
@@ -266,7 +266,8 @@ def test_causes_of_all_scenes_come_first() -> None:
 def test_a_jpeg_hides_nothing(tmp_path: Path, made: str) -> None:
     for kinds in ((), (made,)):
         path = tmp_path / "a.jpg"
-        Image.fromarray(student.draw(scene("four-spheres"), *kinds)).save(path, quality=85)
+        codes = student.render_mistakes(scene("four-spheres"), *kinds)
+        Image.fromarray(codes).save(path, quality=85)
         kind = solution("four-spheres").diagnose(read_picture(path)).kind
         assert (made if kinds else "format") in kind.split("|")
     right = Picture(solution("four-spheres").codes)
@@ -299,7 +300,8 @@ ALONE += ["background", "mirrored+gamma-none"]
 @pytest.mark.parametrize("kinds", [*ALONE, "shadow-none", "light-first", "pixel-upper-left"])
 def test_geometry_and_encoding_are_named_without_a_scene(kinds: str) -> None:
     alone = Solution(Picture(solution("four-spheres").codes))
-    found = alone.diagnose(Picture(student.draw(scene("four-spheres"), *kinds.split("+"))))
+    codes = student.render_mistakes(scene("four-spheres"), *kinds.split("+"))
+    found = alone.diagnose(Picture(codes))
     assert found.kind == (kinds if kinds in ALONE else "unknown")
     assert kinds in ALONE or re.search(
         r"[\d,]+ pixels differ. The worst .* With the scene", str(found)

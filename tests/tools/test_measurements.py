@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from time import sleep
 
 import pytest
-from scene_files import small
+from scene_files import small_scene
 
 from converters.variant import LLVM, use_variant
 from reference import benchmark, command, speed_accuracy
@@ -98,7 +98,7 @@ def test_costs_of_a_million_frames(monkeypatch, tmp_path, capsys):
 def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(measurements, "_MAX_ROUNDS_FACTOR", 1)
-    scene = small("four-spheres", 32, 18)
+    scene = small_scene("four-spheres", 32, 18)
     monkeypatch.setattr(speed_accuracy, "_scenes", lambda quick: {"small": scene})
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
     if use_variant().variant != LLVM:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import need
+from conftest import find_program
 from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 def browser() -> Iterator[Browser]:
     """Start the browser, once for all tests of this module."""
     with sync_playwright() as playwright:
-        options = {"executable_path": need("chromium"), "args": ["--no-sandbox"]}
+        options = {"executable_path": find_program("chromium"), "args": ["--no-sandbox"]}
         with playwright.chromium.launch(**options) as launched:
             yield launched
 
