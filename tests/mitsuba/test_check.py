@@ -351,10 +351,7 @@ def test_the_status_after_several_scenes_is_the_worst(verdicts, status):
 
 @pytest.mark.parametrize("command", [main, report.main])
 def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, command):
-    bright, missing = (
-        scene_files.write_overflowing_scene(small),
-        str(small.with_name("missing.xml")),
-    )
+    bright, missing = scene_files.write_overflowing(small), str(small.with_name("missing.xml"))
     made = small.parent / "made"
     assert command([*VARIANT, str(bright), missing, str(small), "-o", f"{made}/"]) == 1
     captured = capsys.readouterr()

@@ -109,9 +109,8 @@ def test_codes_within_the_bounds_are_not_wrong():
 @pytest.mark.usefixtures("room")
 def test_one_line_says_why_the_command_fails(arguments, message):
     write_png("small.png", np.zeros((3, 4, 3)))
-    save_scene(
-        replace(small_scene("one-sphere"), camera=Camera(view_point=(0, 0, 1))), Path("on.xml")
-    )
+    on_surface = replace(small_scene("one-sphere"), camera=Camera(view_point=(0, 0, 1)))
+    save_scene(on_surface, Path("on.xml"))
     with pytest.raises(Failure) as caught:
         main(arguments.split())
     assert (str(caught.value), caught.value.status) == (message, 3)
