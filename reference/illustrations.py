@@ -80,7 +80,7 @@ def draw_spans() -> None:
     left.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     tested = 0
     for shape in prepared.shapes:
-        index, span_row, start, length = samples.covered_samples(shape, prepared)
+        index, span_row, start, length = samples.sample_spans(shape, prepared)
         kept = np.flatnonzero(span_row == row)
         first_column = start[kept] - row * scene.width
         color = prepared.diffuse[:, index[kept]].T ** (1 / 2.2)

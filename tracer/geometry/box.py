@@ -89,17 +89,10 @@ class Boxes:
         is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
         for component, axis in zip((u, v, w), frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
-        return cls(
-            frame=frame,
-            objects=box_range(surfaces),
-            min_pt=min_pt,
-            max_pt=max_pt,
-            planes=(u, v, w * frame.depth),
-            bounds=_screen_bounds(frame, low, high),
-            is_eye_inside=is_eye_inside,
-            curvature=np.zeros(is_eye_inside.size),
-            coordinate_size=np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0),
-        )
+        coordinate_size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
+        objects, curvature = box_range(surfaces), np.zeros(is_eye_inside.size)
+        relation_to_eye = (u, v, w * frame.depth), _screen_bounds(frame, low, high), is_eye_inside
+        return cls(frame, objects, min_pt, max_pt, *relation_to_eye, curvature, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return opposite corners of all n boxes, in scene axes.

@@ -106,22 +106,11 @@ class Spheres:
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (u, v, w), radius2 = local, radius * radius
-        rows, columns = (
-            _tangent_slopes(component, w, radius2, component * component + w * w - radius2)
-            for component in (v, u)
-        )
-        return cls(
-            frame=frame,
-            objects=sphere_range(surfaces),
-            center=center,
-            radius=radius,
-            local=local,
-            power=power,
-            bounds=ScreenBounds.from_slopes(frame, rows, columns),
-            is_eye_inside=power <= 0,
-            curvature=1 / radius,
-            coordinate_size=np.abs(center).sum(axis=0) + radius,
-        )
+        down, right = (_tangent_slopes(x, w, radius2, x * x + w * w - radius2) for x in (v, u))
+        bounds = ScreenBounds.from_slopes(frame, down, right)
+        objects, coordinate_size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
+        relation_to_eye = local, power, bounds, power <= 0
+        return cls(frame, objects, center, radius, *relation_to_eye, 1 / radius, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Compute the axis-aligned bounding boxes of all n objects, in scene axes.
@@ -387,21 +376,18 @@ class Spheres:
         is_line_cut = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
-        hit_side = side_of_surface(
-            hit_height, hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye)
-        )
+        tolerance = hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye)
+        hit_side = side_of_surface(hit_height, tolerance)
         special = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
         if special.size:
             hit_side, side = hit_side[special], side[special]
             projection, length2 = projection[special], length2[special]
             starts_inside = self.is_eye_inside[sphere[special]]
-            blocked[special] = np.where(
-                hit_side == ON,
-                np.where(starts_inside, (projection < 0) | (side == OUTSIDE), projection > 0),
-                np.where(
-                    side == ON, (hit_side == OUTSIDE) & (projection < length2), hit_side != side
-                ),
-            )
+            from_inside = (projection < 0) | (side == OUTSIDE)
+            from_surface = np.where(starts_inside, from_inside, projection > 0)
+            to_surface = (hit_side == OUTSIDE) & (projection < length2)
+            from_elsewhere = np.where(side == ON, to_surface, hit_side != side)
+            blocked[special] = np.where(hit_side == ON, from_surface, from_elsewhere)
         return blocked
 
     def test_capsules(

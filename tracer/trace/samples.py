@@ -163,9 +163,7 @@ class Rows(NamedTuple):
         row, column = np.divmod(index, self.x.size)
         return row, column
 
-    def covered_samples(
-        self, shape: Shape, prepared: PreparedScene
-    ) -> tuple[Ints, Ints, Ints, Ints]:
+    def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
         The result consists of spans.  A span is a pair of one object and consecutive samples in one
@@ -320,12 +318,10 @@ class Scattered(NamedTuple):
         """
         return self.y[index].astype(np.intp), self.x[index].astype(np.intp)
 
-    def covered_samples(
-        self, shape: Shape, prepared: PreparedScene
-    ) -> tuple[Ints, Ints, Ints, None]:
+    def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
-        The results have the form of spans, as from `Rows.covered_samples`, with one sample each.
+        The results have the form of spans, as from `Rows.sample_spans`, with one sample each.
 
         Parameters
         ----------

@@ -184,7 +184,7 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
     frame, groups = prepared.frame, []
     all_s, all_g = samples.ray_s(frame), frame.ray_g(samples.y)
     for shape in prepared.shapes:
-        object_index, row, first_sample, sample_count = samples.covered_samples(shape, prepared)
+        object_index, row, first_sample, sample_count = samples.sample_spans(shape, prepared)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
         g, s = all_g.take(row), all_s.take(sample)
         t, detail = shape.intersect(object_index, g, s, sample_count)
