@@ -30,7 +30,7 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import convert_exact, convert_stock
 from converters.variant import SCALAR, mi, use_variant
 from reference import povray
-from reference.command import HERE, SCENES, built, own_scenes, parser
+from reference.command import HERE, SCENES, build_path, make_parser, own_scenes
 from reference.measured.measurements import (
     Task,
     Timing,
@@ -75,37 +75,48 @@ ROUNDS = 3
 """Minimum number of rounds in which each task is timed."""
 
 
-def speedup(ours: Timing, other: Timing) -> float:
-    """Return how many times as fast as the other task ours is: above 1 if ours is faster."""
+def compute_speedup(ours: Timing, other: Timing) -> float:
+    """Return how many times as fast as another task ours is: above 1 if ours is faster.
+
+    Parameters
+    ----------
+    ours, other : Timing
+        Times of both tasks, in seconds; the medians are compared.
+    """
     return other.median / ours.median
 
 
-def ratio(value: float) -> str:
-    """Format a ratio with at least two digits: 0.50×, 3.0×, 42×."""
-    places = 2 if value < 0.995 else 1 if value < 9.95 else 0
-    return f"{value:.{places}f}×"
+def format_ratio(value: float) -> str:
+    """Format a positive ratio with at least two digits: 0.50×, 3.0×, 42×."""
+    decimals = 2 if value < 0.995 else 1 if value < 9.95 else 0
+    return f"{value:.{decimals}f}×"
 
 
-def table(title: str, note: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Format a section of the page: a title, a note and a Markdown table.
+def format_section(
+    title: str, note: str, columns: Sequence[str], rows: Sequence[Sequence[object]]
+) -> str:
+    """Format a section of a Markdown page: a heading, a note and a table.
 
     Parameters
     ----------
     title, note : str
-        What the table shows.
+        The heading, and a paragraph that describes the table.
     columns : sequence of str
-        Titles of the columns.
+        Titles of the table's columns.
     rows : sequence of sequences
-        The rows.  Floats are formatted as ratios, everything else by `str`.
+        The rows of the table.  Floats are formatted as ratios, all other objects by `str`.
+
+    Returns
+    -------
+    section : str
+        The section, without a line end after its last line.
     """
-    shown = [
-        [ratio(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows
-    ]
-    lines = [columns, ["---"] * len(columns), *shown]
+    cells = [[format_ratio(x) if isinstance(x, float) else str(x) for x in row] for row in rows]
+    lines = [columns, ["---"] * len(columns), *cells]
     return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
-def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
+def _time_tracer_and_mitsuba(scene: Scene, text: str) -> tuple[Timing, Timing]:
     """Time alternately how the tracer and Mitsuba render a scene in this process.
 
     Parameters
@@ -113,12 +124,12 @@ def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
     scene : Scene
         The scene for the tracer.
     text : str
-        The same scene in Mitsuba's format.
+        The same scene in Mitsuba's format.  It is loaded before the clock starts.
 
     Returns
     -------
     tracer, mitsuba : Timing
-        Times of both.
+        Times to render one picture.
     """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
     loaded = mi.load_string(text)
@@ -130,18 +141,29 @@ def _time_both(scene: Scene, text: str) -> tuple[Timing, Timing]:
     return timings["tracer"], timings["Mitsuba"]
 
 
-def whole_process(quick: bool) -> str:
-    """Time commands that read a scene file and write a PNG file; return the section of the page."""
-    variant, png = use_variant().variant, str(built("out.png"))
+def benchmark_whole_process(quick: bool) -> str:
+    """Time commands that read a scene file and write a PNG file, for each renderer.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to use a single small picture.
+
+    Returns
+    -------
+    section : str
+        The section of the page about these times.
+    """
+    variant, png = use_variant().variant, str(build_path("out.png"))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "-o", png]
     mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT]
     rows: list[tuple[object, ...]] = []
-    every = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
-    for size, name in every[:1] if quick else every:
+    pairs = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
+    for size, name in pairs[:1] if quick else pairs:
         scene = resize_picture(load_scene(SCENES / f"{name}.xml"), *size)
-        save_scene(scene, scene_file := built("tracer.xml"))
-        (exact_file := built("exact.xml")).write_text(str(convert_exact(scene)))
-        (stock_file := built("stock.xml")).write_text(str(convert_stock(scene, 1)))
+        save_scene(scene, scene_file := build_path("tracer.xml"))
+        (exact_file := build_path("exact.xml")).write_text(str(convert_exact(scene)))
+        (stock_file := build_path("stock.xml")).write_text(str(convert_stock(scene, 1)))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
             "tracer": [*tracer, str(scene_file)],
@@ -149,17 +171,17 @@ def whole_process(quick: bool) -> str:
             "Mitsuba stock": [*mitsuba, variant, str(stock_file), png],
             "the same, scalar": [*mitsuba, SCALAR, str(stock_file), png],
         }
-        if povray.installed():
-            commands["POV-Ray"] = povray.command(scene, Path(png))
+        if povray.is_installed():
+            commands["POV-Ray"] = povray.write_scene_and_command(scene, Path(png))
         tasks = {name: command_task(command) for name, command in commands.items()}
         timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
         over_exact, *over_stock = (
-            speedup(timings["tracer"], timings[other])
+            compute_speedup(timings["tracer"], timings[other])
             for other in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
         )
         cells = (*timings.values(), over_exact, min(over_stock))
         rows.append((f"{name} {size[0]}×{size[1]}", *cells))
-    return table(
+    return format_section(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell. Mitsuba {variant} has a warm kernel cache. Its stock"
         f" plugins are also timed in {SCALAR}, which has no kernels to load; the speedup over stock"
@@ -170,8 +192,19 @@ def whole_process(quick: bool) -> str:
     )
 
 
-def rendering(quick: bool) -> str:
-    """Time rendering alone, in this process, of every scene; return the section of the page."""
+def benchmark_rendering(quick: bool) -> str:
+    """Time the rendering of every scene in this process, without loading and writing files.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to use only a few scenes in small pictures.
+
+    Returns
+    -------
+    section : str
+        The section of the page about these times.
+    """
     variant = use_variant().variant
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
@@ -180,14 +213,16 @@ def rendering(quick: bool) -> str:
         scenes |= {f"field-{count}": field_scene(count) for count in (1000, 10_000)}
         for name in _FEW_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
-            ours, exact_timing = _time_both(scene, str(convert_exact(scene)))
-            ours_again, stock_timing = _time_both(scene, str(convert_stock(scene, 1)))
-            speedups.append((speedup(ours, exact_timing), speedup(ours_again, stock_timing)))
+            ours, exact_timing = _time_tracer_and_mitsuba(scene, str(convert_exact(scene)))
+            ours_again, stock_timing = _time_tracer_and_mitsuba(scene, str(convert_stock(scene, 1)))
+            speedups.append(
+                (compute_speedup(ours, exact_timing), compute_speedup(ours_again, stock_timing))
+            )
             timings = ours, exact_timing, stock_timing
             rows.append((f"{name} {size[0]}×{size[1]}", *timings, *speedups[-1]))
         means = (geometric_mean(column) for column in zip(*speedups, strict=True))
         rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *means))
-    return table(
+    return format_section(
         "Rendering alone",
         "Milliseconds in one process, one sample per pixel, timed alternately with pauses of 20 ms,"
         " because Mitsuba's threads keep spinning that long. The tracer uses one process, Mitsuba"
@@ -199,12 +234,23 @@ def rendering(quick: bool) -> str:
     )
 
 
-def objects(quick: bool) -> str:
-    """Time loading and rendering of scenes with up to 100,000 objects; return the section."""
+def benchmark_objects(quick: bool) -> str:
+    """Time loading and rendering of scenes with many objects.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to use at most 100 objects instead of 100,000.
+
+    Returns
+    -------
+    section : str
+        The section of the page about these times.
+    """
     use_variant()
     rows: list[tuple[object, ...]] = []
     for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
-        save_scene(field_scene(count), path := built("objects.xml"))
+        save_scene(field_scene(count), path := build_path("objects.xml"))
         scene, text = load_scene(path), str(convert_exact(load_scene(path)))
         # Mitsuba's many objects must not slow down the garbage collector, nor its kernels.
         gc.collect()
@@ -216,8 +262,8 @@ def objects(quick: bool) -> str:
         }
         timings = time_interleaved(tasks, ROUNDS)
         gc.unfreeze()
-        rows.append((f"{count:,}", *timings.values(), *_mitsuba_timings(text)))
-    return table(
+        rows.append((f"{count:,}", *timings.values(), *_time_mitsuba_once(text)))
+    return format_section(
         "Many objects",
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
         " pixel. Loading is the time from the text to the scene, for Mitsuba with one shape per"
@@ -229,18 +275,30 @@ def objects(quick: bool) -> str:
     )  # fmt: skip
 
 
-def _mitsuba_timings(text: str) -> list[Timing]:
-    """Time once how long Mitsuba takes to load a scene, for its first picture, and for the next."""
-    clock = [perf_counter()]
+def _time_mitsuba_once(text: str) -> list[Timing]:
+    """Time how Mitsuba loads a scene and renders two pictures of it, once.
+
+    Parameters
+    ----------
+    text : str
+        The scene in Mitsuba's format.
+
+    Returns
+    -------
+    timings : list of three Timing
+        Times of loading, of the first picture, for which kernels are compiled, and of the next
+        picture.
+    """
+    times = [perf_counter()]
     scene = mi.load_string(text)
-    clock.append(perf_counter())
+    times.append(perf_counter())
     for _ in range(2):
         np.array(mi.render(scene))
-        clock.append(perf_counter())
-    return [Timing(seconds, seconds, seconds) for seconds in np.diff(clock).tolist()]
+        times.append(perf_counter())
+    return [Timing(seconds, seconds, seconds) for seconds in np.diff(times).tolist()]
 
 
-def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str]]]:
+def write_frames_and_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str]]]:
     """Write the frames of an animation to the build folder, and return commands to render them.
 
     Parameters
@@ -253,7 +311,9 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
     Returns
     -------
     commands : dict of str to list of commands
-        For each renderer, commands to run one after the other.  Only POV-Ray needs more than one.
+        For the name of each renderer, commands to run one after the other.  A command is a list of
+        the program and its arguments.  Only POV-Ray, if it is installed, needs more than one
+        command.
     """
     scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
@@ -261,15 +321,15 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
     mitsuba_files = {"exact": list[str](), "stock": list[str]()}
     for k in range(count):
         frame = replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
-        save_scene(frame, path := built(f"frame-{k}.xml"))
+        save_scene(frame, path := build_path(f"frame-{k}.xml"))
         files.append(str(path))
         for name, converted in (
             ("exact", convert_exact(frame)),
             ("stock", convert_stock(frame, 1)),
         ):
-            (path := built(f"frame-{k}.{name}.xml")).write_text(str(converted))
+            (path := build_path(f"frame-{k}.{name}.xml")).write_text(str(converted))
             mitsuba_files[name] += [str(path), f"{path}.png"]
-        pov_commands.append(povray.command(frame, built(f"frame-{k}.png")))
+        pov_commands.append(povray.write_scene_and_command(frame, build_path(f"frame-{k}.png")))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
     halves = [shlex.join([*tracer, "1", *files[k::2]]) for k in (0, 1)]
     pool = [sys.executable, "-c", _POOL_SCRIPT]
@@ -285,41 +345,52 @@ def frame_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str
         "Mitsuba exact": [[*mitsuba, *mitsuba_files["exact"]]],
         "Mitsuba stock": [[*mitsuba, *mitsuba_files["stock"]]],
     }
-    return commands | ({"POV-Ray": pov_commands} if povray.installed() else {})
+    return commands | ({"POV-Ray": pov_commands} if povray.is_installed() else {})
 
 
-def frames(quick: bool) -> str:
-    """Time commands that render the frames of an animation; return the section of the page."""
+def benchmark_frames(quick: bool) -> str:
+    """Time commands that render the frames of an animation, for each renderer.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to render a few small frames.
+
+    Returns
+    -------
+    section : str
+        The section of the page about these times.
+    """
     count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
-    commands = frame_commands(count, size)
-    tasks = {name: partial(_run_all, steps) for name, steps in commands.items()}
+    commands = write_frames_and_commands(count, size)
+    tasks = {name: partial(_run_commands, steps) for name, steps in commands.items()}
     timings = {
         name: time.divided_by(count) for name, time in time_interleaved(tasks, ROUNDS).items()
     }
-    first = timings["tracer, 1 process"]
-    return table(
+    first_timing = timings["tracer, 1 process"]
+    return format_section(
         f"{count} frames of {size[0]}×{size[1]}",
         "Milliseconds per frame: files are read, one sample per pixel is rendered, and PNG files"
         f" are written, from the shell, on {processors()} processors. Starting the programs is"
         " included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for each frame. A"
         " speedup is over the first row.",
         ("renderer", "time per frame", "speedup"),
-        [(name, timing, speedup(timing, first)) for name, timing in timings.items()],
+        [(name, timing, compute_speedup(timing, first_timing)) for name, timing in timings.items()],
     )
 
 
-def _run_all(commands: Sequence[Sequence[str]]) -> None:
-    """Run commands one after the other."""
+def _run_commands(commands: Sequence[Sequence[str]]) -> None:
+    """Run commands one after the other; raise CalledProcessError if one fails."""
     for command in commands:
         command_task(command)()
 
 
-SECTIONS = (whole_process, rendering, objects, frames)
+SECTIONS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, benchmark_frames)
 
 
 def main() -> None:
-    """Measure, print each section when it is measured, and write the page."""
-    arguments = parser("reference.benchmark", "small sizes").parse_args()
+    """Measure all sections, print each as soon as it is measured, and write the page."""
+    arguments = make_parser("reference.benchmark", "small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
     page = [
         "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"
@@ -329,5 +400,5 @@ def main() -> None:
     for section in SECTIONS:
         page.append(section(arguments.quick))
         print(page[-1], end="\n\n", flush=True)
-    path = built("benchmark.md") if arguments.quick else HERE / "benchmark.md"
+    path = build_path("benchmark.md") if arguments.quick else HERE / "benchmark.md"
     path.write_text("\n\n".join(page) + "\n", encoding="utf-8")

@@ -28,7 +28,7 @@ from time import perf_counter
 
 import numpy as np
 
-from reference.command import forbid_overwriting_inputs, parser
+from reference.command import forbid_overwriting_inputs, make_parser
 from reference.judges.certificate import Certificate, certify
 from reference.pictures import UNREADABLE, Codes, read_picture
 from tracer import Scene, load_scene, to_codes, write_png
@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     """Make the parser of the command line."""
-    command_parser = parser("reference.certify")
+    command_parser = make_parser("reference.certify")
     add = command_parser.add_argument
     add("scene", type=file_name, metavar="SCENE.xml", help="the scene file")
     default = f"{_DEFAULT_ERROR}; {_DEFAULT_ERROR_OF_CODES} with --codes"

@@ -52,8 +52,8 @@ from converters.to_mitsuba import (
     skip_converted,
 )
 from converters.variant import LLVM, use_variant
-from reference.command import parser
-from reference.figures import Bools, Figures, figures, write_comparison
+from reference.command import make_parser
+from reference.figures import Bools, Figures, measure_differences, write_comparison
 from reference.judges import plain
 from reference.judges.arrays import Ints
 from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
@@ -414,7 +414,9 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         excluded = edges | examination.ties
         # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
         shown = np.where(excluded[:, :, None], mitsuba, image)
-        measured = figures(shown / unit, mitsuba / unit, None if excluded.all() else excluded)
+        measured = measure_differences(
+            shown / unit, mitsuba / unit, None if excluded.all() else excluded
+        )
         if examination.examined or not out_of_tolerance(measured):
             break
     return CheckResult(
@@ -537,7 +539,7 @@ def _near_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    used = parser("reference.check")
+    used = make_parser("reference.check")
     add_scene_arguments(used)
     used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
     options = used.parse_args(arguments)

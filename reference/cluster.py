@@ -17,8 +17,8 @@ from time import perf_counter
 
 from distributed import Client, LocalCluster
 
-from reference.benchmark import frame_commands, table
-from reference.command import HERE, built, parser
+from reference.benchmark import format_section, write_frames_and_commands
+from reference.command import HERE, build_path, make_parser
 from reference.measured.measurements import command_task, describe_origin
 
 _FRAMES = 1_000_000
@@ -27,12 +27,23 @@ _FRAMES = 1_000_000
 # bytes, of the computer that gathers the results; and the number of frames in a larger task.
 _DOLLARS_PER_CORE_HOUR, _CLIENT_BYTES, _FRAMES_PER_TASK = 0.05, 16e9, 100
 
-# Keys of `frame_commands` of which all CPU time can be measured.
+# Keys of `write_frames_and_commands` of which all CPU time can be measured.
 _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
 
 
-def _cpu_seconds(commands: list[list[str]]) -> float:
-    """Run commands one after the other, and return their CPU time in seconds."""
+def _measure_cpu_seconds(commands: list[list[str]]) -> float:
+    """Run commands one after the other, and measure their CPU time.
+
+    Parameters
+    ----------
+    commands : list of lists of str
+        The programs and their arguments.
+
+    Returns
+    -------
+    seconds : float
+        CPU time of all processes that the commands started and waited for.
+    """
     before = os.times()
     for command in commands:
         command_task(command)()
@@ -41,8 +52,19 @@ def _cpu_seconds(commands: list[list[str]]) -> float:
     return children - before.children_user - before.children_system
 
 
-def _scheduler_seconds(count: int) -> float:
-    """Return the time in seconds that Dask takes for each of `count` tasks without any work."""
+def _measure_scheduler_seconds(count: int) -> float:
+    """Measure the time that Dask's scheduler takes for each task without any work.
+
+    Parameters
+    ----------
+    count : int
+        Number of tasks that are timed, after as many others.
+
+    Returns
+    -------
+    seconds : float
+        Time per task by the clock.
+    """
     options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
     with LocalCluster(1, **options) as cluster, Client(cluster) as client:
         client.gather(client.map(abs, range(count)))  # afterwards, the worker has started
@@ -52,39 +74,48 @@ def _scheduler_seconds(count: int) -> float:
 
 
 def main() -> None:
-    """Measure, and write the page."""
-    arguments = parser("reference.cluster", "few and small frames").parse_args()
+    """Measure costs and limits of rendering on a cluster; write and print the page about them."""
+    arguments = make_parser("reference.cluster", "few and small frames").parse_args()
     count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
-    commands = frame_commands(count, size)
-    cpu = {name: _cpu_seconds(commands[name]) / count for name in _RENDERERS if name in commands}
-    hours = {name: seconds * _FRAMES / 3600 for name, seconds in cpu.items()}
-    ours, task = cpu[_RENDERERS[0]], _scheduler_seconds(50 * count)
-    png = sum(built(f"frame-{k}.xml.png").stat().st_size for k in range(count)) / count
-    cores = ours / task
-    costs = table(
+    commands = write_frames_and_commands(count, size)
+    cpu_seconds = {
+        name: _measure_cpu_seconds(commands[name]) / count
+        for name in _RENDERERS
+        if name in commands
+    }
+    hours = {name: seconds * _FRAMES / 3600 for name, seconds in cpu_seconds.items()}
+    tracer_seconds, task_seconds = (
+        cpu_seconds[_RENDERERS[0]],
+        _measure_scheduler_seconds(50 * count),
+    )
+    png_bytes = sum(build_path(f"frame-{k}.xml.png").stat().st_size for k in range(count)) / count
+    core_count = tracer_seconds / task_seconds
+    costs = format_section(
         "What they would cost",
         f"Measured with {count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time for"
         " reading scenes, rendering and writing PNG files. Programs start once for all frames,"
         " POV-Ray for each. The price of a core is an assumption. The tracer's PNG files have"
-        f" {png * _FRAMES / 1e9:,.0f} GB together.",
+        f" {png_bytes * _FRAMES / 1e9:,.0f} GB together.",
         ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
         [
-            (name, f"{1e3 * cpu[name]:.0f}", f"{hours[name]:,.0f}",
+            (name, f"{1e3 * cpu_seconds[name]:.0f}", f"{hours[name]:,.0f}",
              f"${hours[name] * _DOLLARS_PER_CORE_HOUR:,.2f}")
-            for name in cpu
+            for name in cpu_seconds
         ],
     )  # fmt: skip
-    batch, memory = _FRAMES_PER_TASK, f"{_CLIENT_BYTES / 1e9:.0f} GB"
-    limits = table(
+    batch_size, memory = _FRAMES_PER_TASK, f"{_CLIENT_BYTES / 1e9:.0f} GB"
+    limits = format_section(
         "What would break first",
-        f"Measured: Dask's scheduler takes {1e3 * task:.2f} ms per task, and a PNG file has"
-        f" {png / 1e3:,.0f} kB. Computed: when each limit is reached with one frame per task.",
+        f"Measured: Dask's scheduler takes {1e3 * task_seconds:.2f} ms per task, and a PNG file has"
+        f" {png_bytes / 1e3:,.0f} kB. Computed: when each limit is reached with one frame per"
+        " task.",
         ("limit", "reached with", "remedy"),
         [
-            ("the scheduler is too slow for the workers", f"{cores:,.0f} cores",
-             f"{batch} frames per task, for {cores * batch:,.0f} cores; a worker that dies then"
-             f" costs {ours * batch:,.0f} s of CPU time"),
-            (f"gathered PNG files fill a memory of {memory}", f"{_CLIENT_BYTES / png:,.0f} frames",
+            ("the scheduler is too slow for the workers", f"{core_count:,.0f} cores",
+             f"{batch_size} frames per task, for {core_count * batch_size:,.0f} cores; a worker"
+             f" that dies then costs {tracer_seconds * batch_size:,.0f} s of CPU time"),
+            (f"gathered PNG files fill a memory of {memory}",
+             f"{_CLIENT_BYTES / png_bytes:,.0f} frames",
              "tasks that write their files, and return nothing"),
             ("a folder has too many files for its file system", "(not measured)",
              "a folder for each thousand frames"),
@@ -92,6 +123,6 @@ def main() -> None:
     )  # fmt: skip
     origin = f"Written by `python -m reference.cluster`, measured on {describe_origin()}."
     text = "\n\n".join(["# A million frames on a cluster", origin, costs, limits]) + "\n"
-    path = built("cluster.md") if arguments.quick else HERE / "cluster.md"
+    path = build_path("cluster.md") if arguments.quick else HERE / "cluster.md"
     path.write_text(text, encoding="utf-8")
     print(text, end="")

@@ -17,25 +17,32 @@ BUILD = HERE.parent / "build"
 
 
 def own_scenes() -> list[Path]:
-    """Return the paths of this project's scenes, sorted, without those converted for Mitsuba."""
+    """List the paths of this project's scene files, sorted, without those converted for Mitsuba."""
     return sorted(p for p in SCENES.glob("*.xml") if not p.name.endswith(".mitsuba.xml"))
 
 
-def built(name: str) -> Path:
-    """Return the path of a file in the build folder, and create the folder if it is missing."""
+def build_path(name: str) -> Path:
+    """Return the path of the file with this name in the build folder; create the folder if it is
+    missing.
+    """
     BUILD.mkdir(exist_ok=True)
     return BUILD / name
 
 
-def parser(module: str, quick: str | None = None) -> argparse.ArgumentParser:
-    """Make the parser of the arguments of `python -m module`.
+def make_parser(module: str, quick: str | None = None) -> argparse.ArgumentParser:
+    """Make a command-line parser whose help is the docstring of a module.
 
     Parameters
     ----------
     module : str
-        Full name of the module, which has been imported.  Its docstring describes the command.
+        Full name of the module, which is run by `python -m module`.
     quick : str, optional
-        What the option `--quick` does, for the help.  Without it, there is no such option.
+        Description of the option `--quick` for the help.  Without it, the option does not exist.
+
+    Returns
+    -------
+    parser : ArgumentParser
+        The parser, to which arguments can be added.
     """
     new_parser = CommandParser(
         prog=f"python -m {module}",
@@ -50,7 +57,9 @@ def parser(module: str, quick: str | None = None) -> argparse.ArgumentParser:
 def forbid_overwriting_inputs(
     command_parser: argparse.ArgumentParser, outputs: Iterable[Path], inputs: Iterable[Path]
 ) -> None:
-    """End the process as for wrong usage if a result would replace a file that is read.
+    """End the process with an error message if an output file is also an input file.
+
+    Files are the same if their resolved paths are equal.
 
     Parameters
     ----------
@@ -62,7 +71,7 @@ def forbid_overwriting_inputs(
     Raises
     ------
     Failure
-        If a path is relative and the working folder is gone.
+        If a path is relative and the current folder has been deleted.
     """
     sources = {real_path(path, status=MISUSED) for path in inputs}
     for output in outputs:

@@ -29,8 +29,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reference.command import forbid_overwriting_inputs, parser
-from reference.figures import SSIM_WINDOW, figures, linear, write_comparison
+from reference.command import forbid_overwriting_inputs, make_parser
+from reference.figures import SSIM_WINDOW, decode_to_linear, measure_differences, write_comparison
 from reference.handins.class_page import class_page, pair_of
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
 from reference.handins.folders import HandIn, hand_ins, match
@@ -68,7 +68,7 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     matched : list of HandIn
         The hand-ins, and the missing ones.
     """
-    command_parser = parser("reference.compare")
+    command_parser = make_parser("reference.compare")
     add, error = command_parser.add_argument, command_parser.error
     add("a", metavar="HAND-IN", type=Path, help="the picture in question, or a folder")
     add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")
@@ -209,12 +209,12 @@ def _figures(a: Codes, b: Codes) -> tuple[float, float, float]:
     ssim, squares, largest, windows = 0.0, 0.0, 0.0, max(1, height - margin)
     for start in range(0, windows, step):
         rows = slice(start, start + step + margin)
-        band = figures(linear(a[rows]), linear(b[rows]))
+        band = measure_differences(decode_to_linear(a[rows]), decode_to_linear(b[rows]))
         ssim += band.ssim * min(step, windows - start) / windows
         largest = max(largest, band.max)
     for start in range(0, height, step):
         rows = slice(start, start + step)
-        squares += float(((linear(a[rows]) - linear(b[rows])) ** 2).sum())
+        squares += float(((decode_to_linear(a[rows]) - decode_to_linear(b[rows])) ** 2).sum())
     return ssim, float(np.sqrt(squares / a.size)), largest
 
 
@@ -252,6 +252,11 @@ def _compared(
             output, "written", "choose another with -o", status=_FAILED, errors=(ValueError,)
         ):
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, linear(picture.codes), linear(right), (labels[0], labels[1]))
+            write_comparison(
+                output,
+                decode_to_linear(picture.codes),
+                decode_to_linear(right),
+                (labels[0], labels[1]),
+            )
         result = result._replace(comparison=str(output))
     return result, pair

@@ -35,26 +35,37 @@ _PAPER_COLOR, _INK_COLOR = (250, 250, 250), (30, 30, 30)
 _BRIGHTER_COLOR, _DARKER_COLOR = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
 
 
-def linear(codes: NDArray[np.generic]) -> Floats:
-    """Decode 8-bit codes (any shape) to linear light, by the inverse of the format's gamma."""
-    light: Floats = (np.arange(256) / 255) ** GAMMA
-    return np.asarray(light[codes])
+def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
+    """Decode the 8-bit codes of a picture to linear light from 0 to 1: (code / 255)^2.2.
+
+    Parameters
+    ----------
+    codes : (...) int array
+        Codes from 0 to 255.
+
+    Returns
+    -------
+    light : (...) float array
+        Linear light, in the shape of `codes`.
+    """
+    linear_of_code: Floats = (np.arange(256) / 255) ** GAMMA
+    return np.asarray(linear_of_code[codes])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """How much two pictures differ, in linear light.
+    """Measures of the difference between two pictures, in linear light.
 
-    The difference of a pixel is that of its worst channel.
+    The difference of a pixel is the absolute difference of the channel that differs most.
 
     Attributes
     ----------
     ssim : float
-        Structural similarity of the pictures as displayed, masked pixels included.
+        Structural similarity of the pictures as displayed, including masked pixels.
     max, p999, median : float
         Maximum, 99.9th percentile and median of the pixels' differences.
     rmse : float
-        Root mean square difference of pixels and channels.
+        Root mean square difference over all channels of all pixels.
     over : int
         Number of pixels whose difference is more than 1e-3.
     """
@@ -67,21 +78,28 @@ class Figures:
     over: int
 
     def __str__(self) -> str:
+        """Format all figures on one line."""
         return (
             f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e}, 99.9% {self.p999:.1e},"
             f" median {self.median:.1e}, RMSE {self.rmse:.1e}, pixels over 1e-3: {self.over}"
         )
 
 
-def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
+def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     """Measure how much two pictures differ.
 
     Parameters
     ----------
     a, b : (height, width, 3) float arrays
-        Linear radiance.
+        Linear radiance of the two pictures.
     mask : (height, width) bool array, optional
-        Pixels to exclude, except from SSIM.
+        True where a pixel is excluded from all figures but the structural similarity.
+
+    Returns
+    -------
+    figures : Figures
+        Maximum, percentile, median and root mean square of the differences, and structural
+        similarity.
 
     Raises
     ------
@@ -96,22 +114,25 @@ def figures(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
     if not kept.any():
         raise ValueError("every pixel is masked")
     padding = [(0, max(SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
-    shown = [np.pad(np.float32(x.clip(0, 1)) ** (1 / GAMMA), padding, mode="edge") for x in (a, b)]
-    ssim = structural_similarity(*shown, win_size=SSIM_WINDOW, channel_axis=2, data_range=1.0)
+    displayed = [
+        np.pad(np.float32(image.clip(0, 1)) ** (1 / GAMMA), padding, mode="edge")
+        for image in (a, b)
+    ]
+    ssim = structural_similarity(*displayed, win_size=SSIM_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
-    pixels = difference.max(axis=1)
+    pixel_difference = difference.max(axis=1)
     return Figures(
         ssim=float(ssim),
-        max=float(pixels.max()),
-        p999=float(np.percentile(pixels, _PERCENTILE)),
+        max=float(pixel_difference.max()),
+        p999=float(np.percentile(pixel_difference, _PERCENTILE)),
         rmse=float(np.sqrt(np.mean(difference**2))),
-        median=float(np.median(pixels)),
-        over=int(np.count_nonzero(pixels > _COUNTED_DIFFERENCE)),
+        median=float(np.median(pixel_difference)),
+        over=int(np.count_nonzero(pixel_difference > _COUNTED_DIFFERENCE)),
     )
 
 
 def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, str]) -> None:
-    """Write a PNG file with two pictures and their amplified difference, side by side.
+    """Write a PNG file that shows two pictures and their amplified difference side by side.
 
     Parameters
     ----------
@@ -120,14 +141,14 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     a, b : (height, width, 3) float arrays
         Linear radiance of the left and the middle picture.
     labels : (str, str)
-        Titles of these pictures; what does not fit is cut off.
+        Titles of the left and the middle picture.  Titles that are too long are cut off.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    difference, gain = amplified(a, b)
+    difference, gain = amplify_difference(a, b)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
     legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
     height, width = a.shape[:2]
@@ -149,31 +170,32 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
         sheet.save(file, format="PNG")
 
 
-def amplified(a: Floats, b: Floats) -> tuple[Floats, float]:
-    """Make a picture of the difference of two pictures, amplified so that it is visible.
+def amplify_difference(a: Floats, b: Floats) -> tuple[Floats, float]:
+    """Compute a picture of the difference of two pictures, amplified so that it is visible.
 
     Parameters
     ----------
     a, b : (height, width, 3) float arrays
-        Linear radiance.
+        Linear radiance of the two pictures.
 
     Returns
     -------
     picture : (height, width, 3) float array
-        Colours from 0 to 1: orange where `a` is brighter, blue where it is darker.  Their
-        brightness is the amplified difference of the channel that differs most.
+        Colours from 0 to 1: orange where `a` is brighter, blue where it is darker.  The brightness
+        is the amplified difference of the channel that differs most.
     gain : float
-        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, so that 99.9 %
-        of the pixels' differences fit.  0 if there is no difference.
+        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, chosen such
+        that 99.9 % of the pixels' amplified differences are at most 1.  0 if the pictures are
+        equal.
     """
     difference = a - b
     channel = np.abs(difference).argmax(axis=2)[:, :, None]
     signed = np.take_along_axis(difference, channel, axis=2)
-    size = np.abs(signed)
-    largest = float(np.percentile(size, _PERCENTILE)) or float(size.max())
-    if largest == 0:
+    absolute = np.abs(signed)
+    shown_maximum = float(np.percentile(absolute, _PERCENTILE)) or float(absolute.max())
+    if shown_maximum == 0:
         return np.zeros(a.shape), 0.0
-    power = 10.0 ** np.floor(np.log10(1 / largest))
-    gain = max(k * power for k in (1, 2, 5) if k * power * largest <= 1)
+    power = 10.0 ** np.floor(np.log10(1 / shown_maximum))
+    gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
     brighter, darker = np.clip(gain * signed, 0, 1), np.clip(-gain * signed, 0, 1)
     return brighter * _BRIGHTER_COLOR + darker * _DARKER_COLOR, gain

@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
-from reference.command import HERE, SCENES, parser
+from reference.command import HERE, SCENES, make_parser
 from reference.judges import certificate
 from reference.judges.cells import Cells as CertifiedCells
 from reference.judges.forms import Form
@@ -239,7 +239,7 @@ def _save(name: str) -> None:
 @np.errstate(all="ignore")  # as the tracer does when it renders
 def main() -> None:
     """Draw all illustrations."""
-    parser("reference.illustrations").parse_args()
+    make_parser("reference.illustrations").parse_args()
     draw_spans()
     draw_packets()
     draw_light_grid()

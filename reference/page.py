@@ -56,7 +56,8 @@ def pair(a: Codes, b: Codes, difference: Floats, gain: float, **content: Any) ->
     a, b : (height, width, 3) uint8 arrays
         8-bit codes of the left and the right picture.
     difference : (height, width, 3) float array
-        A picture of the difference, from 0 to 1, as `reference.figures.amplified` returns it.
+        A picture of the difference, from 0 to 1, as `reference.figures.amplify_difference`
+        computes it.
     gain : float
         Factor by which the difference is amplified; 0 if there is none.
     **content

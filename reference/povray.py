@@ -20,118 +20,162 @@ from numpy.typing import NDArray
 from tracer import Phong, Scene, Shader, Sphere
 
 WHITE = 4.0
-"""Maximum radiance in pictures that `linear` renders; larger radiance is clipped."""
+"""Maximum radiance in pictures that `read_linear_picture` reads; larger radiance is clipped."""
 
 # Exponents are at least this large, so that their reciprocal is finite.
 _MIN_EXPONENT = 1e-9
 
-# POV-Ray rounds times to milliseconds.  A time of 0 counts as half of one, as it must have a place
-# on a logarithmic axis.
+# POV-Ray rounds times to milliseconds.  A time of 0 is replaced by half a millisecond, because
+# times are drawn on a logarithmic axis.
 _MIN_SECONDS = 0.0005
 
 _HEADER = "#version 3.7; global_settings { assumed_gamma 1 } background { rgb 0 }"
 
 
-def installed() -> bool:
-    """Return whether the command `povray` is installed."""
+def is_installed() -> bool:
+    """Test whether the command `povray` is installed."""
     return shutil.which("povray") is not None
 
 
-def _xyz(values: Iterable[float]) -> str:
-    """Format a vector or a colour."""
-    return f"<{', '.join(repr(float(value)) for value in values)}>"
+def _format_vector(numbers: Iterable[float]) -> str:
+    """Format three numbers, a vector or a colour, in the POV-Ray language: "<x, y, z>"."""
+    return f"<{', '.join(repr(float(number)) for number in numbers)}>"
 
 
-def _texture(shader: Shader) -> str:
-    """Convert a shader."""
+def _convert_shader(shader: Shader) -> str:
+    """Convert a Lambertian or Blinn-Phong shader to a texture in the POV-Ray language.
+
+    A coloured highlight becomes grey, the mean of its colour, because POV-Ray has no other.
+    """
     finish = "ambient 0 diffuse 1"
     if isinstance(shader, Phong) and any(shader.specular):
         roughness = 1 / max(shader.exponent, _MIN_EXPONENT)
         finish += f" specular {sum(shader.specular) / 3!r} roughness {roughness!r}"
-    return f"texture {{ pigment {{ rgb {_xyz(shader.diffuse)} }} finish {{ {finish} }} }}"
+    return f"texture {{ pigment {{ rgb {_format_vector(shader.diffuse)} }} finish {{ {finish} }} }}"
 
 
-def _camera(scene: Scene) -> str:
-    """Convert the camera: vectors to the window's centre and along its sides.
+def _convert_camera(scene: Scene) -> str:
+    """Convert a scene's camera to the POV-Ray language.
 
-    The window may be oblique, so these vectors need not be perpendicular.
+    POV-Ray describes the camera by vectors to the window's centre and along its sides.  They need
+    not be perpendicular, because the window may be oblique.
     """
     camera = scene.camera
-    ahead, w, up = (np.array(v) for v in (camera.view_dir, camera.normal, camera.view_up))
-    w = -np.copysign(1, w @ ahead) * w  # towards the eye
-    right = np.cross(up, w)
-    up = np.cross(w, right)
+    vectors = camera.view_dir, camera.normal, camera.view_up
+    ahead, normal, up = (np.array(vector) for vector in vectors)
+    towards_eye = -np.copysign(1, normal @ ahead) * normal
+    right = np.cross(up, towards_eye)
+    up = np.cross(towards_eye, right)
     return (
-        f"camera {{ location {_xyz(camera.view_point)}"
-        f" direction {_xyz(camera.proj_distance * ahead / np.linalg.norm(ahead))}"
-        f" right {_xyz(camera.view_width * right / np.linalg.norm(right))}"
-        f" up {_xyz(camera.view_height * up / np.linalg.norm(up))} }}"
+        f"camera {{ location {_format_vector(camera.view_point)}"
+        f" direction {_format_vector(camera.proj_distance * ahead / np.linalg.norm(ahead))}"
+        f" right {_format_vector(camera.view_width * right / np.linalg.norm(right))}"
+        f" up {_format_vector(camera.view_height * up / np.linalg.norm(up))} }}"
     )
 
 
-def to_pov(scene: Scene, exposure: float = 1.0) -> str:
-    """Convert a scene to the language of POV-Ray 3.7.
+def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
+    """Convert a scene to the POV-Ray 3.7 language.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     exposure : float
-        Factor for the intensities of the lights.
+        Factor for the intensities of all lights.
 
     Returns
     -------
     text : str
-        The text of POV-Ray's scene file.
+        The content of a POV-Ray scene file.
     """
-    lines = [_HEADER, _camera(scene)]
+    lines = [_HEADER, _convert_camera(scene)]
     for light in scene.lights:
-        color = f"{exposure!r} * {_xyz(light.intensity)}"
-        lines.append(f"light_source {{ {_xyz(light.position)} rgb {color} }}")
-    shaders = {shader: k for k, shader in enumerate(scene.surfaces.shaders)}
-    lines += [f"#declare S{k} = {_texture(shader)}" for shader, k in shaders.items()]
+        color = f"{exposure!r} * {_format_vector(light.intensity)}"
+        lines.append(f"light_source {{ {_format_vector(light.position)} rgb {color} }}")
+    shader_index = {shader: k for k, shader in enumerate(scene.surfaces.shaders)}
+    lines += [f"#declare S{k} = {_convert_shader(shader)}" for shader, k in shader_index.items()]
     for surface in scene.surfaces:
         if isinstance(surface, Sphere):
-            shape = f"sphere {{ {_xyz(surface.center)}, {surface.radius!r}"
+            shape = f"sphere {{ {_format_vector(surface.center)}, {surface.radius!r}"
         else:
-            shape = f"box {{ {_xyz(surface.min_pt)}, {_xyz(surface.max_pt)}"
-        lines.append(f"{shape} texture {{ S{shaders[surface.shader]} }} }}\n")
+            shape = f"box {{ {_format_vector(surface.min_pt)}, {_format_vector(surface.max_pt)}"
+        lines.append(f"{shape} texture {{ S{shader_index[surface.shader]} }} }}\n")
     return "\n".join(lines)
 
 
-def command(scene: Scene, target: Path, *options: str, exposure: float = 1.0) -> list[str]:
-    """Write the converted scene next to a picture, and return the command that renders the picture.
+def write_scene_and_command(
+    scene: Scene, target: Path, *options: str, exposure: float = 1.0
+) -> list[str]:
+    """Write a scene as a POV-Ray file, and return the command that renders it.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     target : Path
-        The picture, a PNG file by default.  The scene gets the same name with the suffix .pov.
+        The picture that the command will write, a PNG file by default.  The scene is written next
+        to it, to a file with the same name and the suffix .pov.
     *options : str
-        More options of POV-Ray.
+        More POV-Ray options.
     exposure : float
-        Factor for the intensities of the lights.
+        Factor for the intensities of all lights.
+
+    Returns
+    -------
+    command : list of str
+        The program and its arguments.
     """
-    (source := target.with_suffix(".pov")).write_text(to_pov(scene, exposure), encoding="utf-8")
+    (source := target.with_suffix(".pov")).write_text(
+        convert_scene(scene, exposure), encoding="utf-8"
+    )
     size = (f"+W{scene.width}", f"+H{scene.height}")
     return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
 
 
-def linear(scene: Scene, target: Path, *options: str) -> list[str]:
-    """Return the command that renders a linear picture with 16 bits per channel.
+def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) -> list[str]:
+    """Write a scene as a POV-Ray file, and return the command that renders a linear picture of it.
 
-    The function `picture` reads it.  For the arguments, and the scene file that is written, see
-    `command`.
+    The picture has 16 bits per channel, and its radiance is clipped at `WHITE`.
+    `read_linear_picture` reads it.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    target : Path
+        The PPM file that the command will write.  The scene is written next to it, to a file with
+        the same name and the suffix .pov.
+    *options : str
+        More POV-Ray options.
+
+    Returns
+    -------
+    command : list of str
+        The program and its arguments.
     """
-    return command(scene, target, "+FP16", "File_Gamma=1.0", *options, exposure=1 / WHITE)
+    return write_scene_and_command(
+        scene, target, "+FP16", "File_Gamma=1.0", *options, exposure=1 / WHITE
+    )
 
 
-def picture(target: Path) -> NDArray[np.float64]:
-    """Read a picture of `linear`: radiance (height, width, 3), clipped at `WHITE`.
+def read_linear_picture(target: Path) -> NDArray[np.float64]:
+    """Read a picture that a command of `write_linear_scene_and_command` has rendered.
+
+    Parameters
+    ----------
+    target : Path
+        The PPM file.
+
+    Returns
+    -------
+    image : (height, width, 3) float array
+        Linear RGB radiance, clipped at `WHITE`.
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
     ValueError
         If the file is not a PPM file with 16 bits per channel.
     """
@@ -143,10 +187,18 @@ def picture(target: Path) -> NDArray[np.float64]:
     return codes.reshape(int(header[2]), int(header[1]), 3) * (WHITE / 65535)
 
 
-def trace(command: Sequence[str]) -> float:
-    """Run a command, and return the tracing time that POV-Ray reports, in seconds.
+def run_and_time(command: Sequence[str]) -> float:
+    """Run a POV-Ray command, and return the tracing time that POV-Ray reports.
 
-    The time does not include the start of the program.
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+
+    Returns
+    -------
+    seconds : float
+        The time without the start of the program, at least `_MIN_SECONDS`.
 
     Raises
     ------
@@ -154,7 +206,7 @@ def trace(command: Sequence[str]) -> float:
         If POV-Ray fails.
     """
     result = subprocess.run(command, capture_output=True, text=True, errors="replace")
-    time = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)
-    if result.returncode or not time:
+    reported = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)
+    if result.returncode or not reported:
         raise RuntimeError(f"POV-Ray failed:\n{result.stderr}")
-    return max(float(time[1]), _MIN_SECONDS)
+    return max(float(reported[1]), _MIN_SECONDS)

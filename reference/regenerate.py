@@ -27,7 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure_variant, mi, use_variant
-from reference.command import HERE, SCENES, own_scenes, parser
+from reference.command import HERE, SCENES, make_parser, own_scenes
 from tracer import Scene, load_scene, render, to_codes
 
 FOLDER = HERE / "mitsuba"
@@ -47,30 +47,55 @@ _RADIANCE_STEP = 2.0**-20
 
 
 def load_small(path: Path) -> Scene:
-    """Load a scene file, and make its picture `WIDTH` pixels wide."""
+    """Load a scene file, and change the size of its picture to a width of `WIDTH` pixels.
+
+    The ratio of width and height stays the same, apart from rounding.
+    """
     scene = load_scene(path)
     return replace(scene, width=WIDTH, height=max(1, round(WIDTH * scene.height / scene.width)))
 
 
 def scene_hash(path: Path) -> str:
-    """Return the SHA-256 hash of a scene file."""
+    """Compute the SHA-256 hash of a scene file, in hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def stored(name: str) -> Floats:
-    """Read Mitsuba's stored picture of a scene: linear radiance (height, width, 3)."""
+def read_stored_picture(name: str) -> Floats:
+    """Read the picture of a scene that Mitsuba has rendered and that is stored with this project.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scene file without its suffix.
+
+    Returns
+    -------
+    image : (height, width, 3) float array
+        Linear RGB radiance; the width is `WIDTH`.
+    """
     ensure_variant()
     return np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
-def sheet(paths: Iterable[Path]) -> Image.Image:
-    """Render all scenes on one sheet, in rows, each above its name; the narrowest come first."""
-    pictures = [(_rendered(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
+def render_sheet(paths: Iterable[Path]) -> Image.Image:
+    """Render an overview of scenes: small pictures in rows, each above the name of its scene.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        The scene files, in any order.
+
+    Returns
+    -------
+    sheet : Image
+        The overview.  The narrowest pictures come first.
+    """
+    named = [(_render_image(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
     row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
-    image = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
+    image = Image.new("RGB", (_SHEET_WIDTH, row_height * len(named)), "white")
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=_NAME_SIZE)
     x = y = 0
-    for picture, name in sorted(pictures, key=lambda pair: pair[0].width):
+    for picture, name in sorted(named, key=lambda pair: pair[0].width):
         if x + picture.width > _SHEET_WIDTH:
             x, y = 0, y + row_height
         image.paste(picture, (x, y))
@@ -79,17 +104,17 @@ def sheet(paths: Iterable[Path]) -> Image.Image:
     return image.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
 
 
-def _rendered(scene: Scene, height: int) -> Image.Image:
-    """Render a scene with antialiasing, in a picture of this height."""
+def _render_image(scene: Scene, height: int) -> Image.Image:
+    """Render a scene with antialiasing as a picture of the given height, in pixels."""
     resized = replace(scene, width=round(scene.width * height / scene.height), height=height)
     return Image.fromarray(to_codes(render(resized, _SAMPLES)))
 
 
 def main() -> None:
-    """Render everything again."""
-    parser("reference.regenerate").parse_args()
-    sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
-    large = _rendered(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
+    """Render all stored pictures again, and write how they were rendered to `manifest.json`."""
+    make_parser("reference.regenerate").parse_args()
+    render_sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
+    large = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
     large.save(HERE / "sunflower.png", optimize=True)
     for path in own_scenes():
         image = render_mitsuba(load_small(path))

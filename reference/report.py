@@ -28,8 +28,8 @@ import numpy as np
 from converters.to_mitsuba import choose_variant
 from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
-from reference.command import BUILD, HERE, forbid_overwriting_inputs, own_scenes, parser
-from reference.figures import amplified
+from reference.command import BUILD, HERE, forbid_overwriting_inputs, make_parser, own_scenes
+from reference.figures import amplify_difference
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, pair
 from tracer import to_codes
@@ -114,7 +114,7 @@ def _pair(result: CheckResult, comment: str) -> Pair:
     """Prepare both pictures of a result and their difference, with excluded pixels in grey."""
     excluded, f, agrees = result.excluded, result.figures, result.verdict == "agrees"
     mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba)
-    difference, gain = amplified(result.tracer, mitsuba)
+    difference, gain = amplify_difference(result.tracer, mitsuba)
     difference[excluded] = _EXCLUDED_GREY
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return pair(
@@ -162,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Failure
         If Mitsuba cannot run, or the page cannot be written.
     """
-    command_parser = parser("reference.report")
+    command_parser = make_parser("reference.report")
     add = command_parser.add_argument
     add("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="scene files (all scenes/)")
     text = "the page to write, or a folder for it, which may end in / (build/report.html)"

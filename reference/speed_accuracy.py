@@ -27,7 +27,7 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import convert_exact
 from converters.variant import LLVM, mi, use_variant
 from reference import povray
-from reference.command import SCENES, built
+from reference.command import SCENES, build_path
 from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
@@ -137,19 +137,21 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
         the median, minimum and maximum of the time in seconds.
     """
     error = _REFERENCE_ERROR * (16 if quick else 1)
-    reference_image, target = true_picture(scene, error).image, built("povray.ppm")
+    reference_image, target = true_picture(scene, error).image, build_path("povray.ppm")
     # This picture has a larger error than the reference.
     min_error = rmse(true_picture(scene, 4 * error).image, reference_image)
-    stopped: set[tuple[str, int]] = set() if povray.installed() else {(_POVRAY, 1)}
+    stopped: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
     for k, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
         tasks = _tasks(scene, k)
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
         # The time that POV-Ray reports, without its start, as that of the others.
-        tasks[_POVRAY, 1] = partial(povray.trace, povray.linear(scene, target, *options))
+        tasks[_POVRAY, 1] = partial(
+            povray.run_and_time, povray.write_linear_scene_and_command(scene, target, *options)
+        )
         tasks = {key: task for key, task in tasks.items() if key not in stopped}
         for key, timing in time_interleaved(tasks, _ROUNDS).items():
             (method, factor), image = key, tasks[key]()
-            image = povray.picture(target) if method == _POVRAY else image
+            image = povray.read_linear_picture(target) if method == _POVRAY else image
             method_error = rmse(image, reference_image)
             if method_error > min_error:
                 yield (name, method, factor * 4**k, method_error, *timing)

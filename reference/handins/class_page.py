@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from reference import page as pages
-from reference.figures import amplified, linear
+from reference.figures import amplify_difference, decode_to_linear
 from reference.handins.results import Result, count_of, mistake_counts
 from reference.page import Cell, Pair, pair, png
 from reference.pictures import Codes
@@ -24,7 +24,7 @@ def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
     return pair(
         handin,
         right,
-        *amplified(linear(handin), linear(right)),
+        *amplify_difference(decode_to_linear(handin), decode_to_linear(right)),
         name=str(result.picture),
         good=result.agrees,
         word=result.word,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from reference.figures import linear
+from reference.figures import decode_to_linear
 from reference.handins.formulas import Array, Formulas, parameter_names
 from reference.handins.mistakes import FITTED, RIGHT, list_mistakes, sample_position_formulas
 from reference.pictures import Codes
@@ -42,7 +42,7 @@ def scene_values(scene: Scene | Codes) -> dict[str, Any]:
         contains only the linear light "picture" (h, w, 3).
     """
     if not isinstance(scene, Scene):
-        return {"picture": linear(scene)}
+        return {"picture": decode_to_linear(scene)}
     camera, surfaces = scene.camera, list(scene.surfaces) or [Sphere()]
     shaders = [surface.shader for surface in surfaces]
     # Formulas need a surface.  In an empty scene, its radius is NaN, so that all rays miss it.

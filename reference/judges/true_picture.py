@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import reference.judges
 import tracer
-from reference.command import built
+from reference.command import build_path
 from reference.judges.certificate import Certificate, certify
 from tracer import Scene, SceneWarning, render, save_scene
 
@@ -55,10 +55,10 @@ def true_picture(scene: Scene, error: float) -> Certificate:
     """
     save_scene(scene, scene_file := io.BytesIO())
     key = hashlib.sha256(f"{error!r}".encode() + scene_file.getvalue() + _code_hash()).hexdigest()
-    path = built(f"certificate-{key[:16]}.npz")
+    path = build_path(f"certificate-{key[:16]}.npz")
     if not path.exists():
         certificate = certify(scene, error)
-        incomplete_path = built(f"certificate-{key[:16]}.part.npz")
+        incomplete_path = build_path(f"certificate-{key[:16]}.part.npz")
         np.savez(incomplete_path, *astuple(certificate))
         incomplete_path.replace(path)
         return certificate

@@ -12,7 +12,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 from cycler import cycler
 
-from reference.command import HERE, built, parser
+from reference.command import HERE, build_path, make_parser
 from reference.measured.measurements import describe_origin, read_csv, write_csv
 
 __all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
@@ -69,11 +69,11 @@ def run_chart_command(
     texts : (str, str)
         The chart's title, and a note below the title.
     """
-    command_parser = parser(f"reference.{name}", "fewer points")
+    command_parser = make_parser(f"reference.{name}", "fewer points")
     redraw_help = "draw the stored table again, without measuring"
     command_parser.add_argument("--redraw", action="store_true", help=redraw_help)
     arguments = command_parser.parse_args()
-    table_path = built(f"{name}.csv") if arguments.quick else HERE / f"{name}.csv"
+    table_path = build_path(f"{name}.csv") if arguments.quick else HERE / f"{name}.csv"
     if not arguments.redraw:
         # Everything is measured before the stored table is replaced.
         origin, rows = describe_origin(), [*measure(arguments.quick)]

@@ -24,9 +24,9 @@ TOLERANCE = 1.01 * povray.WHITE / 65535 / 2
 def test_povray_renders_the_same_picture(name, tmp_path):
     find_program("povray")
     scene, path = load_scene(SCENES / f"{name}.xml"), tmp_path / "picture.ppm"
-    povray.trace(povray.linear(scene, path))
+    povray.run_and_time(povray.write_linear_scene_and_command(scene, path))
     image = render(scene)
-    differs = np.abs(povray.picture(path) - image).max(axis=2) > TOLERANCE
+    differs = np.abs(povray.read_linear_picture(path) - image).max(axis=2) > TOLERANCE
     assert name == "touching" or not differs.any()
     # Here a plate lies exactly on a face of a slab, and only there POV-Ray confuses the two, or
     # their shadows.  The oracle confirms the tracer in all these pixels.
@@ -38,7 +38,7 @@ def test_povray_renders_the_same_picture(name, tmp_path):
 
 def test_all_objects_and_lights_are_converted():
     scene = small_scene("sticks-perspective")
-    text = povray.to_pov(scene)
+    text = povray.convert_scene(scene)
     counts = [text.count(f"{name} {{") for name in ("sphere", "box", "light_source")]
     assert counts == [len(scene.surfaces.radius), len(scene.surfaces.min_pt), len(scene.lights)]
 
@@ -47,7 +47,7 @@ def test_the_reported_time_is_read_and_failures_are_raised():
     for reported, seconds in (("0.000", 0.0005), ("1.250", 1.25)):
         line = f"Trace Time: 0 hours 0 minutes ({reported} seconds)"
         script = f"import sys; sys.stderr.write('{line}')"
-        assert povray.trace([sys.executable, "-c", script]) == seconds
+        assert povray.run_and_time([sys.executable, "-c", script]) == seconds
     script = "import sys; sys.stderr.write('Parse Error: x'); sys.exit(1)"
     with pytest.raises(RuntimeError, match="POV-Ray failed:\nParse Error: x"):
-        povray.trace([sys.executable, "-c", script])
+        povray.run_and_time([sys.executable, "-c", script])

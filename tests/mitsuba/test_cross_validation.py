@@ -15,8 +15,8 @@ from converters.rendering import Rendering, render_mitsuba
 from converters.variant import SCALAR, use_variant
 from reference import check, regenerate
 from reference.command import HERE, SCENES
-from reference.figures import figures
-from reference.regenerate import load_small, scene_hash, stored
+from reference.figures import measure_differences
+from reference.regenerate import load_small, read_stored_picture, scene_hash
 from tracer import load_scene, render
 
 pytestmark = pytest.mark.cross_validation
@@ -36,7 +36,7 @@ def test_diffuse_light_agrees_with_stock_plugins(name):
 def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
     scene = load_small(SCENES / f"{name}.xml")
     now = check.check_scene(scene, name)
-    then = check.compare(scene, name, Rendering(stored(name), "stored", 0.0))
+    then = check.compare(scene, name, Rendering(read_stored_picture(name), "stored", 0.0))
     for result in (now, then):
         assert result.verdict == "agrees", result.report()
         assert (name == "touching") == bool(result.ties.any())
@@ -44,7 +44,7 @@ def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
     excluded = now.excluded | then.excluded
     # Variants of Mitsuba may decide ties differently: such pixels do not count in SSIM either.
     shown = np.where(excluded[:, :, None], then.mitsuba, now.mitsuba)
-    measured = figures(shown, then.mitsuba, excluded)
+    measured = measure_differences(shown, then.mitsuba, excluded)
     assert check.out_of_tolerance(measured) == []
     assert measured.max <= check.EXACT.difference
 
@@ -58,13 +58,13 @@ def test_the_stored_pictures_are_of_these_scenes():
 
 
 def test_regenerate_renders_the_stored_pictures(tmp_path, monkeypatch):
-    then = stored("one-box")
+    then = read_stored_picture("one-box")
     monkeypatch.setattr(regenerate, "HERE", tmp_path)
     monkeypatch.setattr(regenerate, "FOLDER", tmp_path)
     monkeypatch.setattr(regenerate, "own_scenes", lambda: [SCENES / "one-box.xml"])
     monkeypatch.setattr(sys, "argv", ["regenerate"])
     regenerate.main()
-    np.testing.assert_allclose(stored("one-box"), then, atol=1e-4)
+    np.testing.assert_allclose(read_stored_picture("one-box"), then, atol=1e-4)
     names = {"one-box.exr", "manifest.json", "sheet.png", "sunflower.png"}
     assert {path.name for path in tmp_path.iterdir()} == names
     written = json.loads((tmp_path / "manifest.json").read_text())
@@ -74,4 +74,4 @@ def test_regenerate_renders_the_stored_pictures(tmp_path, monkeypatch):
 def test_mitsuba_converges_to_the_smooth_picture():
     """Pixels at edges count, too: at 64 samples, their error is about 1/8 of their contrast."""
     scene = replace(load_scene(SCENES / "one-sphere.xml"), width=32, height=32)
-    assert figures(render(scene, 64), render_mitsuba(scene, 64)).rmse < 5e-3
+    assert measure_differences(render(scene, 64), render_mitsuba(scene, 64)).rmse < 5e-3

@@ -26,7 +26,7 @@ from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
 from reference.check import check_scene
 from reference.command import SCENES, own_scenes
-from reference.figures import figures
+from reference.figures import measure_differences
 from reference.regenerate import load_small
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, Surfaces, render
 
@@ -117,7 +117,7 @@ def test_stock_pictures_do_not_depend_on_scale_and_place(scale, offset):
     scene = load_small(SCENES / "four-spheres.xml")
     shifted = scale_and_shift(scene, scale, (offset,) * 3)
     images = [render_mitsuba(each, 16, None, "stock") for each in (shifted, scene)]
-    assert figures(*images).ssim > 0.99
+    assert measure_differences(*images).ssim > 0.99
 
 
 def test_a_large_ground_has_no_speckles_in_the_stock_flavour():
@@ -128,7 +128,7 @@ def test_a_large_ground_has_no_speckles_in_the_stock_flavour():
     image = render_mitsuba(scene, 16, None, "stock")
     # The light of the stock flavour falls off, so the pictures differ, but not by much.
     assert image.mean() == pytest.approx(render(scene).mean(), rel=0.1)
-    assert figures(image, render(scene, samples=16)).ssim > 0.85
+    assert measure_differences(image, render(scene, samples=16)).ssim > 0.85
 
 
 def test_a_large_ground_is_lit_in_the_exact_flavour():

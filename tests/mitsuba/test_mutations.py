@@ -25,7 +25,7 @@ from reference import check
 from reference.check import check_diffuse, check_scene, compare
 from reference.command import SCENES
 from reference.handins.drawing import render_with_mistakes
-from reference.regenerate import load_small, stored
+from reference.regenerate import load_small, read_stored_picture
 from tracer import Phong, PointLight, Scene, Sphere, first_hits, render
 from tracer.arrays import Floats
 
@@ -115,7 +115,8 @@ USUAL_SSIM = 0.98
 )
 def test_a_wrong_picture_is_detected(monkeypatch, mutation, name, ssim_misses):
     scene = load_small(SCENES / f"{name}.xml")
-    assert compare(scene, name, Rendering(stored(name), "stored", 0.0)).verdict == "agrees"
+    stored = Rendering(read_stored_picture(name), "stored", 0.0)
+    assert compare(scene, name, stored).verdict == "agrees"
     wrong = mutation(scene)
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
     result = check_scene(scene, name)

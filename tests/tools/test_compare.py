@@ -22,7 +22,7 @@ from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
 from reference.compare import main
-from reference.figures import figures, write_comparison
+from reference.figures import measure_differences, write_comparison
 from reference.handins.workers import start_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
@@ -64,18 +64,18 @@ def test_figures_by_hand() -> None:
     a[0, :4, 1] += 0.5
     mask = np.zeros((10, 10), dtype=np.bool_)
     mask[0, :2] = True
-    result = figures(a, b, mask)
+    result = measure_differences(a, b, mask)
     assert (result.max, result.median, result.over) == (0.5, 0.0, 2)
     assert result.rmse == pytest.approx(0.5 * np.sqrt(2 / 294), rel=1e-12)  # of 98 * 3 values
     assert result.p999 == 0.5
     shown = a ** (1 / 2.2), b ** (1 / 2.2)
     right = structural_similarity(*shown, channel_axis=2, data_range=1.0)
-    assert figures(a, b).ssim == pytest.approx(right, abs=1e-6)
+    assert measure_differences(a, b).ssim == pytest.approx(right, abs=1e-6)
     for wrong, words in ((a[1:], "shapes differ"), (np.nan * a, "not finite")):
         with pytest.raises(ValueError, match=words):
-            figures(a, wrong)
+            measure_differences(a, wrong)
     with pytest.raises(ValueError, match="every pixel is masked"):
-        figures(a, a, np.ones((10, 10), dtype=np.bool_))
+        measure_differences(a, a, np.ones((10, 10), dtype=np.bool_))
 
 
 @pytest.mark.parametrize("width", [300, 400])
@@ -318,7 +318,7 @@ def test_too_little_memory_is_told(
     def fail(*_arguments: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("reference.compare.figures", fail)
+    monkeypatch.setattr("reference.compare.measure_differences", fail)
     right = save(tmp_path / "a.png", CODES)
     told = f"{right}: cannot be compared: not enough memory; compare a part\n"
     assert compare(right, SCENE) == (3, [], told)

@@ -32,11 +32,11 @@ def test_tasks_alternate_and_only_short_ones_get_more_rounds():
 def test_tables_show_times_and_ratios_and_keep_their_origin(tmp_path):
     time = Timing(0.05, 0.04, 0.09)
     rows = [("room", time, 0.25), ("far", time.divided_by(5), 42.4)]
-    assert benchmark.table("Title", "A note.", ("scene", "time", "ratio"), rows) == (
+    assert benchmark.format_section("Title", "A note.", ("scene", "time", "ratio"), rows) == (
         "## Title\n\nA note.\n\n| scene | time | ratio |\n| --- | --- | --- |\n"
         "| room | 50.0 (40.0–90.0) | 0.25× |\n| far | 10.0 (8.0–18.0) | 42× |"
     )
-    ratios = [benchmark.ratio(value) for value in (0.994, 0.996, 9.94, 9.96)]
+    ratios = [benchmark.format_ratio(value) for value in (0.994, 0.996, 9.94, 9.96)]
     assert ratios == ["0.99×", "1.0×", "9.9×", "10×"]
     origin = measurements.describe_origin()
     assert re.search(r"commit [0-9a-f]{7}\b|no commit", origin)
@@ -52,9 +52,9 @@ SECONDS |= {"Mitsuba": 0.3, "Mitsuba exact": 0.3, "Mitsuba stock": 0.2, "the sam
 @pytest.mark.parametrize(
     ("section", "ratios"),
     [
-        (benchmark.whole_process, {"one-sphere 320×180": ["3.0×", "2.0×"]}),
-        (benchmark.rendering, {"geometric mean 320×180": ["3.0×", "3.0×"]}),
-        (benchmark.frames, {"tracer, 2 processes": ["2.0×"], "Mitsuba exact": ["1.3×"]}),
+        (benchmark.benchmark_whole_process, {"one-sphere 320×180": ["3.0×", "2.0×"]}),
+        (benchmark.benchmark_rendering, {"geometric mean 320×180": ["3.0×", "3.0×"]}),
+        (benchmark.benchmark_frames, {"tracer, 2 processes": ["2.0×"], "Mitsuba exact": ["1.3×"]}),
     ],
 )
 def test_speedups_are_above_1_where_the_tracer_is_faster(section, ratios, monkeypatch, tmp_path):

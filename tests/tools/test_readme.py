@@ -156,7 +156,7 @@ def test_each_illustration_of_the_study_is_drawn(tmp_path, monkeypatch):
 def test_the_sheet_shows_every_scene(monkeypatch):
     """Five square scenes and nine wide ones make a row and three."""
     monkeypatch.setattr(regenerate, "_SAMPLES", 1)
-    assert regenerate.sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
+    assert regenerate.render_sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
 
 
 def test_what_is_converted_beside_scenes_is_none_of_them(tmp_path, monkeypatch):

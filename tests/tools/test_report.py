@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from reference.check import CheckResult
-from reference.figures import amplified, figures, linear
+from reference.figures import amplify_difference, decode_to_linear, measure_differences
 from reference.report import main, page
 
 WIDTH, HEIGHT = 8, 6
@@ -32,7 +32,7 @@ MITSUBA[5, 7] = 255  # the pixel that is excluded
 
 def result(name: str = "pair") -> CheckResult:
     """Make the result of a comparison: pictures that differ in blue, and one excluded pixel."""
-    a, b = linear(TRACER), linear(MITSUBA)
+    a, b = decode_to_linear(TRACER), decode_to_linear(MITSUBA)
     mask = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
     mask[5, 7] = True
     b[5, 7] = 9  # so large a difference that it would change the amplification
@@ -40,7 +40,7 @@ def result(name: str = "pair") -> CheckResult:
     pictures = {"tracer": a, "mitsuba": b, "edges": mask, "ties": none, "differing": ~mask}
     arbitration = {"examined": 30, "wrong": 30, "first": (0, 0)}
     times = {"tracer_seconds": 0.0123, "mitsuba_seconds": 4.5}
-    measured = figures(a, b, mask)
+    measured = measure_differences(a, b, mask)
     return CheckResult(
         name=name, figures=measured, variant="scalar_rgb", **pictures, **times, **arbitration
     )
@@ -80,7 +80,7 @@ def test_the_page_contains_everything_that_it_shows():
     ]
     np.testing.assert_array_equal(pictures[0], TRACER)
     np.testing.assert_array_equal(pictures[1], MITSUBA)
-    # linear(40) - linear(200) = -0.57, amplified once, in the blue of "darker".
+    # decode_to_linear(40) - decode_to_linear(200) = -0.57, amplified once, in the blue of "darker".
     blue = np.round(255 * 0.5695 * np.array([0.34, 0.71, 0.91]))
     np.testing.assert_array_equal(pictures[2][0, 0], blue)
     assert pictures[2][5, 7].tolist() == [76, 76, 76], "an excluded pixel is grey"
@@ -91,7 +91,7 @@ def test_differences_are_amplified_to_fit_except_for_the_largest(largest, gain):
     a = np.zeros((50, 50, 3))
     a[0, :3, 1] = (1.5, -1.5, largest)  # a thousandth of the pixels may exceed the range
     a[1, :3, 2] = -largest
-    picture, actual_gain = amplified(a, np.zeros_like(a))
+    picture, actual_gain = amplify_difference(a, np.zeros_like(a))
     assert actual_gain == pytest.approx(gain)
     np.testing.assert_allclose(picture[0, 2], gain * largest * np.array([1, 0.62, 0]))
     np.testing.assert_allclose(picture[1, 2], gain * largest * np.array([0.34, 0.71, 0.91]))
