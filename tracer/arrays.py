@@ -149,7 +149,18 @@ def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
 
 
 def indices(mask: NDArray[Any]) -> Ints:
-    """Return the flat indices of all elements that are not False and not 0, in ascending order."""
+    """Return the indices of all elements that are not False and not 0.
+
+    Parameters
+    ----------
+    mask : array of any shape
+        The elements.
+
+    Returns
+    -------
+    index : (k,) int array
+        Indices into the flattened array, in ascending order.
+    """
     # np.flatnonzero does the same, but takes five times as long for arrays with few elements.
     index: Ints = mask.ravel().nonzero()[0]
     return index

@@ -6,7 +6,7 @@ from __future__ import annotations
 def printable(text: str) -> str:
     """Return a text with its unprintable characters escaped: a line break becomes ``\\n``.
 
-    The result is a single line, and contains no control characters that a terminal would obey.
+    The result is a single line without control characters, so it is safe to show in a terminal.
     """
     if text.isprintable():
         return text

@@ -50,7 +50,17 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def file_name(text: str) -> str:
-    """Return a command-line argument that names a file or a folder, unless it is empty.
+    """Check a command-line argument that names a file or a folder.
+
+    Parameters
+    ----------
+    text : str
+        The argument.
+
+    Returns
+    -------
+    name : str
+        The same text.
 
     Raises
     ------

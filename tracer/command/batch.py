@@ -99,7 +99,7 @@ class Job(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What to print about a scene after its picture was written, or could not be written.
+    """The lines to print about a scene whose picture was written or could not be written.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class Batch:
         """
         self._finished_count, self._remaining_count, self._pixel_count = 0, len(jobs), 0
         has_succeeded = True
-        # Of the last scenes, there are too few for all processes: larger ones of them are shared.
+        # The last scenes are fewer than the processes, so the large ones among them are shared.
         unshared_count = len(jobs) - len(jobs) % (self._pool.workers + 1)
         unshared = [
             job._replace(max_seconds=_MAX_UNSHARED_SECONDS) for job in jobs[:unshared_count]

@@ -162,7 +162,7 @@ def end_on_signals() -> None:
     """Set the handlers of signals so that they end this process immediately, without a message.
 
     The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  A signal that is ignored stays
-    ignored, as is usual in the background of a script, or under nohup.  When a signal arrives, the
+    ignored, for example under nohup or in the background of a script.  When a signal arrives, the
     part files of this process (incomplete output files) are removed, and its exit status is 130.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):

@@ -50,7 +50,7 @@ class SurfaceRef:
 
     @classmethod
     def from_index(cls, scene: Scene, index: int) -> SurfaceRef:
-        """Create the reference to ``scene.surfaces[index]``."""
+        """Create the reference to the surface ``scene.surfaces[index]``."""
         surface = scene.surfaces[index]
         return cls(index, type(surface).__name__, surface.line)
 
@@ -211,7 +211,7 @@ def _to_vector(values: ArrayLike) -> Vector:
 
 
 def _vector_text(vector: Vector) -> str:
-    """Return the three components of a vector as text: up to nine digits each, and spaces between.
+    """Return the components of a vector as text, such as "0 1.5 -2", with up to nine digits each.
 
     The component -0 is written as 0.
     """

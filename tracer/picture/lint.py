@@ -75,7 +75,18 @@ class Exposure(NamedTuple):
         return cls(lit_count, clipped_count)
 
     def merged(self, other: Exposure) -> Exposure:
-        """Return the exposure of two parts of a picture together: the sums of their counts."""
+        """Return the exposure of this and another part of a picture together.
+
+        Parameters
+        ----------
+        other : Exposure
+            The exposure of the other part.
+
+        Returns
+        -------
+        exposure : Exposure
+            The sums of the counts; black if both parts are black.
+        """
         lit_count = self.lit_count + other.lit_count
         return Exposure(lit_count, self.clipped_count + other.clipped_count)
 
@@ -122,6 +133,18 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
 
     Lights inside surfaces are searched for only if the scene has at most `_MAX_PAIRS` pairs of a
     light and a surface.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    prepared : PreparedScene
+        The same scene, prepared for its camera.
+
+    Yields
+    ------
+    warning : str
+        One line: what looks wrong, where, and a suggested fix.
     """
     dark_lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
     for light_index in dark_lights[:1]:
@@ -136,6 +159,13 @@ def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[in
     """Find the lights that are inside an object while the eye is outside that object.
 
     Such a light illuminates nothing that is visible.  Lights of intensity 0 are skipped.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    prepared : PreparedScene
+        The same scene, prepared for its camera.
 
     Yields
     ------
@@ -164,6 +194,13 @@ def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[in
 @np.errstate(all="ignore")
 def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     """Find out why the picture of a scene is black.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    prepared : PreparedScene
+        The same scene, prepared for its camera.
 
     Returns
     -------
@@ -202,6 +239,13 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
 def _explain_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     """Find out why no object is visible at the centre of any pixel.
 
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    prepared : PreparedScene
+        The same scene, prepared for its camera.
+
     Returns
     -------
     reason : str
@@ -225,10 +269,15 @@ def _explain_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
 def _visible_objects(prepared: PreparedScene) -> Ints:
     """Find the objects that are visible at the centre of at least one pixel.
 
+    Parameters
+    ----------
+    prepared : PreparedScene
+        A scene, prepared for its camera.
+
     Returns
     -------
     visible : (k,) int array
-        Indices of the objects, in ascending order.
+        Indices of the objects in the prepared scene, in ascending order.
     """
     (rows, columns), visible_parts = prepared.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
@@ -244,6 +293,16 @@ def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
 
     An exponent has no effect if the specular colour is 0.  Only shaders from a file are reported,
     because others have no line number by which the warning could name them.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        The surfaces of the scene, with its shaders.
+
+    Yields
+    ------
+    warning : str
+        One line: what looks wrong, in which lines of the file, and a suggested fix.
     """
     is_used = np.zeros(len(surfaces.shaders), dtype=np.bool_)
     is_used[surfaces.shader_index] = True
@@ -265,13 +324,20 @@ def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
 
 
 def _shader_names(lines: list[int]) -> str:
-    """Name one or more shaders by the lines that define them; list at most nine lines."""
+    """Name one or more shaders by the lines of the file that define them.
+
+    At most nine lines are listed: "shader of line 3", or "shaders of lines 3, 7".
+    """
     numbers = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
     return f"shader of line {numbers}" if len(lines) == 1 else f"shaders of lines {numbers}"
 
 
 def _aspect_warnings(scene: Scene) -> Iterator[str]:
-    """Yield a warning if pixels are wider than high, or higher than wide, beyond a tolerance."""
+    """Yield a warning if the width and height of pixels differ by more than a tolerance.
+
+    The tolerance is the factor `_MAX_ASPECT`.  The warning suggests another `viewWidth`, or another
+    number of columns.
+    """
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
     if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
@@ -282,7 +348,7 @@ def _aspect_warnings(scene: Scene) -> Iterator[str]:
         yield f"{picture}; {remedy} would make them square"
 
 
-def _name(kind: str, index: int, line: int | None) -> str:
+def _indexed_name(kind: str, index: int, line: int | None) -> str:
     """Name a light or a surface by its index in the scene, and by its line if it is from a file.
 
     For example, the name of a light is "light 0", or "light 0 (line 12)".
@@ -292,7 +358,7 @@ def _name(kind: str, index: int, line: int | None) -> str:
 
 def _light_name(scene: Scene, index: int) -> str:
     """Name the light `scene.lights[index]` by its index, and by its line if it is from a file."""
-    return _name("light", index, scene.lights[index].line)
+    return _indexed_name("light", index, scene.lights[index].line)
 
 
 def _surface_name(scene: Scene, object_index: Ints) -> str:
@@ -307,7 +373,7 @@ def _surface_name(scene: Scene, object_index: Ints) -> str:
         the file; n is at least 1.
     """
     index = scene.surfaces.file_index[object_index].min().item()
-    return _name("surface", index, scene.surfaces[index].line)
+    return _indexed_name("surface", index, scene.surfaces[index].line)
 
 
 def _tagged_colors(shader: Shader) -> Iterator[tuple[str, VectorLike]]:
@@ -320,8 +386,9 @@ def _tagged_colors(shader: Shader) -> Iterator[tuple[str, VectorLike]]:
 def _code_warnings(scene: Scene) -> Iterator[str]:
     """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1.
 
-    A colour seems to be given so if its components are whole numbers up to 255, and the largest is
-    at least `_MIN_CODE`.
+    This is so if its components are whole numbers up to 255, and the largest is at least
+    `_MIN_CODE`.  Each warning names the light, or the first surface with the colour, and suggests
+    the colour in the range from 0 to 1.
     """
     surfaces = scene.surfaces
     colors = [
@@ -333,7 +400,7 @@ def _code_warnings(scene: Scene) -> Iterator[str]:
     for shader, user in zip(shaders.tolist(), users.tolist(), strict=True):
         for tag, color in _tagged_colors(surfaces.shaders[shader]):
             if max(color) >= _MIN_CODE:
-                colors.append((tag, color, _name("surface", user, surfaces[user].line)))
+                colors.append((tag, color, _indexed_name("surface", user, surfaces[user].line)))
     for tag, color, owner in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
             codes = " ".join(map(number_text, color))

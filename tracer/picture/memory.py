@@ -17,8 +17,8 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 # Maximum size of an array that is allocated on the heap, in bytes: glibc allows no more.
 _MAX_HEAP_BLOCK_BYTES = 1 << 25
 
-# Size of the part of the heap that consists of large pages, in bytes.  Of free memory, twice this
-# size is kept.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
+# Size of the part of the heap that consists of large pages, in bytes.  Twice this size of free
+# memory is kept.  The arrays of a picture take about 30 MB, or 130 MB if pixels are divided.
 _LARGE_PAGE_BYTES = 1 << 27
 
 

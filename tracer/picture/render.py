@@ -463,8 +463,8 @@ _cache_lock = threading.Lock()
 def _cache_job(job: RenderJob) -> None:
     """Put a render job into this process's cache of jobs, which is inherited by forked processes.
 
-    A cached job need not prepare its scene again.  At most `_MAX_CACHED_JOBS` jobs are kept: those
-    that were used last.
+    A cached job need not prepare its scene again.  The cache keeps the `_MAX_CACHED_JOBS` jobs that
+    were used last.
     """
     with _cache_lock:
         _cached_jobs.pop(job.pickled_arguments, None)
@@ -483,6 +483,11 @@ def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
     ----------
     pickled_arguments : bytes
         The pickled tuple of the arguments of `RenderJob`.
+
+    Returns
+    -------
+    job : RenderJob
+        The job.  Equal arguments give the same object as long as it is in the cache.
     """
     job = _cached_jobs.get(pickled_arguments) or RenderJob(*pickle.loads(pickled_arguments))
     _cache_job(job)
@@ -506,9 +511,21 @@ def _overlap(first: slice, second: slice) -> slice:
 
 
 def _relative_to_start(inner: slice, outer: slice) -> slice:
-    """Return the range `inner`, counted from the start of the range `outer` instead of from 0.
+    """Convert a range of rows or columns of the picture to rows or columns of a part of it.
 
     For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
+
+    Parameters
+    ----------
+    inner : slice
+        The range, in the picture.
+    outer : slice
+        The range of the part, in the picture.  It contains `inner`.
+
+    Returns
+    -------
+    relative : slice
+        The range `inner`, counted from the start of `outer`.
     """
     return slice(inner.start - outer.start, inner.stop - outer.start)
 

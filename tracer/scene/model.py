@@ -367,9 +367,13 @@ class Surfaces(Sequence[Sphere | Box]):
         self.__setstate__(vars(self))
 
     def _array_errors(self) -> Iterator[str]:
-        """Yield a message for each array of the wrong length, and for each array of wrong indices.
+        """Check the lengths of the arrays and the indices in them.
 
-        Only the first wrong index of an array is named.
+        Yields
+        ------
+        message : str
+            Name of an array, and what is wrong: its length, its first invalid index, or that it is
+            not a permutation.
         """
         reason = "one for each surface"
         for name, needed, why in (
@@ -458,7 +462,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def file_order(self) -> NDArray[np.intp]:
-        """For each surface in the order of the file, its index in the arrays: an int array (n,).
+        """Indices of the surfaces in the arrays, in the order of the file: (S + B,) int array.
 
         This permutation is the inverse of `file_index`.
         """
@@ -480,7 +484,18 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _make_surface(self, index: int) -> Sphere | Box:
-        """Create the Sphere or Box object of a surface, given by its index in the arrays."""
+        """Create an object for the surface at an index of the arrays.
+
+        Parameters
+        ----------
+        index : int
+            Index among all surfaces; in the arrays, the spheres come before the boxes.
+
+        Returns
+        -------
+        surface : Sphere or Box
+            The object, which is equal to the one from which the arrays were created.
+        """
         shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
         if index < self.sphere_count:
             center, radius = tuple(self.center[index].tolist()), self.radius.item(index)

@@ -234,6 +234,11 @@ class _Reader:
     def read_root(self, element: Element) -> None:
         """Check that the root element is that of a scene file, and store it.
 
+        Parameters
+        ----------
+        element : Element
+            The root, without children.
+
         Raises
         ------
         FatalError
@@ -248,7 +253,10 @@ class _Reader:
         self.unique["scene"] = element
 
     def read_image(self, element: Element) -> None:
-        """Read the size of the picture from the element <image>, and store it in `empty`."""
+        """Read the size of the picture from the element <image>, and store it in `empty`.
+
+        Errors are reported: they are added to the list of errors.
+        """
         self.report_parts(element)
         number = r"\s*([-+]?\d{1,18})"
         match = re.fullmatch(rf"{number}\s{number}\s*", element.text, re.ASCII)
@@ -265,7 +273,15 @@ class _Reader:
                 self.report(element, line)
 
     def read_surface(self, element: Element) -> None:
-        """Add a surface to the table of its type, and its shader to that of the shader's type."""
+        """Add a surface to the table of its type, and its shader to that of the shader's type.
+
+        A reference to a shader that is not defined yet is stored, to be checked at the end.
+
+        Parameters
+        ----------
+        element : Element
+            The surface.
+        """
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
             # The children of an unknown surface are unknown, too, but they may define shaders.
