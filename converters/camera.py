@@ -92,7 +92,18 @@ def camera_window(camera: Camera) -> Window:
 
 
 def _unit(vector: Sequence[float] | Floats) -> Floats:
-    """Scale a vector (3,) other than 0 to length 1."""
+    """Scale a vector to length 1.
+
+    Parameters
+    ----------
+    vector : sequence of three floats, or (3,) float array
+        The vector, which must not be 0.
+
+    Returns
+    -------
+    unit : (3,) float array
+        The vector of the same direction with length 1.
+    """
     scaled = np.asarray(vector) / np.abs(vector).max()  # so that no square over- or underflows
     unit: Floats = scaled / np.linalg.norm(scaled)
     return unit

@@ -606,7 +606,18 @@ def reflectance_divisor(surfaces: Surfaces) -> float:
 
 
 def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
-    """Test whether a shader has a highlight; if so, it is converted to a blend of two BSDFs."""
+    """Test whether a shader has a highlight, and so is converted to a blend of two BSDFs.
+
+    Parameters
+    ----------
+    shader : Lambertian or Phong
+        The shader.
+
+    Returns
+    -------
+    has_highlight : bool
+        True for a Phong shader whose specular colour is not black.
+    """
     return isinstance(shader, Phong) and any(shader.specular)
 
 

@@ -191,5 +191,23 @@ def _format_number(name: str, value: float) -> str:
 
 
 def _format_numbers(name: str, values: Iterable[float]) -> str:
-    """Format numbers as one text, separated by spaces; raise the errors of `_format_number`."""
+    """Format numbers as one text, separated by spaces.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter, for the error message.
+    values : iterable of float
+        The numbers.
+
+    Returns
+    -------
+    text : str
+        The numbers, each as from `_format_number`.
+
+    Raises
+    ------
+    ConversionError
+        If a number is NaN, or beyond the range of float32.
+    """
     return " ".join(_format_number(name, value) for value in values)

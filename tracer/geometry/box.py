@@ -83,6 +83,7 @@ class Boxes:
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
+        # Components of the planes' normals to the right (u), down (v) and ahead (w).
         u, v, w = frame.vector_to_camera(silhouette_planes(low, high))
         # If the eye is on a face, the box is seen from inside, and only rays that go into the box
         # meet it.  The plane of the face then bounds the rays.

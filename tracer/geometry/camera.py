@@ -140,7 +140,7 @@ class CameraFrame(NamedTuple):
         return dot(vector, (u, v, w))
 
     def ray_s(self, x: Floats) -> Floats:
-        """Compute the first direction component of rays from their columns.
+        """Compute the first direction component of rays at given columns of the picture.
 
         The ray through a position in the picture has the direction (s, g, depth), in camera axes.
 
@@ -157,7 +157,7 @@ class CameraFrame(NamedTuple):
         return self.shift_u + (x - self.width / 2) * self.step_u
 
     def ray_g(self, y: Floats) -> Floats:
-        """Compute the second direction component of rays from their rows.
+        """Compute the second direction component of rays at given rows of the picture.
 
         The ray through a position in the picture has the direction (s, g, depth), in camera axes.
 
@@ -174,9 +174,9 @@ class CameraFrame(NamedTuple):
         return self.shift_v + (y - self.height / 2) * self.step_v
 
     def column_of(self, s: Floats) -> Floats:
-        """Compute the columns of rays from their first direction component.
+        """Compute the columns of the picture at which rays pass, from a direction component.
 
-        This inverts `ray_s`.
+        This is the inverse of `ray_s`.
 
         Parameters
         ----------
@@ -191,9 +191,9 @@ class CameraFrame(NamedTuple):
         return (s - self.shift_u) / self.step_u + self.width / 2
 
     def row_of(self, g: Floats) -> Floats:
-        """Compute the rows of rays from their second direction component.
+        """Compute the rows of the picture at which rays pass, from a direction component.
 
-        This inverts `ray_g`.
+        This is the inverse of `ray_g`.
 
         Parameters
         ----------
@@ -260,6 +260,8 @@ def camera_frame(
         The rays of the camera.
     """
     view_direction = unit(camera.view_dir)
+    # Shirley's axes: u points right, v up, and w back.  Those of a CameraFrame point right, down
+    # and ahead.
     w = unit(camera.normal)
     if w @ view_direction > 0:
         w = -w
@@ -267,7 +269,6 @@ def camera_frame(
     v = np.cross(w, u)
     center = camera.proj_distance * view_direction
     step_u, step_v = camera.view_width / width, camera.view_height / height
-    # Shirley's v points up, and his w points back: those of a CameraFrame are their opposites.
     return CameraFrame(
         eye=np.array(camera.view_point),
         axes=np.array([u, -v, -w]),
@@ -319,7 +320,18 @@ class ScreenBounds(NamedTuple):
         return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in right))
 
     def take(self, index: Bools | slice) -> ScreenBounds:
-        """Return the rectangles that a mask (n,) or a slice selects."""
+        """Select rectangles.
+
+        Parameters
+        ----------
+        index : (n,) bool array or slice
+            Which rectangles to select.
+
+        Returns
+        -------
+        selected : ScreenBounds
+            The selected rectangles, in the same order.
+        """
         return ScreenBounds(*(side[index] for side in self))
 
     def in_picture(self, frame: CameraFrame) -> Bools:

@@ -34,7 +34,13 @@ class ObjectRange(NamedTuple):
         return slice(self.start, self.start + self.size)
 
     def indices(self) -> Ints:
-        """List the indices (size,) of this shape's objects among all objects, in order."""
+        """Return the indices of all objects of the shape.
+
+        Returns
+        -------
+        object_index : (size,) int array
+            Indices among all objects of the scene, in ascending order.
+        """
         return np.arange(self.start, self.start + self.size)
 
     def contains(self, object_index: Ints) -> Bools:
@@ -70,10 +76,32 @@ class ObjectRange(NamedTuple):
 
 
 def sphere_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of the spheres' indices among all objects: they come before the boxes."""
+    """Return the range of the spheres' indices among all objects of a scene.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        All surfaces of the scene.
+
+    Returns
+    -------
+    objects : ObjectRange
+        The indices from 0 on: spheres come before boxes.
+    """
     return ObjectRange(0, len(surfaces.radius))
 
 
 def box_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of the boxes' indices among all objects: they follow the spheres."""
+    """Return the range of the boxes' indices among all objects of a scene.
+
+    Parameters
+    ----------
+    surfaces : Surfaces
+        All surfaces of the scene.
+
+    Returns
+    -------
+    objects : ObjectRange
+        The indices after those of all spheres.
+    """
     return ObjectRange(len(surfaces.radius), len(surfaces.min_pt))

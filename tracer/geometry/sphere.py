@@ -105,6 +105,7 @@ class Spheres:
         # Rounding errors alone must not move the eye off a sphere on which it lies.
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
+        # Components of the centre to the right (u), down (v) and ahead (w).
         (u, v, w), radius2 = local, radius * radius
         down, right = (_tangent_slopes(x, w, radius2, x * x + w * w - radius2) for x in (v, u))
         bounds = ScreenBounds.from_slopes(frame, down, right)

@@ -67,7 +67,10 @@ def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[
     """
     groups = _intersect_objects(prepared, samples)
     nearest = _nearest_distances(samples, groups)
-    hidden = [g.select((g.t > nearest.take(g.sample)) & (g.t < np.inf)) for g in groups]
+    hidden = [
+        group.select((group.t > nearest.take(group.sample)) & (group.t < np.inf))
+        for group in groups
+    ]
     visible = _select_visible(prepared, groups, nearest)
     return _build_hits(prepared, samples, visible), _build_hits(prepared, samples, hidden)
 
@@ -236,7 +239,9 @@ def _select_visible(
     """
     visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
     file_index = prepared.surfaces.file_index
-    file_positions = [repeat_runs(file_index.take(g.object_index), g.sample_count) for g in visible]
+    file_positions = [
+        repeat_runs(file_index.take(group.object_index), group.sample_count) for group in visible
+    ]
     first = np.full(nearest.size, file_index.size)
     for group, file_position in zip(visible, file_positions, strict=True):
         np.minimum.at(first, group.sample, file_position)

@@ -119,7 +119,7 @@ class LightGrid(NamedTuple):
        cells of the patch.
     4. `list_start` and `listed`: these cells list entries.  A ball and an entry may share several
        cells, but the query finds the pair only in the first of these cells.  For this purpose, each
-       cell has four lists, and the query reads only some of them.
+       cell has four lists, and the query reads one range of these lists.
     5. `entry_bounds`: entries at other distances, or in other directions, are excluded.
     6. `entry_object`: the remaining entries are parts of these objects.
 
