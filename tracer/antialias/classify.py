@@ -31,20 +31,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import (
-    EdgeValues,
-    InverseDepth,
-    Lines,
-    fit_lines,
-    rays_through_cells,
-)
-from tracer.antialias.edges import (
-    Apexes,
-    CellSurfaces,
-    compute_footprints,
-    edge_batches,
-    silhouettes,
-)
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, cell_rays, fit_lines
+from tracer.antialias.edges import Apexes, CellSurfaces, edge_batches, footprints_at, silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, indices
@@ -202,7 +190,7 @@ def classify(
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
     is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
     hits, hidden_hits = nearest_and_hidden_hits(prepared, samples)
-    hit_cell, footprint = sample_cell[hits.sample], compute_footprints(hits, cells.width)
+    hit_cell, footprint = sample_cell[hits.sample], footprints_at(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     outlines = _silhouettes_from_eye(prepared, cells)
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
@@ -300,7 +288,7 @@ def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[Edg
     for batch in edge_batches(np.arange(cells.pair_cell.size)):
         cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
         ray_x, ray_y = frame.ray_s(cells.center_x[cell]), frame.ray_g(cells.center_y[cell])
-        ray = rays_through_cells(frame, ray_x, ray_y, cells.width)
+        ray = cell_rays(frame, ray_x, ray_y, cells.width)
         yield from silhouettes(prepared, eye, np.zeros_like(cell), cell, object_index, ray)
 
 

@@ -108,7 +108,7 @@ class Lines(NamedTuple):
         return self.take(indices(join_ranges(0, run_lengths(self.cell)[1]) < max_lines))
 
 
-def rays_through_cells(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
+def cell_rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
     """Compute the rays from the eye through six points of each cell.
 
     A cell is a pixel, or a square part of a pixel.  The six points are, in this order: the centre;
@@ -236,9 +236,9 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (below + above - 2 * center)
     h_xy = 4 * (corner - right - below + center)
     slope2 = a * a + b * b
-    # In the direction of g: g . H g / g^2
-    second_derivative_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope2
-    root = np.sqrt(np.abs(slope2 * (slope2 - 2 * center * second_derivative_across)))
+    # Second derivative in the direction of g: g . H g / g^2
+    second_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope2
+    root = np.sqrt(np.abs(slope2 * (slope2 - 2 * center * second_across)))
     s = -2 * center / (slope2 + root)
     max_s = 0.5 / np.maximum(np.abs(a), np.abs(b))
     s = np.clip(s, -max_s, max_s)
@@ -247,15 +247,13 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
     c -= a * x + b * y
     slope2 = a * a + b * b
-    # In the direction of the unit vector t: t . H t
-    second_derivative_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope2
+    # Second derivative in the direction of t: t . H t
+    second_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope2
     maximum = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale3((a, b, c + second_derivative_along / 24), sign / maximum))
+    lines = Lines(cell, *scale3((a, b, c + second_along / 24), sign / maximum))
     # If the slope changes much across the edge, the far side of a small object may be in the cell.
-    turn = np.maximum(np.abs(second_derivative_along), np.abs(second_derivative_across)) / np.sqrt(
-        slope2
-    )
+    turn = np.maximum(np.abs(second_along), np.abs(second_across)) / np.sqrt(slope2)
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  NaN counts as an edge in the cell.
     may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))

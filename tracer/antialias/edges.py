@@ -20,12 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import (
-    EdgeValues,
-    InverseDepth,
-    bound_variation,
-    rays_through_cells,
-)
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, bound_variation, cell_rays
 from tracer.arrays import (
     BATCH_SIZE,
     Bools,
@@ -82,7 +77,7 @@ def edge_batches(index: Ints) -> Iterator[Ints]:
         yield index[start : start + BATCH_SIZE]
 
 
-def compute_footprints(hits: Hits, cell_width: float) -> Floats:
+def footprints_at(hits: Hits, cell_width: float) -> Floats:
     """Compute, for each hit, the radius of the part of its surface that is visible in its cell.
 
     A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
@@ -206,9 +201,7 @@ def silhouette_pixels(
         inner_stop = np.where(covers_row, inner_stop, stop).clip(inner_start, stop)
         intervals += [(row, owner, start, inner_start), (row, owner, inner_stop, stop)]
     all_row, all_owner, *ends = (np.concatenate(field) for field in zip(*intervals, strict=True))
-    start_column, stop_column = (
-        end.clip(columns.start, columns.stop).astype(np.intp) for end in ends
-    )
+    start_column, stop_column = (x.clip(columns.start, columns.stop).astype(np.intp) for x in ends)
     interval, column = segment_indices(stop_column - start_column, start_column)
     return all_row[interval] + rows.start, column, all_owner[interval]
 
@@ -319,7 +312,7 @@ class CellSurfaces(NamedTuple):
         """
         frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.local, index)
         scale = frame.depth / z
-        ray = rays_through_cells(frame, x * scale, y * scale, self.cell_width)
+        ray = cell_rays(frame, x * scale, y * scale, self.cell_width)
         return ray, self.inverse_depth.take(index).evaluate(ray)
 
     def intersections(self, hidden: Hits) -> Iterator[EdgeValues]:
@@ -348,7 +341,7 @@ class CellSurfaces(NamedTuple):
         hit_of_sample[sample] = np.arange(sample.size)
         visible = hit_of_sample[hidden.sample]
         # Two surfaces that meet within the cell are no farther from each other than this.
-        max_gap = self.footprint[visible] + compute_footprints(hidden, self.cell_width)
+        max_gap = self.footprint[visible] + footprints_at(hidden, self.cell_width)
         is_close = hidden.distance - self.hits.distance[visible] <= max_gap
         hidden_depth = InverseDepth.from_hits(hidden)
         for batch in edge_batches(indices(is_close)):

@@ -59,19 +59,16 @@ class Lattice(NamedTuple):
     rows: int
 
     @classmethod
-    def at_least(
-        cls, per_side: int, points_per_grid_point: float = _POINTS_PER_GRID_POINT
-    ) -> Lattice:
-        """Return the smallest rotated lattice with at least a given number of points.
+    def at_least(cls, per_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
+        """Return the smallest rotated lattice with at least `ratio` times the points of a grid.
 
-        The lattice replaces an upright grid of per_side x per_side points.  It has at least
-        per_side^2 points_per_grid_point points.
+        The lattice replaces an upright grid of per_side x per_side points.
 
         Parameters
         ----------
         per_side : int
             Number of points along each side of the grid, at least 1.
-        points_per_grid_point : float
+        ratio : float
             Minimum number of points of the lattice, divided by that of the grid; at most 5.  With
             the default, the error of the lattice is mostly less than that of the grid.
 
@@ -83,8 +80,7 @@ class Lattice(NamedTuple):
         """
         repeated = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
         lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated
-        min_size = points_per_grid_point * per_side**2
-        large_enough = (lattice for lattice in lattices if lattice.size >= min_size)
+        large_enough = (lattice for lattice in lattices if lattice.size >= ratio * per_side**2)
         return min(large_enough, key=lambda lattice: lattice.size)
 
     @property

@@ -144,9 +144,7 @@ class _Plan(NamedTuple):
         return cls(Lattice(1, 13), True, Lattice.at_least(5))
 
 
-def antialiased_means(
-    prepared: PreparedScene, rows: slice, columns: slice, per_side: int
-) -> Floats:
+def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
     Pixels that edges cross are divided or sampled.  The error (RMSE) should be at most that of
@@ -182,7 +180,7 @@ def antialiased_means(
     crowded = indices(is_inner & classified.is_crowded)
     refinable = _treat_as_smooth(classified, smooth, ~is_inner | classified.is_crowded)
     mean = _mean_of_cells(prepared, *refinable)
-    lattice = Lattice.at_least(per_side, points_per_grid_point=1)
+    lattice = Lattice.at_least(per_side, ratio=1)
     mean[:, crowded], _ = _mean_of_samples(prepared, classified, crowded, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
@@ -249,12 +247,10 @@ def _mean_of_cells(
     # An unknown error (NaN) is neither within the tolerance nor above it.
     is_accurate, is_inaccurate = smooth.error <= cells.tolerance, smooth.error > cells.tolerance
     is_pending = has_lines | classified.is_unresolved | ~is_accurate
-    if plan.first_lattice is not None:
+    if (lattice := plan.first_lattice) is not None:
         has_only_lines = has_lines & ~(classified.is_unresolved | is_inaccurate)
         index = indices(is_pending if plan.is_first_for_all else has_only_lines)
-        sampled_mean, missed_edge = _mean_of_samples(
-            prepared, classified, index, plan.first_lattice
-        )
+        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, lattice)
         finished = index[~missed_edge]
         mean[:, finished], is_pending[finished] = sampled_mean[:, ~missed_edge], False
     pending = indices(is_pending)
@@ -368,7 +364,7 @@ def _mean_of_quarters(
     has_all_unresolved = classified_quarters.is_unresolved.reshape(-1, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
     tested = indices(has_all_unresolved & (line_count == 0))
-    lattice = Lattice.at_least(classified.cells.samples_per_side, points_per_grid_point=1)
+    lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
     sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index[tested], lattice)
     expected_mean = smooth.radiance.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
     agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple, SupportsFloat, SupportsIndex, TypeAlias
 import numpy as np
 
 from tracer.antialias.lattice import CENTERS, Lattice
-from tracer.antialias.refine import antialiased_means, is_supersampling_cheaper
+from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
@@ -444,7 +444,7 @@ class RenderJob:
         if self._is_classified:
             visible = _overlap(columns, self.prepared.window[1])
             if visible.start < visible.stop:
-                mean = antialiased_means(self.prepared, rows, visible, self._per_side)
+                mean = refine_pixels(self.prepared, rows, visible, self._per_side)
                 out[:, _relative_to_start(visible, columns)] = mean
             return
         samples = self._lattice.samples(rows, columns)
