@@ -47,50 +47,62 @@ _FAILED_STATUS = 3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Certify a scene's picture as the command line says, and return the exit status.
+    """Certify a scene's picture, write it as a PNG file, and print what is certain about it.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The command-line arguments; by default those of the process.
+
+    Returns
+    -------
+    status : int
+        0, or 1 if the picture that is judged has codes that are certainly wrong.
 
     Raises
     ------
     Failure
         If a file cannot be read, certified or written.
+    SystemExit
+        If the arguments are wrong.
     """
-    command_parser = _parser()
+    command_parser = _make_command_parser()
     arguments = command_parser.parse_args(argv)
     path, output = arguments.scene, arguments.output or f"{arguments.scene}.certified.png"
     inputs = [Path(file) for file in (path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output)], inputs)
     error = arguments.error or (_DEFAULT_ERROR_OF_CODES if arguments.codes else _DEFAULT_ERROR)
-    failing = partial(errors_as_failure, status=_FAILED_STATUS)
-    with failing(path, "read", memory_remedy="split the scene"):
+    failure_if_not = partial(errors_as_failure, status=_FAILED_STATUS)
+    with failure_if_not(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     judged = _read_codes(arguments.judge, scene) if arguments.judge else None
     start = perf_counter()
     with (
-        failing(path, "certified", errors=(ValueError, RuntimeError)),
+        failure_if_not(path, "certified", errors=(ValueError, RuntimeError)),
         Progress(1, "pictures") as bar,
     ):
         certificate = certify(scene, float(error), codes=arguments.codes, progress=bar.update)
-    lines, wrong_count = _summary(certificate, error, arguments.codes), 0
+    lines, wrong_count = _summarise(certificate, error, arguments.codes), 0
     seconds = perf_counter() - start
     if judged is not None:
-        wrong_count, verdict = judgement(certificate, judged)
+        wrong_count, verdict = count_wrong_codes(certificate, judged)
         lines.append(f"{arguments.judge}: {verdict}")
     lines.append(f"{output}: {certificate.cell_count} cells in {seconds:.2f} s")
-    with failing(output, "written", "choose another with -o"):
+    with failure_if_not(output, "written", "choose another with -o"):
         write_png(output, certificate.image)
-    with failing("standard output", "written"):
+    with failure_if_not("standard output", "written"):
         print_result(sys.stdout, "\n".join(map(printable, lines)))
     return 1 if wrong_count else 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    """Make the parser of the command line."""
+def _make_command_parser() -> argparse.ArgumentParser:
+    """Make the command-line parser of this module."""
     command_parser = make_parser("reference.certify")
     add = command_parser.add_argument
     add("scene", type=file_name, metavar="SCENE.xml", help="the scene file")
     default = f"{_DEFAULT_ERROR}; {_DEFAULT_ERROR_OF_CODES} with --codes"
     text = f"permitted error of a pixel's mean radiance ({default})"
-    add("--error", type=_error, metavar="E", help=text)
+    add("--error", type=_positive_fraction, metavar="E", help=text)
     text = "also accept a pixel as soon as only one 8-bit code per channel is possible"
     add("--codes", action="store_true", help=text)
     text = "the picture to write (SCENE.xml.certified.png)"
@@ -100,8 +112,15 @@ def _parser() -> argparse.ArgumentParser:
     return command_parser
 
 
-def _error(text: str) -> Fraction:
-    """Parse an argument that is a positive number or fraction."""
+def _positive_fraction(text: str) -> Fraction:
+    """Parse a command-line argument that must be a positive number or fraction, such as 0.01 or
+    1/128.
+
+    Raises
+    ------
+    ArgumentTypeError
+        If the text is no such number.
+    """
     with suppress(OverflowError, ValueError, ZeroDivisionError):
         if float(error := Fraction(text)) > 0:
             return error
@@ -109,7 +128,19 @@ def _error(text: str) -> Fraction:
 
 
 def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read the 8-bit codes (height, width, 3) of a picture of a scene.
+    """Read a picture that must have the size of a scene's picture.
+
+    Parameters
+    ----------
+    path : str
+        The picture file.
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    codes : (height, width, 3) uint8 array
+        The 8-bit codes of the picture.
 
     Raises
     ------
@@ -127,55 +158,60 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     return codes
 
 
-def _summary(certificate: Certificate, error: Fraction, codes: bool) -> list[str]:
+def _summarise(certificate: Certificate, error: Fraction, accepts_certain_codes: bool) -> list[str]:
     """State what is certain about a picture, in two or three lines.
 
     Parameters
     ----------
     certificate : Certificate
-        The picture, with its bounds.
+        The picture, with bounds on each pixel.
     error : Fraction
-        The permitted error.
-    codes : bool
-        Whether pixels with certain codes may exceed the permitted error.
+        The permitted error of each pixel's mean radiance.
+    accepts_certain_codes : bool
+        Whether pixels of which only one 8-bit code is possible may exceed the permitted error.
+
+    Returns
+    -------
+    lines : list of str
+        The lines to print.
     """
-    is_wide, is_certain = certificate.error > float(error), certificate.is_certain
-    pixels = f"of {is_wide.size} pixels"
+    exceeds, is_certain = certificate.error > float(error), certificate.is_certain
+    of_pixels = f"of {exceeds.size} pixels"
     lines = [
-        f"{np.count_nonzero(~is_wide)} {pixels} are within {error};"
+        f"{np.count_nonzero(~exceeds)} {of_pixels} are within {error};"
         f" all within {certificate.error.max():.2g}",
-        f"{np.count_nonzero(is_certain)} {pixels} have certain codes, {is_certain.mean():.2%}",
+        f"{np.count_nonzero(is_certain)} {of_pixels} have certain codes, {is_certain.mean():.2%}",
     ]
-    if exceeding := np.count_nonzero(is_wide & ~(is_certain & codes)):
-        lines.append(f"{exceeding} pixels exceed the permitted error: edges touch each other there")
+    if count := np.count_nonzero(exceeds & ~(is_certain & accepts_certain_codes)):
+        lines.append(f"{count} pixels exceed the permitted error: edges touch each other there")
     return lines
 
 
-def judgement(certificate: Certificate, codes: Codes) -> tuple[int, str]:
-    """Count the codes of a picture that are certainly wrong.
+def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]:
+    """Count the 8-bit codes of a picture that are certainly wrong.
 
     Parameters
     ----------
     certificate : Certificate
-        Bounds on each pixel of the scene.
+        Bounds on the mean radiance of each pixel of the scene.
     codes : (height, width, 3) uint8 array
-        8-bit codes of a picture of the scene.
+        The codes of a picture of the scene.
 
     Returns
     -------
-    count : int
-        Number of codes outside the bounds.
+    wrong_count : int
+        Number of codes that no radiance within the bounds gives.
     verdict : str
-        The same in words, with the worst of them.
+        The number in words, with the position of the code that is farthest outside.
     """
     low, high = (to_codes(bound).astype(int) for bound in (certificate.low, certificate.high))
     excess = np.maximum(np.maximum(low - codes, codes - high), 0)
-    count = int(np.count_nonzero(excess))
-    if not count:
+    wrong_count = int(np.count_nonzero(excess))
+    if not wrong_count:
         return 0, "no code is certainly wrong"
     row, column, channel = worst = np.unravel_index(excess.argmax(), excess.shape)
     ends = sorted({low[worst], high[worst]})
     position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst]}"
-    wanted = f"must be {' to '.join(map(str, ends))}"
-    verdict = f"{count} of {codes.size} codes are certainly wrong, by up to {excess.max()}"
-    return count, f"{verdict}, {position} and {wanted}"
+    requirement = f"must be {' to '.join(map(str, ends))}"
+    verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {excess.max()}"
+    return wrong_count, f"{verdict}, {position} and {requirement}"

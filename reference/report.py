@@ -26,12 +26,11 @@ from pathlib import Path
 import numpy as np
 
 from converters.to_mitsuba import choose_variant
-from reference import page as pages
 from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, make_parser, own_scenes
 from reference.figures import amplify_difference
 from reference.measured.measurements import describe_origin
-from reference.page import TEMPLATE, Cell, Pair, pair
+from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.failure import Failure, errors_as_failure
@@ -56,12 +55,12 @@ _DIFFERENCE_LEGEND = (
 )
 
 
-def page(
+def render_report(
     results: Sequence[tuple[CheckResult, str]],
     charts: Iterable[tuple[str, bytes]] = (),
     failures: Sequence[str] = (),
 ) -> str:
-    """Render the report as HTML.
+    """Render an HTML page that compares the tracer's and Mitsuba's pictures of scenes.
 
     Parameters
     ----------
@@ -71,21 +70,26 @@ def page(
         Titles and SVGs of charts to show at the end.
     failures : sequence of str
         Messages about scenes that could not be compared.
+
+    Returns
+    -------
+    html : str
+        The page, which contains all pictures and charts.
     """
-    count, agreeing = len(results), sum(result.verdict == "agrees" for result, _ in results)
-    all_agree = bool(results) and agreeing == count and not failures
+    count, agreeing_count = len(results), sum(result.verdict == "agrees" for result, _ in results)
+    all_agree = bool(results) and agreeing_count == count and not failures
     variants = ", ".join(sorted({result.variant for result, _ in results}))
-    return pages.page(
+    return render_page(
         title="Pencil tracer and Mitsuba 3, scene by scene",
         lead=f"{count} scene{'s' * (count != 1)}, sampled at the pixels' centres by both renderers"
         " and compared in linear light: away from edges they may differ by at most"
         f" {EXACT.difference:g}.",
-        verdict="All agree." if all_agree else f"{agreeing} agree.",
+        verdict="All agree." if all_agree else f"{agreeing_count} agree.",
         good=all_agree,
         overview="All scenes",
         head=_HEAD,
-        rows=[_row(index, result) for index, (result, _) in enumerate(results)],
-        pairs=[_pair(result, comment) for result, comment in results],
+        rows=[_overview_row(index, result) for index, (result, _) in enumerate(results)],
+        pairs=[_prepare_result(result, comment) for result, comment in results],
         legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {describe_origin()}",
         faults=[f"Not compared: {failure}" for failure in failures],
@@ -93,31 +97,49 @@ def page(
     )
 
 
-def _row(index: int, result: CheckResult) -> list[list[Cell]]:
-    """Return the row of the overview table for a result: a list of cells, each a list of parts.
+def _overview_row(index: int, result: CheckResult) -> list[list[Cell]]:
+    """Format the comparison of one scene as a row of the overview table.
 
     Parameters
     ----------
     index : int
-        Number of the result's pair of pictures on the page, to which the row links.
+        Number of the scene's pair of pictures on the page, to which the row links.
     result : CheckResult
         The comparison.
+
+    Returns
+    -------
+    row : list of lists of Cell
+        For each column of the table, the pieces of text in it.
     """
     verdict = Cell(result.verdict, good=result.verdict == "agrees")
     excluded = f"{result.excluded.mean():.2%}"
     figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
-    times = _time(result.tracer_seconds), _time(result.mitsuba_seconds)
+    times = _format_time(result.tracer_seconds), _format_time(result.mitsuba_seconds)
     return [[cell] for cell in (Cell(result.name, index), verdict, *map(Cell, figures + times))]
 
 
-def _pair(result: CheckResult, comment: str) -> Pair:
-    """Prepare both pictures of a result and their difference, with excluded pixels in grey."""
-    excluded, f, agrees = result.excluded, result.figures, result.verdict == "agrees"
+def _prepare_result(result: CheckResult, comment: str) -> Pair:
+    """Prepare both pictures of a comparison and their difference for the page's template.
+
+    Parameters
+    ----------
+    result : CheckResult
+        The comparison.  Excluded pixels are grey in the picture of the difference.
+    comment : str
+        Description of the scene.
+
+    Returns
+    -------
+    pair : Pair
+        The values for the template.
+    """
+    excluded, figures, agrees = result.excluded, result.figures, result.verdict == "agrees"
     mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba)
     difference, gain = amplify_difference(result.tracer, mitsuba)
     difference[excluded] = _EXCLUDED_GREY
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
-    return pair(
+    return prepare_pair(
         to_codes(result.tracer),
         to_codes(result.mitsuba),
         difference,
@@ -131,23 +153,34 @@ def _pair(result: CheckResult, comment: str) -> Pair:
         faults=[] if agrees else remarks,
         notes=remarks if agrees else [],
         figures=(
-            ("SSIM", f"{f.ssim:.6f}"), ("largest difference", f"{f.max:.2e}"),
-            ("99.9th percentile", f"{f.p999:.2e}"), ("RMSE", f"{f.rmse:.2e}"),
-            ("median", f"{f.median:.2e}"), ("pixels over 1e-3", f.over),
+            ("SSIM", f"{figures.ssim:.6f}"), ("largest difference", f"{figures.max:.2e}"),
+            ("99.9th percentile", f"{figures.p999:.2e}"), ("RMSE", f"{figures.rmse:.2e}"),
+            ("median", f"{figures.median:.2e}"), ("pixels over 1e-3", figures.over),
             ("edge pixels excluded", result.edges.sum()), ("ties excluded", result.ties.sum()),
-            ("tracer's time", _time(result.tracer_seconds)),
-            (f"Mitsuba's ({result.variant})", _time(result.mitsuba_seconds)),
+            ("tracer's time", _format_time(result.tracer_seconds)),
+            (f"Mitsuba's ({result.variant})", _format_time(result.mitsuba_seconds)),
         ),
     )  # fmt: skip
 
 
-def _time(seconds: float) -> str:
-    """Format a time for readers."""
+def _format_time(seconds: float) -> str:
+    """Format a time in seconds for readers, in milliseconds if it is below a second."""
     return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
-def _comment(path: Path) -> str:
-    """Return the comment before the root element of a scene file on one line, or ""."""
+def _read_comment(path: Path) -> str:
+    """Read the comment before the root element of a scene file, as one line.
+
+    Parameters
+    ----------
+    path : Path
+        The scene file.
+
+    Returns
+    -------
+    comment : str
+        The text of the first comment, with single spaces, or "" if there is none.
+    """
     with path.open("rb") as file:
         first = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
         texts = [element.text or "" for event, element in first if event == "comment"]
@@ -155,18 +188,33 @@ def _comment(path: Path) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write the report as the command line says, and return the exit status.
+    """Compare the scenes that the command line names, and write the report.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The command-line arguments; by default those of the process.
+
+    Returns
+    -------
+    status : int
+        The exit status: 0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
+        undecided and none is worse.
 
     Raises
     ------
     Failure
         If Mitsuba cannot run, or the page cannot be written.
+    SystemExit
+        If the arguments are wrong.
     """
     command_parser = make_parser("reference.report")
     add = command_parser.add_argument
     add("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="scene files (all scenes/)")
-    text = "the page to write, or a folder for it, which may end in / (build/report.html)"
-    add("-o", "--output", type=file_name, metavar="PATH", help=text, default=str(BUILD / _NAME))
+    help_text = "the page to write, or a folder for it, which may end in / (build/report.html)"
+    add(
+        "-o", "--output", type=file_name, metavar="PATH", help=help_text, default=str(BUILD / _NAME)
+    )
     add("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or own_scenes())})
@@ -177,22 +225,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     compared = []
     for path in track(paths, len(paths), "scenes"):
         name = printable(path.stem if names_differ else str(path))
-        compared.append(attempt(_compared, path, name, arguments.variant))
+        compared.append(attempt(_compare_scene, path, name, arguments.variant))
     results = [pair for pair in compared if not isinstance(pair, Failure)]
     failures = [str(failure) for failure in compared if isinstance(failure, Failure)]
     # The project's charts are shown only with its own scenes.
     has_charts = {*paths} <= {*own_scenes()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
-    text = page(results, charts, failures)
+    html = render_report(results, charts, failures)
     with errors_as_failure(output, "written", "choose another with -o"):
         output.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(output, _HTML) as file:
-            file.write(text.encode())
+            file.write(html.encode())
     print_line(sys.stdout, printable(str(output)))
     return FAILED if failures else worst_status(result for result, _ in results)
 
 
-def _compared(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
+def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
     """Compare the tracer's and Mitsuba's pictures of a scene file.
 
     Parameters
@@ -218,4 +266,4 @@ def _compared(path: Path, name: str, variant: str | None) -> tuple[CheckResult, 
     """
     result = replace(check(path, variant), name=name)
     with errors_as_failure(path, "read"):
-        return result, _comment(path)
+        return result, _read_comment(path)

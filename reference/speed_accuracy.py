@@ -66,8 +66,8 @@ _LABEL_STYLE: Any = {"textcoords": "offset points", "fontsize": 6.5, "ha": "righ
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
-def _all_pairs(scene: Scene, side: int) -> Floats:
-    """Render as simple NumPy tracers do: test every ray against every object, in float32.
+def _render_all_pairs(scene: Scene, side: int) -> Floats:
+    """Render a scene as simple NumPy tracers do: test every ray against every object, in float32.
 
     Parameters
     ----------
@@ -88,20 +88,20 @@ def _all_pairs(scene: Scene, side: int) -> Floats:
     return np.asarray(sum(images)) / side**2
 
 
-def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Return tasks that render a scene by each method, except POV-Ray.
+def _rendering_tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
+    """Make tasks (functions to be timed) that render a scene by each method, except POV-Ray.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     k : int
-        The tasks take 4^k samples per pixel, times a factor.
+        A task takes 4^k times its factor samples per pixel.
 
     Returns
     -------
-    tasks : dict
-        Keys are pairs of a method and the factor.  Values are functions that return the image
+    tasks : dict of (str, int) to callable
+        Keys are pairs of a method and its factor.  Values are functions that return an image
         (height, width, 3).
     """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
@@ -113,18 +113,18 @@ def _tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
         (_OURS, 9): partial(render, scene, 9 * 4**k),
         (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
         (_GRID, 1): partial(render_supersampled, scene, 2**k),
-        (_ALL_PAIRS, 1): partial(_all_pairs, scene, 2**k),
+        (_ALL_PAIRS, 1): partial(_render_all_pairs, scene, 2**k),
         (_MITSUBA, 1): lambda: np.array(mi.render(loaded)),
     }
 
 
-def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
-    """Time all methods on one scene, and measure their errors.
+def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
+    """Time all rendering methods on one scene, and measure their errors.
 
     Parameters
     ----------
     name : str
-        Name of the scene.
+        Name of the scene in the table.
     scene : Scene
         The scene.
     quick : bool
@@ -140,15 +140,15 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
     reference_image, target = true_picture(scene, error).image, build_path("povray.ppm")
     # This picture has a larger error than the reference.
     min_error = rmse(true_picture(scene, 4 * error).image, reference_image)
-    stopped: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
+    finished: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
     for k, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
-        tasks = _tasks(scene, k)
+        tasks = _rendering_tasks(scene, k)
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
         # The time that POV-Ray reports, without its start, as that of the others.
         tasks[_POVRAY, 1] = partial(
             povray.run_and_time, povray.write_linear_scene_and_command(scene, target, *options)
         )
-        tasks = {key: task for key, task in tasks.items() if key not in stopped}
+        tasks = {key: task for key, task in tasks.items() if key not in finished}
         for key, timing in time_interleaved(tasks, _ROUNDS).items():
             (method, factor), image = key, tasks[key]()
             image = povray.read_linear_picture(target) if method == _POVRAY else image
@@ -156,12 +156,23 @@ def measure(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, .
             if method_error > min_error:
                 yield (name, method, factor * 4**k, method_error, *timing)
             if timing.median > _MAX_SECONDS or method_error <= min_error:
-                stopped.add(key)
+                finished.add(key)
         tasks.clear()  # so that Mitsuba's scene is deleted before the next is loaded
 
 
-def _draw(rows: Sequence[Sequence[str]]) -> Any:
-    """Draw the chart: a panel for each scene, in two columns, with the legend after the last."""
+def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
+    """Draw the chart: one panel for each scene, in two columns, and the legend after the last.
+
+    Parameters
+    ----------
+    rows : sequence of sequences of str
+        The rows of the table: scene, method, samples per pixel, error, and three times in seconds.
+
+    Returns
+    -------
+    figure : Figure
+        The chart.
+    """
     figure, grid = plt.subplots(3, 2, figsize=(CHART_WIDTH, 8.2), sharex=True, sharey=True)
     panels = grid.ravel()
     for axes, scene in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
@@ -187,8 +198,19 @@ def _draw(rows: Sequence[Sequence[str]]) -> Any:
     return figure
 
 
-def _scenes(quick: bool) -> dict[str, Scene]:
-    """Return the scenes to measure by their titles; only one for a quick measurement."""
+def _scenes_to_measure(quick: bool) -> dict[str, Scene]:
+    """Load or make the scenes to measure.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to return only one scene.
+
+    Returns
+    -------
+    scenes : dict of str to Scene
+        The scenes by their titles in the chart.
+    """
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     scenes = [
         ("one-sphere", load_scene(SCENES / "one-sphere.xml"), 300, 300),
@@ -203,17 +225,30 @@ def _scenes(quick: bool) -> dict[str, Scene]:
     }
 
 
-def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of the table, scene after scene."""
+def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
+    """Measure all methods on all scenes.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to measure only one scene, with fewer points.
+
+    Yields
+    ------
+    row : tuple
+        A row of the table: see `measure_scene`.
+    """
     use_variant(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
-    scenes = _scenes(quick)
+    scenes = _scenes_to_measure(quick)
     for name, scene in track(scenes.items(), len(scenes), "scenes"):
-        yield from measure(name, scene, quick=quick)
+        yield from measure_scene(name, scene, quick=quick)
 
 
 def main() -> None:
-    """Measure, and draw the chart."""
+    """Measure times and errors, store them as a table, and draw the chart, as the command line
+    says.
+    """
     note = (
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Points: 1, 4, 16, ...\nsamples per pixel (this tracer: 9, 36, ... as"
@@ -221,4 +256,4 @@ def main() -> None:
         " the certified tracer, errors of at most 1/8, 1/32, ... in every pixel."
     )
     texts = ("Time against error: lower left is better", note)
-    run_chart_command("speed_accuracy", _COLUMNS, _measure_all, _draw, texts)
+    run_chart_command("speed_accuracy", _COLUMNS, _measure_all_scenes, _draw_chart, texts)

@@ -40,93 +40,116 @@ _CURVE_SPACING = 1.7
 _GUIDES = {"dotted": ":", "dash-dotted": "-."}
 
 
-def _scene(
+def _make_scene(
     eye: Vector, ahead: Vector, light: Vector, *spheres: Sphere, view: Vector, pixels: int = 24
 ) -> Scene:
     """Make a scene of spheres under one light.
 
     Parameters
     ----------
-    eye, ahead, light : vectors
-        Position and direction of the camera, and position of the light.
+    eye, ahead : vectors (x, y, z)
+        Position and direction of the camera.
+    light : vector (x, y, z)
+        Position of the light.
     *spheres : Sphere
-        The spheres.
+        The spheres, in the order of the scene.
     view : (float, float, float)
-        Distance, width and height of the camera's window.
+        Distance from the eye, width and height of the camera's window.
     pixels : int
-        Width of the picture in pixels; its height follows, as pixels are square.
+        Width of the picture in pixels.  The height is chosen such that pixels are square.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
     """
     distance, width, height = view
-    camera = Camera(
-        view_point=eye, view_dir=ahead, proj_distance=distance, view_width=width, view_height=height
-    )
+    window: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
+    camera = Camera(view_point=eye, view_dir=ahead, **window)
     size = {"width": pixels, "height": round(pixels * height / width)}
     return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
 
 
-def distant(distance: float, width: float = 1, height: float = 1) -> Scene:
-    """Make a scene of a unit sphere, seen from a distance.
+def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scene:
+    """Make a scene in which the camera views a unit sphere from a distance.
 
     Parameters
     ----------
     distance : float
-        Distance of the eye from the sphere's centre, and of the camera's window.
+        Distance of the eye from the sphere's centre, and of the camera's window from the eye.
     width, height : float
         Size of the window, with 24 pixels per unit of length.  With the default size, neither the
         silhouette nor a shadow is visible.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
     """
     direction, view = np.array([2, -3, 6]) / 7, (distance, width, height)
     pixels = round(24 * width)
     eye = distance * direction
-    return _scene(eye, -direction, (2, 0, 6), Sphere(), view=view, pixels=pixels)
+    return _make_scene(eye, -direction, (2, 0, 6), Sphere(), view=view, pixels=pixels)
 
 
-def silhouette(distance: float) -> Scene:
-    """Make a scene of a unit sphere's silhouette, seen from a distance.
+def silhouette_of_sphere(distance: float) -> Scene:
+    """Make a scene in which the camera views a unit sphere's silhouette from a distance.
 
-    The window shows a millionth of a radius on both sides.  Float64 represents the rays exactly.
+    The window shows a millionth of a radius on both sides of the silhouette.  Float64 represents
+    the rays exactly.
     """
     view = (distance, 2.0**-19, 2.0**-19)
-    return _scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), view=view, pixels=64)
+    return _make_scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), view=view, pixels=64)
 
 
-def moved(offset: float) -> Scene:
-    """Make a scene of a unit sphere, 4 radii away, and move the whole scene by an offset."""
-    places = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
-    center, eye, light = places + offset * np.array([1, -0.7, 0.4])
-    return _scene(eye, (-1, 0, -4), light, Sphere(center=center), view=(4, 1, 1))
+def moved_sphere(offset: float) -> Scene:
+    """Make a scene with a unit sphere 4 radii in front of the eye, and move it far away.
+
+    The whole scene is moved by (1, -0.7, 0.4) times the offset.
+    """
+    positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
+    center, eye, light = positions + offset * np.array([1, -0.7, 0.4])
+    return _make_scene(eye, (-1, 0, -4), light, Sphere(center=center), view=(4, 1, 1))
 
 
-def ground(radius: float) -> Scene:
-    """Make a scene of the ground as a sphere with this radius, seen from 1 above it."""
+def ground_sphere(radius: float) -> Scene:
+    """Make a scene whose ground is a sphere with this radius; the eye is at a height of 1."""
     sphere = Sphere(center=(0, -radius, 0), radius=radius)
-    return _scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, view=(1, 0.5, 0.5))
+    return _make_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, view=(1, 0.5, 0.5))
 
 
-def shiny(exponent: float) -> Scene:
-    """Make a scene of a highlight that fills the picture, for any exponent."""
+def highlight_on_sphere(exponent: float) -> Scene:
+    """Make a scene in which a highlight fills the picture, whatever the Phong exponent is."""
     gloss = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
     size = 3 / max(exponent, 36.0) ** 0.5
     view = (18**0.5, size, size)
-    return _scene((3, 0, 4), (-1, 0, -1), (-3, 0, 4), Sphere(shader=gloss), view=view, pixels=16)
+    sphere = Sphere(shader=gloss)
+    return _make_scene((3, 0, 4), (-1, 0, -1), (-3, 0, 4), sphere, view=view, pixels=16)
 
 
 def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
-    """Make a scene of a ball that touches the ground, which is a sphere.
+    """Make a scene of a ball that touches the ground, which is a large sphere.
 
     Parameters
     ----------
-    scale, offset : float
-        The scene is scaled, then moved along (1, 1, 1).  If both are powers of two, all numbers are
-        exact.
+    scale : float
+        Factor for all lengths.
+    offset : float
+        After it is scaled, the scene is moved by this along each axis.  If `scale` and `offset` are
+        powers of two, float64 represents all numbers exactly.
     radius : float
-        Radius of the ground before scaling.
+        Radius of the ground before scaling.  The radius of the ball is 0.5.
+
+    Returns
+    -------
+    scene : Scene
+        The scene.
     """
-    places = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
-    eye, light, below, above = scale * np.array(places) + offset
+    positions = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
+    eye, light, below, above = scale * np.array(positions) + offset
     spheres = Sphere(center=below, radius=scale * radius), Sphere(center=above, radius=scale * 0.5)
     view = (2 * scale, 2 * scale, 1.125 * scale)
-    return _scene(eye, (0, 0, -1), light, *spheres, view=view, pixels=128)
+    return _make_scene(eye, (0, 0, -1), light, *spheres, view=view, pixels=128)
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")
@@ -148,12 +171,34 @@ METHODS: dict[str, Method] = {
 
 
 def largest_error(image: Floats, exact: Floats) -> float:
-    """Return the largest error of the radiance in two images; NaN counts as an error of 1."""
+    """Compute the largest error of the radiance in an image.
+
+    Parameters
+    ----------
+    image, exact : (height, width, 3) float arrays
+        The image, and the exact image of the same scene.
+
+    Returns
+    -------
+    error : float
+        The largest absolute difference of any channel.  A NaN in the image counts as an error of 1.
+    """
     return float(np.nan_to_num(np.abs(image - exact), nan=1.0).max())
 
 
-def wrong_share(image: Floats, exact: Floats) -> float:
-    """Return the percentage of pixels that are dark in one image and lit in the other."""
+def wrong_percentage(image: Floats, exact: Floats) -> float:
+    """Compute the percentage of pixels that are wrongly lit or dark.
+
+    Parameters
+    ----------
+    image, exact : (height, width, 3) float arrays
+        The image, and the exact image of the same scene.
+
+    Returns
+    -------
+    percentage : float
+        Percentage of pixels of which a channel is 0 in one image and above 0 in the other.
+    """
     return 100 * float(((image > 0) != (exact > 0)).any(axis=2).mean())
 
 
@@ -168,15 +213,16 @@ class Panel:
     positions : (n,) float array
         Positions on the horizontal axis.
     scene : callable
-        Makes the scene for a position.
+        Function that makes the scene for a position.
     error : callable
-        Returns the error of an image; the exact image is its second argument.
+        Function that computes the error of an image from the image and the exact image.
     methods : tuple of str
-        Keys of `METHODS`, in addition to this tracer.
+        Keys of `METHODS` of the curves to draw, in addition to that of this tracer.
     guides : tuple of str
-        Names of the lines that the panel has: see `_GUIDES`.
+        Names of the lines to draw at eps x and at eps x^2: see `_GUIDES`.
     nearby : tuple of float
-        Each point shows the largest error of the scenes at these multiples of its position.
+        Each point of a curve shows the largest error of the scenes at these multiples of its
+        position.
     """
 
     title: str
@@ -200,31 +246,31 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
 PANELS = (
-    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant,
+    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant_sphere,
           largest_error, _HITS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), silhouette, wrong_share, _HITS),
-    Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved,
+          np.logspace(3, 25, 12, base=2), silhouette_of_sphere, wrong_percentage, _HITS),
+    Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved_sphere,
           largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
-          wrong_share, _SHADOWS),
+          wrong_percentage, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground, largest_error, _HITS, ("ε radius",)),
+          ground_sphere, largest_error, _HITS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
-          wrong_share, _SHADOWS),
-    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), shiny,
+          wrong_percentage, _SHADOWS),
+    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), highlight_on_sphere,
           largest_error, _SHINY, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
           np.logspace(-30, 30, 16, base=2), lambda x: ball_on_ground(scale=x),
-          wrong_share, _SHADOWS),
+          wrong_percentage, _SHADOWS),
 )
 # fmt: on
 
 
-def measure(panel: Panel, name: str, positions: Iterable[float]) -> Floats:
-    """Measure the errors of a method in the scenes of a panel.
+def measure_errors(panel: Panel, name: str, positions: Iterable[float]) -> Floats:
+    """Measure the errors of a rendering method in the scenes of a panel of the chart.
 
     Parameters
     ----------
@@ -233,55 +279,78 @@ def measure(panel: Panel, name: str, positions: Iterable[float]) -> Floats:
     name : str
         The method, a key of `METHODS`.
     positions : iterable of n floats
-        Positions on the panel's horizontal axis.
+        Positions on the panel's horizontal axis, for each of which a scene is made.
 
     Returns
     -------
     errors : (n,) float array
-        For each position, the largest error in the scenes near it.
+        For each position, the largest error in the scenes at the multiples `panel.nearby` of it.
     """
     render_by_method, errors = METHODS[name], list[float]()
     for x in positions:
         scenes = [panel.scene(factor * float(x)) for factor in panel.nearby]
-        images = [(render_by_method(scene), _exact(scene)) for scene in scenes]
+        images = [(render_by_method(scene), _render_exactly(scene)) for scene in scenes]
         errors.append(max(panel.error(image, exact) for image, exact in images))
     return np.array(errors)
 
 
 @cache
-def _exact(scene: Scene) -> Floats:
-    """Render a scene in decimal arithmetic."""
+def _render_exactly(scene: Scene) -> Floats:
+    """Render a scene in arithmetic of 80 digits; images (height, width, 3) are cached."""
     return plain.render(scene, arithmetic="decimal")
 
 
-def _measure_all(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of the table: title of the panel, position, method and error."""
+def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
+    """Measure the errors of all methods in all panels of the chart.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to measure only every third position of each panel.
+
+    Yields
+    ------
+    row : tuple
+        A row of the table: title of the panel, position, method and error.
+    """
     for panel in track(PANELS, len(PANELS), "panels"):
         positions = panel.positions[:: 3 if quick else 1].tolist()
         for name in ("this tracer", *panel.methods):
-            for x, error in zip(positions, measure(panel, name, positions).tolist(), strict=True):
+            errors = measure_errors(panel, name, positions).tolist()
+            for x, error in zip(positions, errors, strict=True):
                 yield panel.title, x, name, error
 
 
 EXAMPLES = (
     ("Acne", ball_on_ground(radius=2.0**14), "t > 0"),
     ("Lost shadows", ball_on_ground(scale=2.0**-22), "t > 1e-4"),
-    ("A distant sphere in shreds", distant(2000.0, 4.0, 2.25), "float32, textbook"),
+    ("A distant sphere in shreds", distant_sphere(2000.0, 4.0, 2.25), "float32, textbook"),
 )
 """Pictures at the top of the chart: what fails, in which scene, with which method."""
 
 
-def _draw(rows: Sequence[Sequence[str]]) -> Any:
-    """Draw the chart: pictures, and below them panels in two columns.
+def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
+    """Draw the chart: example pictures, and below them panels in two columns.
 
-    The left column shows hits and highlights, the right one shadows and, below these, the legends
-    of both columns.
+    The left column contains the panels about hits and highlights.  The right one contains those
+    about shadows and, below these, the legends of both columns.
+
+    Parameters
+    ----------
+    rows : sequence of sequences of str
+        The rows of the table: title of the panel, position, method and error.
+
+    Returns
+    -------
+    figure : Figure
+        The chart.
     """
-    columns = [[panel for panel in PANELS if (panel.methods == _SHADOWS) == c] for c in (0, 1)]
+    left = [panel for panel in PANELS if panel.methods != _SHADOWS]
+    columns = [left, [panel for panel in PANELS if panel.methods == _SHADOWS]]
     heights = 3.8, 1.9 * len(columns[0])
     figure = plt.figure(figsize=(CHART_WIDTH, sum(heights)))
-    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
-    top, bottom = parts
+    subfigures: Any = figure.subfigures(2, 1, height_ratios=heights)
+    top, bottom = subfigures
     pictures = top.subplots(2, len(EXAMPLES))
     top.subplots_adjust(left=0.02, right=0.98, top=0.68, bottom=0.03, wspace=0.03, hspace=0.03)
     for (title, scene, method), (above, below) in zip(EXAMPLES, pictures.T, strict=True):
@@ -310,18 +379,18 @@ def _draw(rows: Sequence[Sequence[str]]) -> Any:
 def _draw_panel(
     axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
 ) -> None:
-    """Draw one panel.
+    """Draw one panel of the chart: a curve for each method, and the lines that compare it with eps.
 
     Parameters
     ----------
     axes : Axes
-        Where to draw it.
+        The axes in which to draw.
     panel : Panel
         The panel.
-    rows : sequence of rows
-        Its rows of the table: position, method and error.
+    rows : sequence of sequences of str
+        The rows of the panel in the table: position, method and error.
     styles : dict of str to dict
-        For each method, the style of its curve.
+        For each method, the line style of its curve.
     """
     curves = {
         name: np.array([row[::2] for row in rows if row[1] == name], float).T
@@ -347,12 +416,12 @@ def _draw_panel(
         axes.plot(x, shown, label=name, clip_on=False, **styles[name])
     for power, dashes in enumerate(_GUIDES.values(), 1):
         if power <= len(panel.guides):
-            look = {"color": "#888888", "marker": "", "lw": 1, "ls": dashes}
-            axes.plot(x, np.outer(x**power, (2.0**-24, 2.0**-53)), **look)
+            style = {"color": "#888888", "marker": "", "lw": 1, "ls": dashes}
+            axes.plot(x, np.outer(x**power, (2.0**-24, 2.0**-53)), **style)
 
 
 def main() -> None:
-    """Measure, and draw the chart."""
+    """Measure the errors, store them as a table, and draw the chart, as the command line says."""
     columns = ("panel", "position", "method", "error")
     note = (
         "Above: pictures by usual methods; below them: the same scenes by this tracer.  Each point"
@@ -360,4 +429,4 @@ def main() -> None:
         " (at most 1) or by the percentage of pixels that are wrongly lit or dark."
     )
     texts = ("Where usual methods of ray tracing fail", note)
-    run_chart_command("stability", columns, _measure_all, _draw, texts)
+    run_chart_command("stability", columns, _measure_all_panels, _draw_chart, texts)

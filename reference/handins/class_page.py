@@ -6,10 +6,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from reference import page as pages
 from reference.figures import amplify_difference, decode_to_linear
 from reference.handins.results import Result, count_of, mistake_counts
-from reference.page import Cell, Pair, pair, png
+from reference.page import Cell, Pair, encode_png, prepare_pair, render_page
 from reference.pictures import Codes
 
 _LEGEND = (
@@ -21,7 +20,7 @@ _LEGEND = (
 def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
     """Return the pair of a hand-in and the right picture, which have the same size."""
     diagnosis = result.diagnosis
-    return pair(
+    return prepare_pair(
         handin,
         right,
         *amplify_difference(decode_to_linear(handin), decode_to_linear(right)),
@@ -30,7 +29,7 @@ def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
         word=result.word,
         left="hand-in",
         right="right",
-        thumbnail=png(handin, thumbnail=True),
+        thumbnail=encode_png(handin, thumbnail=True),
         notes=[str(diagnosis)],
         worst=result.worst if result.differing else None,
         figures=[
@@ -79,7 +78,7 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
              if result.diagnosis and result.picture not in pairs]  # fmt: skip
     errors = [result.error for result in results if result.error and not (
         result.student and result.scene and not result.picture)]  # fmt: skip
-    return pages.page(
+    return render_page(
         title=f"Hand-ins in {folder}",
         lead=f"{len(cells)} students, {len(scenes)} scenes.",
         verdict=f"{count_of(results)}.",

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from scene_files import small_scene
 
-from reference.certify import judgement, main
+from reference.certify import count_wrong_codes, main
 from reference.judges.certificate import Certificate, certify
 from tracer import Camera, render, save_scene, to_codes, write_png
 from tracer.command.failure import Failure
@@ -92,10 +92,10 @@ def test_codes_within_the_bounds_are_not_wrong():
     """A single sample per pixel has wrong codes at edges, many samples have few."""
     scene = small_scene("room", 32, 18)
     certificate = certify(scene, 1 / 1024)
-    wrong = [judgement(certificate, to_codes(render(scene, n)))[0] for n in (1, 1024)]
+    wrong = [count_wrong_codes(certificate, to_codes(render(scene, n)))[0] for n in (1, 1024)]
     assert wrong[1] < wrong[0] / 20
     for bound in (certificate.low, certificate.high):
-        assert judgement(certificate, to_codes(bound))[0] == 0
+        assert count_wrong_codes(certificate, to_codes(bound))[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from PIL import Image
 
 from reference.check import CheckResult
 from reference.figures import amplify_difference, decode_to_linear, measure_differences
-from reference.report import main, page
+from reference.report import main, render_report
 
 WIDTH, HEIGHT = 8, 6
 
@@ -51,7 +51,7 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 
 def test_the_page_contains_everything_that_it_shows():
     results = [(result("<b>&"), "Shows <one> & more."), (replace(result("two"), wrong=0), "")]
-    text = page(results, [("Chart", CHART)])
+    text = render_report(results, [("Chart", CHART)])
     for expected in (
         "12.3 ms",
         "4.50 s",
