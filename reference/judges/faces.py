@@ -37,7 +37,7 @@ from tracer import Scene
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
-from tracer.trace.occlusion import occlusion
+from tracer.trace.occlusion import is_occluded
 from tracer.trace.samples import Scattered
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
@@ -326,4 +326,4 @@ class Faces:
             object blocks the segment between them.
         """
         may_reach = active & (light_geometry(hits, self.prepared_lights).n_dot_l > 0)
-        return may_reach & ~occlusion(hits, self.prepared_lights, may_reach)
+        return may_reach & ~is_occluded(hits, self.prepared_lights, may_reach)

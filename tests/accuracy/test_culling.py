@@ -45,7 +45,7 @@ def brute_force(scene: Scene) -> Floats:
     window = slice(0, scene.height), slice(0, scene.width)
     with (
         patch("tracer.trace.samples.object_spans", _whole_rows),
-        patch("tracer.trace.radiance.occlusion", _occlusion_by_all),
+        patch("tracer.trace.radiance.is_occluded", _occlusion_by_all),
         patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
         patch.object(ScreenBounds, "window", lambda *_: window),
     ):
@@ -63,7 +63,7 @@ def _whole_rows(
 
 @np.errstate(all="ignore")
 def _occlusion_by_all(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
-    """Replace `occlusion`: test all objects, one after the other."""
+    """Replace `is_occluded`: test all objects, one after the other."""
     is_blocked, own_object = np.zeros_like(frontlit), hits.hit_object
     for light, faces_light, blocked in zip(lights.position, frontlit, is_blocked, strict=True):
         for shape in hits.prepared.shapes:
@@ -237,7 +237,7 @@ def test_shading_can_be_read_between_lights():
     for lights in others:
         geometry = light_geometry(hits, lights)
         is_lit = geometry.n_dot_l > 0
-        shading.add(geometry, is_lit & ~radiance_module.occlusion(hits, lights, is_lit))
+        shading.add(geometry, is_lit & ~radiance_module.is_occluded(hits, lights, is_lit))
     complete = shading.radiance()
     assert np.array_equal(complete, radiance_at(prepared, samples))
     assert (complete >= partial).all()

@@ -254,8 +254,8 @@ def find_narrow_highlights(
     Yields
     ------
     index : (k,) int array
-        Indices of hits that one light may cause to have a narrow highlight.  A hit may be yielded
-        again for another light.
+        Indices of hits with such a highlight of one light.  A hit is yielded again for each further
+        light that causes one.
     """
     prepared, distance = geometry.hits.prepared, geometry.hits.distance
     for group in geometry.hits.groups:

@@ -121,11 +121,13 @@ class Packets(NamedTuple):
 
 
 class _OccluderSearch:
-    """Search for all pairs of a shadow segment and an object that need the exact test.
+    """Search for all pairs of a shadow segment and an object that need the exact test, `_blocks`.
+
+    A shadow segment leads from a hit to a light.
 
     The search has state.  When a single object shades a whole packet (a group of neighbouring
     hits), the search sets the packet's `is_lit` to False, which excludes the packet from later
-    batches, and records the packet for `fully_shaded`.
+    batches, and records the packet for `find_fully_shaded`.
 
     Parameters
     ----------
@@ -148,8 +150,8 @@ class _OccluderSearch:
         self._levels = build_packet_levels(hits, frontlit, footprint) if is_needed else []
         self._shaded_packets: list[list[Ints]] = [[] for _ in self._levels]
 
-    def candidates(self) -> Iterator[tuple[Shape, Ints]]:
-        """Yield, in batches, the triples of a light, a hit and an object that need the exact test.
+    def find_candidates(self) -> Iterator[tuple[Shape, Ints]]:
+        """Find the triples of a light, a hit and an object that need the exact test, `_blocks`.
 
         Yields
         ------
@@ -157,18 +159,18 @@ class _OccluderSearch:
             The shape of all objects in the batch.
         triples : (3, k) int array
             Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects
-            that may block the shadow segment from the hit to the light.
+            that may block the segment from the hit to the light.
         """
-        for shape, triples in self._grid_candidates():
+        for shape, triples in self._query_grid():
             for level in range(len(self._levels)):
                 triples = self._narrow_down(level, shape, triples)
             yield shape, triples
 
-    def fully_shaded(self) -> tuple[Ints, Ints]:
+    def find_fully_shaded(self) -> tuple[Ints, Ints]:
         """Find all pairs of a light and a hit whose packet a single object shades entirely.
 
-        A packet is a group of neighbouring hits.  The result is complete only after `candidates`
-        has yielded its last batch.
+        A packet is a group of neighbouring hits.  The result is complete only after
+        `find_candidates` has yielded its last batch.
 
         Returns
         -------
@@ -207,18 +209,18 @@ class _OccluderSearch:
         packets = self._levels[level]
         # An object in an earlier batch may shade the whole packet.
         triples = triples.take(indices(take_2d(packets.is_lit, triples[0], triples[1])), axis=1)
-        light, packet, occluder = triples
-        center, radius = take3(packets.center, packet), packets.radius[packet]
-        light_position = take3(self._lights.position.T, light)
-        may_block, blocks_all = shape.test_capsules(occluder, center, light_position, radius)
+        light_index, packet_index, object_index = triples
+        center, radius = take3(packets.center, packet_index), packets.radius[packet_index]
+        light_position = take3(self._lights.position.T, light_index)
+        may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
         shaded = triples[:2].take(indices(blocks_all), axis=1)
         self._shaded_packets[level].append(shaded)
         put_2d(packets.is_lit, shaded[0], shaded[1], False)
         # Another object in this batch may shade the whole packet.
-        is_needed = may_block & take_2d(packets.is_lit, light, packet)
+        is_needed = may_block & take_2d(packets.is_lit, light_index, packet_index)
         return packets.replace_by_children(triples.take(indices(is_needed), axis=1))
 
-    def _grid_candidates(self) -> Iterator[tuple[Shape, Ints]]:
+    def _query_grid(self) -> Iterator[tuple[Shape, Ints]]:
         """Yield, in batches, the objects that the light grid lists for the largest packets.
 
         A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
@@ -282,8 +284,10 @@ class _EdgeSet:
         edges : (3, k) int array
             Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of occluders.
         """
-        light, hit, occluder = edges[:, ~take_2d(self.is_crowded, edges[0], edges[1])]
-        self._keys.append((light * self._hit_count + hit) * self._object_count + occluder)
+        is_kept = ~take_2d(self.is_crowded, edges[0], edges[1])
+        light_index, hit_index, occluder_index = edges[:, is_kept]
+        pair_key = light_index * self._hit_count + hit_index
+        self._keys.append(pair_key * self._object_count + occluder_index)
         if sum(keys.size for keys in self._keys[1:]) > _EDGES_PER_BATCH:
             self._remove_duplicates()
 
@@ -300,9 +304,9 @@ class _EdgeSet:
             The light, the hit and the occluder of each edge.
         """
         self._remove_duplicates()
-        pair, occluder = np.divmod(self._keys[0], self._object_count)
-        light, hit = np.divmod(pair, self._hit_count)
-        return light, hit, occluder
+        pair_key, occluder_index = np.divmod(self._keys[0], self._object_count)
+        light_index, hit_index = np.divmod(pair_key, self._hit_count)
+        return light_index, hit_index, occluder_index
 
     def _remove_duplicates(self) -> None:
         """Sort the keys of shadow edges, and remove duplicates and the edges of crowded hits.
@@ -312,14 +316,14 @@ class _EdgeSet:
         recorded in `is_crowded`.
         """
         keys = np.unique(np.concatenate(self._keys))
-        pair = keys // self._object_count
-        run_start, edge_count = run_lengths(pair)
+        pair_key = keys // self._object_count  # of a light and a hit
+        run_start, edge_count = run_lengths(pair_key)
         is_crowded = edge_count > _MAX_EDGES_PER_HIT
-        self.is_crowded.ravel()[pair[run_start[is_crowded]]] = True
+        self.is_crowded.ravel()[pair_key[run_start[is_crowded]]] = True
         self._keys = [keys[~is_crowded.repeat(edge_count)]]
 
 
-def occlusion(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
+def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """Test, for each light and each hit, whether an object blocks the segment between them.
 
     The hit's own object is not tested: it blocks the light only if the surface faces away from the
@@ -341,10 +345,10 @@ def occlusion(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """
     is_blocked = np.zeros(frontlit.shape, dtype=np.bool_)
     search = _OccluderSearch(hits, lights, frontlit)
-    for shape, triples in search.candidates():
-        light, hit, _ = triples[:, _blocks(hits, lights, shape, triples)]
-        put_2d(is_blocked, light, hit, True)
-    put_2d(is_blocked, *search.fully_shaded(), True)
+    for shape, triples in search.find_candidates():
+        light_index, hit_index, _ = triples[:, _blocks(hits, lights, shape, triples)]
+        put_2d(is_blocked, light_index, hit_index, True)
+    put_2d(is_blocked, *search.find_fully_shaded(), True)
     return is_blocked
 
 
@@ -383,18 +387,19 @@ def shadow_edges(
     light_count, hit_count = frontlit.shape
     edges = _EdgeSet(light_count, hit_count, hits.prepared.position_error.size)
     search = _OccluderSearch(hits, lights, frontlit, footprint)
-    for shape, triples in search.candidates():
+    for shape, triples in search.find_candidates():
         triples, blocks, covers, has_edge = _test_footprints(
             hits, lights, shape, triples, footprint
         )
         put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
         put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
         edges.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
-    put_2d(in_umbra, *search.fully_shaded(), True)
-    light, hit, occluder = edges.distinct()
-    visible = indices(~take_2d(in_umbra, light, hit))
+    put_2d(in_umbra, *search.find_fully_shaded(), True)
+    light_index, hit_index, occluder_index = edges.distinct()
+    visible = indices(~take_2d(in_umbra, light_index, hit_index))
+    visible_edges = light_index[visible], hit_index[visible], occluder_index[visible]
     is_crowded = np.any(edges.is_crowded & ~in_umbra, axis=0)
-    return is_blocked | in_umbra, (light[visible], hit[visible], occluder[visible]), is_crowded
+    return is_blocked | in_umbra, visible_edges, is_crowded
 
 
 def _test_footprints(
@@ -482,10 +487,11 @@ def _blocks(
     blocks : (k,) bool array
         Whether the object blocks the segment.
     """
-    light, hit, occluder = triples
-    light_position = take3(lights.position.T, light)
-    light_side = take_2d(lights.side, light, occluder)
-    return shape.occludes(occluder, hits.points(hit), light_position, light_side, growth)
+    light_index, hit_index, object_index = triples
+    light_position = take3(lights.position.T, light_index)
+    light_side = take_2d(lights.side, light_index, object_index)
+    hit_position = hits.points(hit_index)
+    return shape.occludes(object_index, hit_position, light_position, light_side, growth)
 
 
 def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:

@@ -9,28 +9,28 @@ import numpy as np
 from tracer.arrays import Floats, Ints
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import Shading, light_geometry
-from tracer.trace.occlusion import occlusion
+from tracer.trace.occlusion import is_occluded
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 
 def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
-    """Compute the radiance that reaches the eye along the ray of each sample.
+    """Compute the radiance that reaches the eye along the ray through each sample.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.
     samples : Rows or Scattered
-        The n samples.
+        The n samples: positions in the picture, through which rays are traced.
     out : (3, n) float array of zeros, optional
         Array that receives the result, and is returned.
 
     Returns
     -------
     radiance : (3, n) float array
-        Linear RGB radiance; 0 if the ray meets no surface.
+        Linear RGB radiance at each sample; 0 if the ray meets no surface.
     """
     hits = nearest_hits(prepared, samples)
     return shade(hits, prepared.light_batches).radiance(out)
@@ -80,6 +80,6 @@ def shade(hits: Hits, light_batches: Iterable[Lights]) -> Shading:
     for lights in light_batches:
         geometry = light_geometry(hits, lights)
         is_lit = geometry.n_dot_l > 0
-        is_lit &= ~occlusion(hits, lights, is_lit)
+        is_lit &= ~is_occluded(hits, lights, is_lit)
         shading.add(geometry, is_lit)
     return shading
