@@ -31,13 +31,13 @@ from pathlib import Path
 from converters.mitsuba_xml import HEAD, ConversionError
 from tracer.command.arguments import (
     CommandParser,
+    choose_output_paths,
     file_name,
     make_output_folder,
     module_docstring,
-    output_paths,
     whole_number,
 )
-from tracer.command.failure import Failure, errors_as_failure, reason_of
+from tracer.command.failure import Failure, describe_cause, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line
 from tracer.files import atomic_file
 from tracer.messages import printable
@@ -81,7 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     scenes = skip_converted(options.scenes)
     # A path such as / has no name to replace; reading it fails later, with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
-    targets = output_paths(parser, [*map(str, scenes)], options.output, default_paths, paths_of)
+    targets = choose_output_paths(
+        parser, [*map(str, scenes)], options.output, default_paths, paths_of
+    )
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     if options.render:
@@ -117,7 +119,7 @@ def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
     except (ImportError, OSError) as error:
         is_missing = isinstance(error, ModuleNotFoundError)
         remedy = "install it with pip install -e '.[reference]'" if is_missing else ""
-        raise Failure("", f"Mitsuba cannot run: {reason_of(error)}", remedy, status) from error
+        raise Failure("", f"Mitsuba cannot run: {describe_cause(error)}", remedy, status) from error
     print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
 
 

@@ -40,7 +40,7 @@ from reference.measured.measurements import (
 )
 from reference.measured.workloads import field_scene, resize_picture
 from tracer import Scene, load_scene, render, save_scene
-from tracer.picture.parallel import processors
+from tracer.picture.parallel import count_processors
 
 _FEW_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
 _SPEEDUPS = ("speedup over exact", "speedup over stock")
@@ -226,7 +226,7 @@ def benchmark_rendering(quick: bool) -> str:
         "Rendering alone",
         "Milliseconds in one process, one sample per pixel, timed alternately with pauses of 20 ms,"
         " because Mitsuba's threads keep spinning that long. The tracer uses one process, Mitsuba"
-        f" {variant} {processors()} processors, with scene and kernels ready. Exact: the same"
+        f" {variant} {count_processors()} processors, with scene and kernels ready. Exact: the same"
         " picture, by this project's plugins. Stock: a similar one by Mitsuba's own plugins, with"
         " one light per sample; its speedup refers to a second timing of the tracer.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
@@ -371,8 +371,8 @@ def benchmark_frames(quick: bool) -> str:
     return format_section(
         f"{count} frames of {size[0]}×{size[1]}",
         "Milliseconds per frame: files are read, one sample per pixel is rendered, and PNG files"
-        f" are written, from the shell, on {processors()} processors. Starting the programs is"
-        " included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for each frame. A"
+        f" are written, from the shell, on {count_processors()} processors. Starting the"
+        " programs is included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for each frame. A"
         " speedup is over the first row.",
         ("renderer", "time per frame", "speedup"),
         [(name, timing, compute_speedup(timing, first_timing)) for name, timing in timings.items()],

@@ -57,7 +57,7 @@ from reference.figures import Bools, Figures, measure_differences, write_compari
 from reference.judges import plain
 from reference.judges.arrays import Ints
 from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.command.arguments import make_output_folder, output_paths
+from tracer.command.arguments import choose_output_paths, make_output_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
@@ -546,7 +546,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     scenes = skip_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
-    targets = output_paths(used, [*map(str, scenes)], options.output, default_paths)
+    targets = choose_output_paths(used, [*map(str, scenes)], options.output, default_paths)
     choose_variant(options.variant, status=MISUSED)
     make_output_folder(options.output)
     # If a picture is black, the comparison shows it.

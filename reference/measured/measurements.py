@@ -17,7 +17,7 @@ from time import perf_counter, sleep
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from reference.command import HERE
-from tracer.picture.parallel import processors
+from tracer.picture.parallel import count_processors
 
 Task: TypeAlias = Callable[[], object]
 """Work to be timed.  If it returns a float, this is the time that it took, in seconds."""
@@ -166,7 +166,7 @@ def describe_origin() -> str:
     povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
     system = [platform.system(), f"Python {platform.python_version()}", *versions]
-    machine = f"{_processor_name()} ({processors()} cores)"
+    machine = f"{_processor_name()} ({count_processors()} cores)"
     today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     povray_version = povray[0] if povray else "no POV-Ray"
     return ", ".join([today, _describe_commit(), machine, *system, povray_version])

@@ -234,7 +234,7 @@ class Waiting(Executor):
 @pytest.mark.parametrize("processors", [1, 2, 6, 100])
 def test_each_processor_has_two_calls_to_make_and_no_more(processors, monkeypatch):
     for module in (parallel, render_module):
-        monkeypatch.setattr(module, "processors", lambda: processors)
+        monkeypatch.setattr(module, "count_processors", lambda: processors)
     waiting = Waiting()
     monkeypatch.setattr(parallel.Distribution, "_wait_for_any", waiting.finish)
     assert np.array_equal(render(picture(), executor=waiting), render(picture()))

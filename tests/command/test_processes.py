@@ -41,7 +41,7 @@ def picture(width: int = 300, height: int = 200) -> Scene:
     return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
 
 
-needs_two = pytest.mark.skipif(parallel.processors() < 2, reason="there is one processor")
+needs_two = pytest.mark.skipif(parallel.count_processors() < 2, reason="there is one processor")
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch):
-    monkeypatch.setattr(render_module, "processors", lambda: processors)
+    monkeypatch.setattr(render_module, "count_processors", lambda: processors)
     width, height = size
     scene = replace(load_scene(SCENES / f"{name}.xml"), width=width, height=height)
     for shared in (False, True):
@@ -137,7 +137,7 @@ def test_the_pool_of_the_command_renders_the_same_picture(samples, small_tiles):
 
 @pytest.mark.parametrize(("size", "starts"), [((320, 180), 0), ((3000, 2000), 1)])
 def test_a_small_picture_starts_no_process(size, starts, monkeypatch, tmp_path):
-    monkeypatch.setattr(cli, "processors", lambda: 2)
+    monkeypatch.setattr(cli, "count_processors", lambda: 2)
     start = Mock(side_effect=OSError)
     monkeypatch.setattr(WorkerPool, "_new_executor", start)
     save_scene(picture(*size), tmp_path / "scene.xml")
@@ -261,7 +261,7 @@ def test_processors_are_those_that_may_be_used():
     usable = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(usable)})
     try:
-        assert parallel.processors() == 1
+        assert parallel.count_processors() == 1
     finally:
         os.sched_setaffinity(0, usable)
-    assert parallel.processors() == len(usable)
+    assert parallel.count_processors() == len(usable)

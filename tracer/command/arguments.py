@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
-from tracer.command.failure import Failure, errors_as_failure, reason_of
+from tracer.command.failure import Failure, describe_cause, errors_as_failure
 from tracer.messages import printable
 
 OTHER_NAME = "choose another with -o"
@@ -142,11 +142,11 @@ def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
     try:
         return os.path.realpath(path)
     except OSError as error:
-        what = f"the working folder cannot be found: {reason_of(error)}"
+        what = f"the working folder cannot be found: {describe_cause(error)}"
         raise Failure("", what, "change to another", status) from error
 
 
-def output_paths(
+def choose_output_paths(
     parser: argparse.ArgumentParser,
     scenes: Sequence[str],
     output: str | None,

@@ -31,7 +31,7 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.linear import EXR, NPY, encode_raw, write_exr, write_npy
 from tracer.picture.lint import Exposure, scene_warnings
-from tracer.picture.parallel import Distribution, WorkerPool, in_order
+from tracer.picture.parallel import Distribution, WorkerPool, restore_order
 from tracer.picture.png import PNG, compress_tile, write_tiles
 from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, render_tiles
 from tracer.scene.model import Scene
@@ -176,7 +176,7 @@ class Batch:
             workers=self._pool.workers,
         )
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
-            for job, report in zip(jobs, in_order(self._work), strict=True):
+            for job, report in zip(jobs, restore_order(self._work), strict=True):
                 self._finished_count += 1
                 self._remaining_count -= 1
                 self._pixel_count += report.pixel_count

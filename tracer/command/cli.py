@@ -12,17 +12,17 @@ from time import sleep
 
 from tracer.command.arguments import (
     CommandParser,
+    choose_output_paths,
     file_name,
     is_folder,
     make_output_folder,
-    output_paths,
     whole_number,
 )
 from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line, print_result
 from tracer.messages import printable
-from tracer.picture.parallel import processors
+from tracer.picture.parallel import count_processors
 from tracer.version import __version__
 
 _EXAMPLES = """\
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
     make_output_folder(arguments.output)
     settings = Settings(arguments.samples, arguments.size, file_format, arguments.quiet)
-    processes = min(arguments.processes or processors(), processors())
+    processes = min(arguments.processes or count_processors(), count_processors())
     with closing(Batch(settings, processes)) as batch:
         if arguments.watch:
             return _watch(jobs, batch, quiet=arguments.quiet)
@@ -229,7 +229,7 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     if output and os.path.exists(output) and not (os.path.isfile(output) or is_folder(output)):
         parser.error(printable(f"-o {output}: not a regular file; for standard output, use -o -"))
     default_paths = [f"{scene}.{file_format}" for scene in scenes]
-    paths = output_paths(parser, scenes, output, default_paths)
+    paths = choose_output_paths(parser, scenes, output, default_paths)
     return [Job(scene, path) for scene, path in zip(scenes, paths, strict=True)]
 
 

@@ -90,7 +90,7 @@ def errors_as_failure(
             raise
         if is_lack_of_memory(error):
             remedy = memory_remedy
-        what = f"cannot be {action}: {reason_of(error)}"
+        what = f"cannot be {action}: {describe_cause(error)}"
         raise Failure(os.fspath(where), what, remedy, status) from error
 
 
@@ -103,7 +103,7 @@ def is_lack_of_memory(error: BaseException) -> bool:
     return isinstance(_root_cause(error), (MemoryError, ChildProcessError))
 
 
-def reason_of(error: BaseException) -> str:
+def describe_cause(error: BaseException) -> str:
     """Describe the cause of an error on one line, for example "No such file or directory".
 
     The line is the system's text for an OSError, otherwise the text of the error, or the name of

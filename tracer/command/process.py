@@ -27,7 +27,7 @@ FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 _UNREAD = 141
 
 
-def run(module: str) -> NoReturn:
+def run(module_name: str) -> NoReturn:
     """Run a command: import its module, call its function `main`, and end this process.
 
     The exit status is what `main` returns or passes to `sys.exit`, or
@@ -43,7 +43,7 @@ def run(module: str) -> NoReturn:
 
     Parameters
     ----------
-    module : str
+    module_name : str
         Name of the module.  Its function `main` takes no arguments, and returns an exit status or
         None, which is status 0.
     """
@@ -55,7 +55,7 @@ def run(module: str) -> NoReturn:
     gc.set_threshold(50_000)
     status = FAILED
     try:
-        result = attempt(import_module(module).main)
+        result = attempt(import_module(module_name).main)
         status = result.status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot
-from tracer.scene.model import Camera, unit
+from tracer.scene.model import Camera, normalize
 
 # Depth of a layer, as a multiple of the width of a packet at this depth: see
 # `CameraFrame.depth_layer`.
@@ -259,13 +259,13 @@ def camera_frame(
     frame : CameraFrame
         The rays of the camera.
     """
-    view_direction = unit(camera.view_dir)
+    view_direction = normalize(camera.view_dir)
     # Shirley's axes: u points right, v up, and w back.  Those of a CameraFrame point right, down
     # and ahead.
-    w = unit(camera.normal)
+    w = normalize(camera.normal)
     if w @ view_direction > 0:
         w = -w
-    u = unit(np.cross(unit(camera.view_up), w))
+    u = normalize(np.cross(normalize(camera.view_up), w))
     v = np.cross(w, u)
     center = camera.proj_distance * view_direction
     step_u, step_v = camera.view_width / width, camera.view_height / height

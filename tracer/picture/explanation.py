@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from tracer.arrays import Ints, Vector, take3
 from tracer.picture.png import to_codes
-from tracer.scene.model import Lambertian, PointLight, Scene, unit
+from tracer.scene.model import Lambertian, PointLight, Scene, normalize
 from tracer.trace.first_hits import FirstHits
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
@@ -258,7 +258,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         x=x,
         y=y,
         eye=_to_vector(frame.eye),
-        direction=_to_vector(unit(np.ravel(frame.vector_to_scene(ray)))),
+        direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, index) if index >= 0 else None,
         distance=first_hit.distance.item(),
         point=_to_vector(first_hit.point[0]),
@@ -305,8 +305,8 @@ def _explain_light(
         diffuse[channel] = diffuse_term.item()
         specular[channel] = 0 if specular_term is None else specular_term.item()
     point, normal = first_hit.point[0], first_hit.normal[0]
-    to_light = unit(np.subtract(light.position, point))
-    half = unit(to_light + unit(hits.prepared.frame.eye - point))
+    to_light = normalize(np.subtract(light.position, point))
+    half = normalize(to_light + normalize(hits.prepared.frame.eye - point))
     file_index = scene.surfaces.file_index[occluders].tolist()
     return LightPart(
         line=light.line,

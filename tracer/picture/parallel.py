@@ -40,7 +40,7 @@ _MAX_STARTS = 4
 _MAX_END_SECONDS = 0.5
 
 
-def processors() -> int:
+def count_processors() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -56,7 +56,7 @@ class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and an executor process together.
 
     To do the work, iterate over the instance once.  Each step yields the index of an item and the
-    result for the item, in nearly the order of the items; `in_order` restores the order.
+    result for the item, in nearly the order of the items; `restore_order` restores the order.
 
     This process and the executor both take items from the front of the list.  When no item is left
     to take, this process repeats the items that the executor has not finished, first those that no
@@ -236,7 +236,7 @@ class Distribution(Generic[_Item, _Result]):
         return bool(wait(futures, self._max_seconds, return_when=FIRST_COMPLETED).done)
 
 
-def in_order(results: Iterable[tuple[int, _Result]]) -> Iterator[_Result]:
+def restore_order(results: Iterable[tuple[int, _Result]]) -> Iterator[_Result]:
     """Put results that arrive in any order into the order of their indices.
 
     Parameters

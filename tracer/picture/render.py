@@ -37,7 +37,13 @@ from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
-from tracer.picture.parallel import Distribution, Executor, WorkerPool, in_order, processors
+from tracer.picture.parallel import (
+    Distribution,
+    Executor,
+    WorkerPool,
+    count_processors,
+    restore_order,
+)
 from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
@@ -148,7 +154,7 @@ def render(
         return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
 
     work = Distribution[Rectangle, Any](
-        render_here, tiles, executor, job.render_tile, accepts, workers=processors()
+        render_here, tiles, executor, job.render_tile, accepts, workers=count_processors()
     )
     for index, radiance in work:
         if radiance is not None:
@@ -241,7 +247,7 @@ def render_tiles(
         workers=workers,
     )
     try:
-        yield from in_order(tiles)
+        yield from restore_order(tiles)
     finally:
         if workers:
             _cached_jobs.pop(job.pickled_arguments, None)
@@ -368,7 +374,7 @@ class RenderJob:
             self._max_samples / self._lattice.size, _MAX_TILE_SECONDS * pixels_per_second
         )
         if shared:
-            balanced_size = width * height / (_TILES_PER_PROCESSOR * processors())
+            balanced_size = width * height / (_TILES_PER_PROCESSOR * count_processors())
             tile_size = min(tile_size, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_size))
         row_ranges = _divide(slice(0, height), max(1, int(tile_size / width)))
         return list(product(row_ranges, _divide(slice(0, width), max(1, int(tile_size)))))

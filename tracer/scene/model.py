@@ -38,7 +38,7 @@ _MIN_SINE = _MIN_COSINE = 1e-10
 
 
 @np.errstate(under="ignore")
-def unit(vector: ArrayLike) -> Floats:
+def normalize(vector: ArrayLike) -> Floats:
     """Normalise a vector, without overflow or underflow.
 
     Parameters
@@ -96,7 +96,7 @@ class Camera(Validated):
     view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
 
     @classmethod
-    def conflicts(cls, columns: Columns) -> Iterator[RowError]:
+    def find_conflicts(cls, columns: Columns) -> Iterator[RowError]:
         """Find cameras whose vectors do not define a window.
 
         `view_up` must not be parallel to the normal of the window, and `proj_normal` must not be
@@ -123,7 +123,7 @@ class Camera(Validated):
             if np.isnan(normal).all():
                 normal_name, normal = "view_dir", ahead
             with np.errstate(all="ignore"):  # vectors may be zero, or not finite
-                up, ahead, normal = map(unit, (up, ahead, normal))
+                up, ahead, normal = map(normalize, (up, ahead, normal))
                 sine, cosine = np.linalg.norm(np.cross(up, normal)), abs(normal @ ahead)
             if sine < _MIN_SINE:
                 message = f"must not be parallel to {normal_name}; choose another view_up"
@@ -275,7 +275,7 @@ class Box(Validated):
     line: int | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def conflicts(cls, columns: Columns) -> Iterator[RowError]:
+    def find_conflicts(cls, columns: Columns) -> Iterator[RowError]:
         """Find boxes whose minimum exceeds their maximum.
 
         Parameters
@@ -352,13 +352,13 @@ class Surfaces(Sequence[Sphere | Box]):
         self.radius = schema.LENGTH.rows(radius, "radius")
         self.min_pt = schema.POINT.rows(min_pt, "min_pt")
         self.max_pt = schema.POINT.rows(max_pt, "max_pt")
-        self.shader_index = schema.integer_array(shader_index, "shader_index")
+        self.shader_index = schema.copy_integers(shader_index, "shader_index")
         array_order = np.arange(len(self))
-        self.file_index = schema.integer_array(
+        self.file_index = schema.copy_integers(
             array_order if file_index is None else file_index, "file_index"
         )
         self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
-        lines = schema.integer_array(0 * array_order if line is None else line, "line")
+        lines = schema.copy_integers(0 * array_order if line is None else line, "line")
         self.line = lines.astype(np.int32)
         # Numbers can be validated only if the lengths of the arrays match.
         schema.raise_if_any(self._array_errors())
@@ -403,9 +403,9 @@ class Surfaces(Sequence[Sphere | Box]):
         sphere_file_index, box_file_index = np.split(self.file_index, [self.sphere_count])
         sphere_columns = {"center": self.center, "radius": self.radius[:, None]}
         box_columns = {"min_pt": self.min_pt, "max_pt": self.max_pt}
-        for index, name, message in schema.errors(Sphere, sphere_columns):
+        for index, name, message in schema.find_errors(Sphere, sphere_columns):
             yield sphere_file_index.item(index), f"{name}: {message}"
-        for index, name, message in schema.errors(Box, box_columns):
+        for index, name, message in schema.find_errors(Box, box_columns):
             yield box_file_index.item(index), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -548,8 +548,8 @@ class Scene(Validated):
     camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
     lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_of(PointLight)))
     surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.of(value)))
-    width: int = field(metadata=xml_field(schema.pixel_count))
-    height: int = field(metadata=xml_field(schema.pixel_count))
+    width: int = field(metadata=xml_field(schema.validate_pixel_count))
+    height: int = field(metadata=xml_field(schema.validate_pixel_count))
 
     # Not generated, because the parameters accept more types than the fields have.
     def __init__(

@@ -192,7 +192,7 @@ class _Reader:
         finally:
             typed_tables = (*self.shaders.values(), *self.surfaces.values())
             for table in (self.cameras, self.lights, *typed_tables):
-                for error in table.errors():
+                for error in table.find_errors():
                     self.report_at(*error)
         self.report_missing()
         self.report_undefined_shaders()

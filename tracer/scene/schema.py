@@ -2,7 +2,7 @@
 
 The metadata of a dataclass field contain its validator, and its tags in a file (`xml_field`).  The
 same rules validate the fields of one object (`Validated`), the arrays of `Surfaces`, and the
-numbers in a file (`errors`).
+numbers in a file (`find_errors`).
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 class Validated:
     """A base class of frozen dataclasses whose fields are validated, first singly, then together.
 
-    A subclass gives each field a validator by `xml_field`, and defines `conflicts` if valid values
-    can contradict each other.  Its constructor raises `SceneError` for invalid values.
+    A subclass gives each field a validator by `xml_field`, and overrides `find_conflicts` if valid
+    values can contradict each other.  Its constructor raises `SceneError` for invalid values.
     """
 
     __slots__ = ("__weakref__",)
@@ -111,11 +111,11 @@ class Validated:
                 name: np.array([getattr(self, name)], np.float64)
                 for name in number_validators(self)
             }
-            lines = [f"{name}: {message}" for _, name, message in self.conflicts(row)]
+            lines = [f"{name}: {message}" for _, name, message in self.find_conflicts(row)]
         raise_if_any(lines)
 
     @classmethod
-    def conflicts(cls, columns: Columns) -> Iterable[RowError]:
+    def find_conflicts(cls, columns: Columns) -> Iterable[RowError]:
         """Find objects whose values are valid one by one, but contradict each other.
 
         Parameters
@@ -214,7 +214,7 @@ class Numbers:
             has = f"shape {array.shape}" if array.ndim > 1 else array.size
             raise SceneError([f"{name}: {self.needed}, has {has}"])
         row = array.reshape(1, self.count)
-        raise_if_any(f"{name}: {message}" for _, message in self.errors(row))
+        raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def rows(self, value: ArrayLike, name: str) -> Floats:
@@ -242,7 +242,7 @@ class Numbers:
             raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
-    def errors(self, values: Floats) -> Iterator[tuple[int, str]]:
+    def find_errors(self, values: Floats) -> Iterator[tuple[int, str]]:
         """Find the objects whose numbers break a rule.
 
         Parameters
@@ -292,7 +292,7 @@ def number_validators(dataclass: Any) -> dict[str, Numbers]:
     }
 
 
-def errors(dataclass: type[Validated], columns: Columns) -> Iterator[RowError]:
+def find_errors(dataclass: type[Validated], columns: Columns) -> Iterator[RowError]:
     """Find invalid numbers, and numbers that contradict each other, in many objects of a dataclass.
 
     Parameters
@@ -313,11 +313,12 @@ def errors(dataclass: type[Validated], columns: Columns) -> Iterator[RowError]:
         What is wrong.
     """
     for name, validator in number_validators(dataclass).items():
-        yield from ((index, name, message) for index, message in validator.errors(columns[name]))
-    yield from dataclass.conflicts(columns)
+        for index, message in validator.find_errors(columns[name]):
+            yield index, name, message
+    yield from dataclass.find_conflicts(columns)
 
 
-def integer_array(value: ArrayLike, name: str) -> NDArray[np.intp]:
+def copy_integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
     """Copy whole numbers into a one-dimensional int array.
 
     Parameters
@@ -340,7 +341,7 @@ def integer_array(value: ArrayLike, name: str) -> NDArray[np.intp]:
     return array
 
 
-def pixel_count(value: int, name: str) -> int:
+def validate_pixel_count(value: int, name: str) -> int:
     """Validate the width or height of a picture.
 
     Parameters

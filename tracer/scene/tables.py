@@ -158,7 +158,7 @@ class Table:
         self.columns = {field.name: Column(field) for field in tagged if field.name in validators}
         self.lines, self.index, self.shader_index = array("i"), array("i"), array("i")
 
-    def errors(self) -> Iterator[tuple[int, str, str]]:
+    def find_errors(self) -> Iterator[tuple[int, str, str]]:
         """Validate all numbers of the table, and yield the errors.
 
         Rows that contain NaN are skipped: their errors were reported when they were read.
@@ -173,7 +173,7 @@ class Table:
             What is wrong.
         """
         numbers = {name: column.array() for name, column in self.columns.items()}
-        for row, name, message in schema.errors(self.dataclass, numbers):
+        for row, name, message in schema.find_errors(self.dataclass, numbers):
             column = self.columns[name]
             if not np.isnan(numbers[name][row]).any():
                 line = column.lines[row] or self.lines[row]
