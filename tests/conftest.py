@@ -11,8 +11,9 @@ from hypothesis import settings
 
 from tracer.antialias import refine as antialias
 
-# Examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
-# tries the same examples in every run, the thorough profile others, by the seed from `.ci/run`.
+# Numbers of examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
+# tries the same examples in every run.  The thorough profile tries others, which the seed from
+# `.ci/run` determines.
 settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
 settings.register_profile("thorough", max_examples=300, deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))

@@ -194,14 +194,13 @@ def classify(
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     outlines = _silhouettes_from_eye(prepared, cells)
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
-    lines, curved_cell = fit_lines(edges, tolerance)
+    geometry_lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
-    shading, all_lines = Shading(hits), [lines]
+    shading, all_lines = Shading(hits), [geometry_lines]
     for lights in prepared.light_batches:
-        lines, unresolved_cell, crowded_cell = _add_lights(shading, surfaces, lights, tolerance)
-        all_lines.append(lines)
-        is_unresolved[unresolved_cell] = True
-        is_crowded[crowded_cell] = True
+        light_lines, unresolved, crowded = _add_lights(shading, surfaces, lights, tolerance)
+        all_lines.append(light_lines)
+        is_unresolved[unresolved], is_crowded[crowded] = True, True
     radiance[:, sample_cell] = shading.radiance()
     center_id[hit_cell] = shading.ids
     lines = Lines.joined(all_lines).distinct()

@@ -93,9 +93,9 @@ class Lines(NamedTuple):
         return Lines._make(field[index] for field in self)
 
     def distinct(self) -> Lines:
-        """Return the lines without duplicates, sorted by cell and coefficients.
+        """Return the lines without duplicates, sorted by cell and then by coefficients.
 
-        The order makes the result independent of the order in which the lines were found.
+        So the result is independent of the order in which the lines were found.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
         return lines.take(indices(run_starts(*lines)))
@@ -287,7 +287,19 @@ class InverseDepth(NamedTuple):
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
-        """Return the surface at each of n hits: the face of a box as a plane, or the sphere."""
+        """Describe the surface at each hit, so that `evaluate` can intersect it with other rays.
+
+        Parameters
+        ----------
+        hits : Hits
+            The n hits, on spheres or on faces of boxes.
+
+        Returns
+        -------
+        surfaces : InverseDepth
+            For a hit on a box, the plane of the face; for a hit on a sphere, the sphere, or its
+            tangent plane at the hit if the eye is on the sphere.
+        """
         spheres = hits.prepared.spheres
         k, w = np.empty(hits.local.shape), np.zeros(hits.local.shape[1])
         for group in hits.groups:

@@ -238,29 +238,30 @@ def silhouettes(
         Values of the edge function of the silhouette at the six points of the cell.
     """
     spheres, boxes = prepared.spheres, prepared.boxes
-    index = indices(spheres.objects.contains(owner))
-    if index.size:
-        sphere, sphere_ray = owner[index], map3(lambda component: component[:, index], ray)
-        sphere_apex = take3(apexes.local.T, apex[index])
+    of_sphere = indices(spheres.objects.contains(owner))
+    if of_sphere.size:
+        sphere, sphere_ray = owner[of_sphere], map3(lambda component: component[:, of_sphere], ray)
+        sphere_apex = take3(apexes.local.T, apex[of_sphere])
         center = map3(np.subtract, take3(spheres.local, sphere), sphere_apex)
-        yield cell[index], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
-    index = indices(boxes.objects.contains(owner))
-    if index.size:
+        yield cell[of_sphere], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
+    of_box = indices(boxes.objects.contains(owner))
+    if of_box.size:
         # Planes are computed once for each pair of an apex and a box.
-        box = boxes.objects.positions(owner[index])
-        pair_key, pair = np.unique(apex[index] * boxes.objects.size + box, return_inverse=True)
-        pair_apex, pair_box = np.divmod(pair_key, boxes.objects.size)
+        box, count = boxes.objects.positions(owner[of_box]), boxes.objects.size
+        pair_key, pair_index = np.unique(apex[of_box] * count + box, return_inverse=True)
+        pair_apex, pair_box = np.divmod(pair_key, count)
         position = apexes.position.T[:, pair_apex]
         low, high = boxes.min_pt[:, pair_box] - position, boxes.max_pt[:, pair_box] - position
         planes = prepared.frame.vector_to_camera(silhouette_planes(low, high))
-        box_ray = map3(lambda component: component[:, index], ray)
-        values = box_edge_functions(map3(lambda component: component[:, pair], planes), box_ray)
+        box_ray = map3(lambda component: component[:, of_box], ray)
+        planes = map3(lambda component: component[:, pair_index], planes)
+        values = box_edge_functions(planes, box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the box ends where the planes through the neighbouring edges begin.
         is_near = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
         # A plane that is zero bounds nothing.  If all six are zero, nothing is known of the box.
         is_near &= (variation > 0) | ~(variation > 0).any(axis=0)
-        yield cell[index[is_near.nonzero()[1]]], values[:, is_near]
+        yield cell[of_box[is_near.nonzero()[1]]], values[:, is_near]
 
 
 class CellSurfaces(NamedTuple):

@@ -85,7 +85,7 @@ class Lattice(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of points in a pixel."""
+        """Number of points of the lattice in a pixel."""
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Rows:
