@@ -50,7 +50,7 @@ class LightGeometry(NamedTuple):
     n_dot_l: Floats
     length2: Floats
 
-    def highlight_strength(self, light: int, group: ShapeHits, index: Ints) -> Floats:
+    def highlight_strength(self, light_index: int, group: ShapeHits, index: Ints) -> Floats:
         """Compute the strength (n.h)^exponent of one light's highlight at k hits.
 
         Here n is the unit normal, and h the unit half vector between the directions to the light
@@ -58,7 +58,7 @@ class LightGeometry(NamedTuple):
 
         Parameters
         ----------
-        light : int
+        light_index : int
             Index of the light in this batch.
         group : ShapeHits
             Hits on objects of one shape, which contain the k hits.
@@ -71,9 +71,9 @@ class LightGeometry(NamedTuple):
             The strength at each hit.
         """
         local = take3(self.hits.local[:, group.interval], index)
-        x, y, z = self.lights.local[light].tolist()
+        x, y, z = self.lights.local[light_index].tolist()
         to_light = x - local[0], y - local[1], z - local[2]
-        length = np.sqrt(self.length2[light, group.interval][index])
+        length = np.sqrt(self.length2[light_index, group.interval][index])
         distance = np.sqrt(dot(local, local))
 
         def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
@@ -88,7 +88,7 @@ class LightGeometry(NamedTuple):
             return normal, light_direction, eye_direction
 
         return _stable_highlight(
-            self.n_dot_l[light, group.interval][index] / length,
+            self.n_dot_l[light_index, group.interval][index] / length,
             group.per_hit(group.eye_height)[index] / distance,
             dot(to_light, local) / (-distance * length),
             group.object_values(self.hits.prepared.exponent)[index],
@@ -117,7 +117,7 @@ class Shading:
         # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
         # the colours of the surfaces.
         self._diffuse, self._specular = np.zeros((2, *hits.local.shape))
-        faces = [g.repeat_runs(4 * g.run_object + g.face) for g in hits.groups]
+        faces = [group.repeat_runs(4 * group.run_object + group.face) for group in hits.groups]
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
@@ -135,19 +135,20 @@ class Shading:
             self.ids = self.ids * 3 + light_is_lit
         for group, is_glossy in zip(self._hits.groups, self._is_glossy, strict=True):
             interval, any_glossy = group.interval, is_glossy.any()
-            for light, lit in enumerate(is_lit[:, interval]):
-                if not lit.any():
+            for light_index, is_hit_lit in enumerate(is_lit[:, interval]):
+                if not is_hit_lit.any():
                     continue
-                intensity, cosine = geometry.lights.intensity[light].tolist(), np.zeros(lit.size)
-                length = np.sqrt(geometry.length2[light, interval])
-                np.divide(geometry.n_dot_l[light, interval], length, out=cosine, where=lit)
-                for channel, factor in zip(self._diffuse, intensity, strict=True):
-                    channel[interval] += factor * cosine
+                intensity = geometry.lights.intensity[light_index].tolist()
+                length = np.sqrt(geometry.length2[light_index, interval])
+                n_dot_l, cosine = geometry.n_dot_l[light_index, interval], np.zeros(length.size)
+                np.divide(n_dot_l, length, out=cosine, where=is_hit_lit)
+                for total, factor in zip(self._diffuse, intensity, strict=True):
+                    total[interval] += factor * cosine
                 if any_glossy:
-                    strength, index = np.zeros(lit.size), indices(lit & is_glossy)
-                    strength[index] = geometry.highlight_strength(light, group, index)
-                    for channel, factor in zip(self._specular, intensity, strict=True):
-                        channel[interval] += factor * strength
+                    strength, index = np.zeros(length.size), indices(is_hit_lit & is_glossy)
+                    strength[index] = geometry.highlight_strength(light_index, group, index)
+                    for total, factor in zip(self._specular, intensity, strict=True):
+                        total[interval] += factor * strength
 
     def reflection_terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
         """Yield the diffuse and the specular radiance, for each shape and each colour channel.
@@ -216,18 +217,18 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
         The dot products, as arrays (lights, hits).
     """
     geometry = LightGeometry(hits, lights, *np.empty((2, len(lights.local), hits.local.shape[1])))
-    for light, (x, y, z) in enumerate(lights.local.tolist()):
+    for light_index, (x, y, z) in enumerate(lights.local.tolist()):
         # If the eye is inside an object, the object blocks all lights outside of it.
-        is_blocked = hits.prepared.is_eye_inside & (lights.side[light] != INSIDE)
+        is_blocked = hits.prepared.is_eye_inside & (lights.side[light_index] != INSIDE)
         for group in hits.groups:
             local = hits.local[:, group.interval]
             to_light = x - local[0], y - local[1], z - local[2]
-            n_dot_l = group.height_of(lights.position[light], to_light)
+            n_dot_l = group.height_of(lights.position[light_index], to_light)
             if is_blocked[group.run_object].any():
                 # 0 would count as a terminator: a line at which light begins.
                 n_dot_l[group.object_values(is_blocked)] = -np.inf
-            geometry.n_dot_l[light, group.interval] = n_dot_l
-            geometry.length2[light, group.interval] = dot(to_light, to_light)
+            geometry.n_dot_l[light_index, group.interval] = n_dot_l
+            geometry.length2[light_index, group.interval] = dot(to_light, to_light)
     return geometry
 
 
@@ -264,12 +265,12 @@ def find_narrow_highlights(
             continue
         eye_turn = 1 / distance[interval] + group.object_values(prepared.curvature)
         scale = np.where(is_glossy, np.sqrt(group.object_values(prepared.exponent) / 2), 0)
-        for light, faces_light in enumerate(frontlit[:, interval]):
-            turn = eye_turn + 1 / np.sqrt(geometry.length2[light, interval])
+        for light_index, is_frontlit in enumerate(frontlit[:, interval]):
+            turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index, interval])
             step = footprint[interval] * turn * scale
-            index = indices((step > _MAX_LOBE_STEP) & faces_light)
+            index = indices((step > _MAX_LOBE_STEP) & is_frontlit)
             if index.size:
-                strength = geometry.highlight_strength(light, group, index)
+                strength = geometry.highlight_strength(light_index, group, index)
                 position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
                 is_visible = position - step[index] < _LOBE_CUTOFF
                 yield interval.start + index[is_visible]

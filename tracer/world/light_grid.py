@@ -204,9 +204,9 @@ class LightGrid(NamedTuple):
                 # The same as is_within.all(axis=1), but much faster.
                 match = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
                 occluder = self.entry_object.take(entry.take(match))
-                light, ball = np.divmod(box.take(batch_part.take(match)), ball_count)
-                kept = indices(occluder != own_object.take(ball))
-                yield np.array([light.take(kept), ball.take(kept), occluder.take(kept)])
+                light_index, ball_index = np.divmod(box.take(batch_part.take(match)), ball_count)
+                triples = np.array([light_index, ball_index, occluder])
+                yield triples.take(indices(occluder != own_object.take(ball_index)), axis=1)
 
     def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
         """Yield, for each rectangle, the ranges of `listed` that belong to the cells it overlaps.
