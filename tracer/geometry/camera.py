@@ -33,9 +33,9 @@ class CameraFrame(NamedTuple):
     Attributes
     ----------
     eye : (3,) float array
-        Position of the eye, in the axes of the scene.
+        Position of the eye, in scene axes.
     axes : (3, 3) float array
-        Orthonormal rows u (right), v (down) and w (ahead), in the axes of the scene.
+        Orthonormal rows u (right), v (down) and w (ahead), in scene axes.
     shift_u, shift_v, depth : float
         Vector from the eye to the centre of the window, along u, v and w; depth > 0.
     step_u, step_v : float

@@ -3,7 +3,7 @@
 `Spheres` and `Boxes` have the same methods and attributes.  All methods take indices of objects
 among all objects of the scene (see `ObjectRange`).
 
-Rays start at the eye.  A ray has the direction (s, g, depth) in the axes of the camera: s changes
+Rays start at the eye.  A ray has the direction (s, g, depth) in camera axes: s changes
 along a row of the picture, g from row to row, and depth is the same for all rays (see
 `CameraFrame`).  The result for a pair of a ray and an object depends on this pair only.  It is the
 same to the last bit whatever else the scene contains, and however pairs are arranged in batches.
@@ -50,11 +50,11 @@ class Spheres:
     objects : ObjectRange
         Indices of the spheres among all objects of the scene.
     center : (3, n) float array
-        Centres, in the axes of the scene.
+        Centres, in scene axes.
     radius : (n,) float array
         Radii.
     local : tuple of three (n,) float arrays
-        Vectors from the eye to the centres, in the axes of the camera.
+        Vectors from the eye to the centres, in camera axes.
     power : (n,) float array
         |centre - eye|^2 - radius^2 for each sphere: positive if the eye is outside, 0 if the eye
         is on the sphere.

@@ -61,7 +61,7 @@ class FirstHits:
         distance[hits.sample] = hits.distance
         point[hits.sample] = np.transpose(hits.points(slice(None)))
         for group in hits.groups:
-            if group.shape.is_planar:  # exact, which normals in the axes of the camera are not
+            if group.shape.is_planar:  # exactly, unlike normals in camera axes
                 normal[group.sample] = 0
                 normal[group.sample, group.repeat_runs(group.face)] = group.repeat_runs(group.sign)
             else:

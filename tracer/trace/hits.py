@@ -119,7 +119,7 @@ class ShapeHits(NamedTuple):
             Signed distance of the point from each tangent plane; positive on the side of the eye.
         """
         if self.shape.is_planar:
-            # In the axes of the scene, a light in the plane of a face has height 0 exactly.
+            # In scene axes, a light in the plane of a face has height 0 exactly.
             return self.per_hit(self.sign * (point[self.face] - self.level))
         return dot(self.normal, vector)
 
@@ -137,7 +137,7 @@ class Hits(NamedTuple):
     samples : Rows or Scattered
         The positions in the picture through which the rays pass.
     local : (3, n) float array
-        Vectors from the eye to the hits, in the axes of the camera.
+        Vectors from the eye to the hits, in camera axes.
     groups : list of ShapeHits
         The hits on spheres, and the hits on boxes, if there are any.
     sample : (n,) int array

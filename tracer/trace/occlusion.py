@@ -603,14 +603,15 @@ def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[
 def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
 
-    The sphere is that around the bounding box of the group's hits in the axes of the camera.
+    Each sphere encloses the bounding box of the group's hits in camera axes.
 
     Parameters
     ----------
     hits : Hits
-        All hits.
+        All hits, which the groups divide.
     start : (m,) int array
-        Group i contains the hits from start[i] up to the start of the next group.
+        Group i contains the hits start[i], ..., start[i + 1] - 1; the last group ends with the
+        last hit.
 
     Returns
     -------

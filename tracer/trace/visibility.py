@@ -145,7 +145,7 @@ class _Intersections(NamedTuple):
         Parameters
         ----------
         samples : Rows or Scattered
-            All samples.
+            Positions in the picture, through which rays are traced.
         frame : CameraFrame
             The rays of the camera.
         depth : (n,) float array
@@ -201,7 +201,7 @@ def _nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats
     Parameters
     ----------
     samples : Rows or Scattered
-        All n samples.
+        The n samples: positions in the picture, through which rays are traced.
     groups : list of _Intersections
         All intersections of rays with objects: one group for each shape.
 
@@ -259,7 +259,7 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     prepared : PreparedScene
         The scene.
     samples : Rows or Scattered
-        All samples.
+        Positions in the picture, through which rays are traced.
     groups : list of _Intersections
         The intersections of rays with objects: one group for each shape.  All rays meet their
         objects.
