@@ -69,7 +69,7 @@ STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
 
 
 class Limits(NamedTuple):
-    """Tolerances for the errors of Mitsuba's float32.
+    """Tolerances for the differences that Mitsuba's float32 arithmetic causes.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ _MAX_GROWTH, _MAX_SHIFT = 1e-12, 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """The result of a comparison.
+    """The result of comparing the tracer's and Mitsuba's pictures of a scene.
 
     Attributes
     ----------
@@ -113,22 +113,23 @@ class CheckResult:
     tracer, mitsuba : (h, w, 3) float array
         The two pictures, in linear radiance.
     edges : (h, w) bool array
-        Pixels at edges that differ; they are excluded.
+        Pixels that differ, and that may do so because an edge is close to their centres.  They are
+        excluded.
     ties : (h, w) bool array
-        Pixels that differ where surfaces coincide: exact arithmetic shows both values.  They are
+        Pixels that differ where surfaces coincide: exact arithmetic gives both values.  They are
         excluded.
     differing : (h, w) bool array
         All other pixels that differ.
     examined : int
-        Number of differing pixels that were traced in exact arithmetic: all of them, or those of
-        the first batches if these decide.
+        Number of differing pixels that were traced in exact arithmetic and are no ties: all of
+        them, or those of the first batches if these decide.
     wrong : int
         Number of examined pixels in which exact arithmetic contradicts the tracer.
     first : (row, column) or None
         The first wrong pixel, or the first examined pixel if none is wrong.
     figures : Figures
-        Figures of `tracer` compared with `mitsuba`.  In pictures brighter than 1 they are relative
-        to the brightest pixel.  Excluded pixels count as equal.
+        Measures of the difference between `tracer` and `mitsuba`.  In pictures brighter than 1 they
+        are relative to the brightest pixel.  Excluded pixels are treated as equal.
     variant : str
         Mitsuba's variant.
     tracer_seconds, mitsuba_seconds : float
@@ -151,25 +152,30 @@ class CheckResult:
 
     @property
     def excluded(self) -> Bools:
-        """Pixels (h, w) that count in no figure."""
+        """Pixels (h, w) that affect no figure, because of edges or because surfaces tie."""
         return self.edges | self.ties
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict: the pictures agree, the tracer is wrong (DIFFERS), or it is undecided."""
+        """The verdict, which is one of three.
+
+        - "agrees": the pictures agree.
+        - "DIFFERS": exact arithmetic contradicts the tracer, or the figures are out of tolerance.
+        - "undecided": pixels differ, but exact arithmetic confirms the tracer.
+        """
         if self.differing.any():
             return "DIFFERS" if self.wrong else "undecided"
         return "DIFFERS" if out_of_tolerance(self.figures) else "agrees"
 
     @property
     def remarks(self) -> list[str]:
-        """The reasons for the verdict, in one sentence each."""
+        """The reasons for the verdict: sentences without a full stop, possibly none."""
         row, column = self.first or (0, 0)
-        place = f"{_pixels(self.differing)}, the first at column {column}, row {row}"
+        place = f"{_format_pixel_count(self.differing)}, the first at column {column}, row {row}"
         sentences = []
         if self.ties.any():
-            pixels = _pixels(self.ties)
-            sentences.append(f"Mitsuba shows the other of surfaces that tie on {pixels}")
+            count = _format_pixel_count(self.ties)
+            sentences.append(f"Mitsuba shows the other of surfaces that tie on {count}")
         if self.wrong:
             share = f"{self.wrong} of {self.examined} pixels that were examined"
             sentences.append(
@@ -185,7 +191,7 @@ class CheckResult:
         return sentences
 
     def report(self) -> str:
-        """Return the result in a few lines of text."""
+        """Format the verdict, the figures, the times and the remarks as text of several lines."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
@@ -197,14 +203,25 @@ class CheckResult:
         return "\n".join([*lines, *(f"  {remark}" for remark in self.remarks)])
 
 
-def _pixels(mask: Bools) -> str:
-    """Return the number of pixels in a mask, as text."""
+def _format_pixel_count(mask: Bools) -> str:
+    """Format the number of True elements of a mask (h, w), for example "1,234 pixels"."""
     count = int(mask.sum())
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
 def out_of_tolerance(measured: Figures) -> list[str]:
-    """Return a line for each figure of a comparison that is out of tolerance."""
+    """State which figures of a comparison are out of tolerance.
+
+    Parameters
+    ----------
+    measured : Figures
+        The figures of two pictures.
+
+    Returns
+    -------
+    lines : list of str
+        A clause for each figure that is out of tolerance.
+    """
     lines = []
     if measured.ssim < MIN_SSIM:
         lines.append(f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}")
@@ -213,27 +230,34 @@ def out_of_tolerance(measured: Figures) -> list[str]:
     return lines
 
 
-def near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find pixels that may differ because an edge is near their centres.
+def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
+    """Find the pixels of another renderer's picture whose value can be explained by an edge nearby.
+
+    The tracer renders the scene with samples moved in four diagonal directions.
 
     Parameters
     ----------
     scene : Scene
+        The scene.
     picture : (h, w, 3) float array
-        A picture of the scene.
+        The other renderer's picture of the scene, in linear radiance.
     shift : float
         Distance, in pixels along each axis, by which the tracer's samples are moved.
     tolerance : float
-        Allowed difference in radiance.
+        Permitted difference in linear radiance.
 
     Returns
     -------
     is_near : (h, w) bool array
-        Pixels whose value lies between values that the tracer computes from moved samples.
+        Whether the pixel's value lies between the minimum and the maximum of the four renderings,
+        within the tolerance.
     """
     shifts = (-shift, shift)
-    pictures = [render(scene, offset=(dx, dy)) for dx, dy in product(shifts, shifts)]
-    low, high = np.min(pictures, axis=0) - tolerance, np.max(pictures, axis=0) + tolerance
+    moved_pictures = [render(scene, offset=(dx, dy)) for dx, dy in product(shifts, shifts)]
+    low, high = (
+        np.min(moved_pictures, axis=0) - tolerance,
+        np.max(moved_pictures, axis=0) + tolerance,
+    )
     is_near: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
     return is_near
 
@@ -248,11 +272,13 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
     variant : str, optional
         Mitsuba's variant; the default is the fastest that works here.
     flavour : str
-        "exact" to compare all light, or "stock" to compare diffuse light by stock plugins alone.
+        "exact" to compare all light by this project's plugins, or "stock" to compare diffuse light
+        by Mitsuba's own plugins.
 
     Returns
     -------
     result : CheckResult
+        Both pictures, the measures of their difference, and the verdict.
 
     Raises
     ------
@@ -267,11 +293,12 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the tracer's picture of a scene with one rendered by this project's plugins.
+    """Compare the tracer's picture of a scene with one rendered by this project's Mitsuba plugins.
 
     Parameters
     ----------
     scene : Scene
+        The scene.
     name : str
         Name of the scene in the result.
     variant : str, optional
@@ -280,6 +307,7 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     Returns
     -------
     result : CheckResult
+        Both pictures, the measures of their difference, and the verdict.
 
     Raises
     ------
@@ -295,13 +323,14 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the diffuse light of a scene with that rendered by stock plugins alone.
+    """Compare the diffuse light of a scene with that rendered by Mitsuba's own plugins.
 
-    Both pictures have square pixels.
+    Both pictures have square pixels, so their size may differ from that of the scene.
 
     Parameters
     ----------
     scene : Scene
+        The scene.
     name : str
         Name of the scene in the result.
     variant : str, optional
@@ -310,6 +339,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
     Returns
     -------
     result : CheckResult
+        Both pictures, the measures of their difference, and the verdict.
 
     Raises
     ------
@@ -322,16 +352,18 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
     matte = replace(with_square_pixels(scene), surfaces=Surfaces.of(surfaces))
     image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
     for light in matte.lights:
-        image += _diffuse_light(matte, light, variant)
+        image += _render_diffuse_light(matte, light, variant)
     rendering = Rendering(image, use_variant(variant).variant, perf_counter() - start)
     return compare(matte, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
-def _diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floats:
-    """Render the light of a single light with stock plugins, and undo its fall-off.
+def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floats:
+    """Render the light of a single light with Mitsuba's own plugins, without its fall-off with
+    distance.
 
-    The lights are rendered separately because Mitsuba would pick one of them at random.  The
-    fall-off is undone by the distance from the light to the points that Mitsuba reports.
+    The lights are rendered separately because Mitsuba would choose one of them at random.  The
+    radiance is multiplied by the squared distance from the light to the points that Mitsuba
+    reports.
 
     Parameters
     ----------
@@ -340,7 +372,7 @@ def _diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floa
     light : PointLight
         A light of the scene.
     variant : str or None
-        Mitsuba's variant.
+        Mitsuba's variant; None for the fastest that works.
 
     Returns
     -------
@@ -370,19 +402,24 @@ def _diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floa
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
     """Compare the tracer's picture of a scene with Mitsuba's.
 
+    The tracer renders the scene twice, and the second rendering is timed.  Pixels that differ are
+    excluded if an edge is near, and otherwise traced in exact arithmetic.
+
     Parameters
     ----------
     scene : Scene
+        The scene.
     name : str
         Name of the scene in the result.
     rendering : Rendering
-        Mitsuba's picture.
+        Mitsuba's picture, its variant and its time.
     limits : Limits
         Tolerances.
 
     Returns
     -------
     result : CheckResult
+        Both pictures, the measures of their difference, and the verdict.
 
     Raises
     ------
@@ -407,10 +444,10 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         differing = difference > tolerance
         edges = differing.copy()
         if differing.any():
-            edges &= near_edges(scene, mitsuba, limits.shift, tolerance * unit)
+            edges &= find_pixels_near_edges(scene, mitsuba, limits.shift, tolerance * unit)
         if edges.mean() > MAX_EDGES:  # too many for rounding to be the cause: none is excluded
             edges = np.zeros_like(edges)
-        examination = _examine(scene, image, mitsuba, differing & ~edges, tolerance * unit)
+        examination = _examine_exactly(scene, image, mitsuba, differing & ~edges, tolerance * unit)
         excluded = edges | examination.ties
         # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
         shown = np.where(excluded[:, :, None], mitsuba, image)
@@ -434,7 +471,19 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
 
 
 class _Examination(NamedTuple):
-    """The result of exact arithmetic; the fields are those of `CheckResult`."""
+    """The result of tracing pixels in exact arithmetic.
+
+    Attributes
+    ----------
+    ties : (h, w) bool array
+        Pixels where surfaces coincide, and both pictures are right.
+    examined : int
+        Number of traced pixels that are no ties.
+    wrong : int
+        Number of traced pixels in which exact arithmetic contradicts the tracer.
+    first : (row, column) or None
+        The first wrong pixel, or the first examined pixel if none is wrong.
+    """
 
     ties: Bools
     examined: int = 0
@@ -442,24 +491,28 @@ class _Examination(NamedTuple):
     first: tuple[int, int] | None = None
 
 
-def _examine(
+def _examine_exactly(
     scene: Scene, image: Floats, mitsuba: Floats, differing: Bools, tolerance: float
 ) -> _Examination:
-    """Trace pixels that differ in exact arithmetic, in batches, until one is not a tie.
+    """Trace pixels in which two pictures differ in exact arithmetic, in batches.
+
+    Batches are traced until one contains a pixel that is not a tie of coinciding surfaces.
 
     Parameters
     ----------
     scene : Scene
+        The scene.
     image, mitsuba : (h, w, 3) float array
         The tracer's picture, and Mitsuba's.
     differing : (h, w) bool array
         Pixels to examine.
     tolerance : float
-        Allowed difference between a picture and the exact radiance.
+        Permitted difference between a picture and the exact radiance.
 
     Returns
     -------
     examination : _Examination
+        Which pixels are ties, and what the first batch with others shows.
     """
     pixels, ties = np.argwhere(differing), np.zeros_like(differing)
     batch_count = -(-len(pixels) // _PIXELS_PER_BATCH)
@@ -478,31 +531,33 @@ def _examine(
 def _compare_exactly(
     scene: Scene, image: Floats, mitsuba: Floats, pixels: Ints, tolerance: float
 ) -> tuple[Bools, Bools]:
-    """Compare both pictures with exact arithmetic in some pixels.
+    """Compare the values of some pixels in two pictures with exact arithmetic.
 
-    The tracer is right if its value is exact for the scene or for one so near that float64 cannot
-    tell the two apart.  If surfaces tie, it must show the first.
+    The tracer is right if its value is exact for the scene, or for a scene so similar that float64
+    cannot distinguish the two.  If surfaces tie, it must show the first in the scene file.
 
     Parameters
     ----------
     scene : Scene
+        The scene.
     image, mitsuba : (h, w, 3) float array
         The tracer's picture, and Mitsuba's.
     pixels : (2, n) int array
-        Rows and columns of the pixels.
+        Row 0 contains the rows of the pixels, row 1 their columns.
     tolerance : float
-        Allowed difference between a picture and the exact radiance.
+        Permitted difference between a picture and the exact radiance.
 
     Returns
     -------
     is_right : (n,) bool array
         Whether the tracer's value is exact.
     is_tie : (n,) bool array
-        Whether Mitsuba's value is exact, with the first or the last of the surfaces that tie.
+        Whether Mitsuba's value is exact, with either the first or the last of the surfaces that
+        tie.
     """
     rows, columns = pixels
     is_right, is_tie = np.zeros((2, len(rows)), dtype=np.bool_)
-    for near_scene, shift in _near_scenes(scene):
+    for near_scene, shift in _indistinguishable_scenes(scene):
         x, y = columns + 0.5 + shift, rows + 0.5 + shift
         for ties in ("first", "last"):
             exact_radiance = plain.trace(near_scene, x, y, arithmetic="decimal", ties=ties).radiance
@@ -516,15 +571,15 @@ def _compare_exactly(
     return is_right, is_tie
 
 
-def _near_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield the scene, and scenes that rounding may not tell apart from it.
+def _indistinguishable_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
+    """Yield a scene, and similar scenes that rounding to float64 may not distinguish from it.
 
     Yields
     ------
     near_scene : Scene
         The scene, or the scene with spheres that are slightly larger or smaller.
     shift : float
-        Distance in pixels by which its samples are moved along each axis.
+        Distance by which the samples are to be moved to the right and down, in pixels.
     """
     yield scene, 0.0
     for shift in (-_MAX_SHIFT, _MAX_SHIFT):
@@ -538,15 +593,38 @@ def _near_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit status."""
-    used = make_parser("reference.check")
-    add_scene_arguments(used)
-    used.add_argument("--flavour", choices=("exact", "stock"), default="exact", help="see above")
-    options = used.parse_args(arguments)
+    """Compare the scenes that the command line names, and write and print the results.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command-line arguments; by default those of the process.
+
+    Returns
+    -------
+    status : int
+        The exit status: 0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
+        undecided and none is worse.
+
+    Raises
+    ------
+    Failure
+        If Mitsuba cannot run, or the output folder cannot be made.
+    SystemExit
+        If the arguments are wrong.
+    """
+    command_parser = make_parser("reference.check")
+    add_scene_arguments(command_parser)
+    command_parser.add_argument(
+        "--flavour", choices=("exact", "stock"), default="exact", help="see above"
+    )
+    options = command_parser.parse_args(arguments)
     scenes = skip_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
-    targets = choose_output_paths(used, [*map(str, scenes)], options.output, default_paths)
+    targets = choose_output_paths(
+        command_parser, [*map(str, scenes)], options.output, default_paths
+    )
     choose_variant(options.variant, status=MISUSED)
     make_output_folder(options.output)
     # If a picture is black, the comparison shows it.
@@ -556,7 +634,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def worst_status(results: Iterable[CheckResult | Failure]) -> int:
-    """Return the exit status after several comparisons: the worst of 1, 3 and 0, in this order."""
+    """Return the exit status of a command after several comparisons.
+
+    Parameters
+    ----------
+    results : iterable of CheckResult or Failure
+        The comparisons, or the reasons why they were impossible.
+
+    Returns
+    -------
+    status : int
+        1 if one differs or was impossible, otherwise 3 if one is undecided, otherwise 0.
+    """
     statuses = {
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
     }
@@ -564,7 +653,7 @@ def worst_status(results: Iterable[CheckResult | Failure]) -> int:
 
 
 def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
-    """Check one scene for the command, write the comparison, and print the result.
+    """Compare one scene's pictures, write a picture of the comparison, and print the result.
 
     Parameters
     ----------
@@ -573,16 +662,17 @@ def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> Che
     target : Path
         The picture to write, which shows both pictures and their difference.
     options : Namespace
-        The command's options.
+        The command-line options `variant` and `flavour`.
 
     Returns
     -------
     result : CheckResult
+        The comparison.
 
     Raises
     ------
     Failure
-        If the scene cannot be read, converted or compared, or the picture not be written.
+        If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
     result = check(path, options.variant, options.flavour)
     labels = ("tracer", f"Mitsuba {result.variant}")

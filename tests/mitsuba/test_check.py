@@ -27,8 +27,8 @@ from reference.check import (
     check_diffuse,
     check_scene,
     compare,
+    find_pixels_near_edges,
     main,
-    near_edges,
     out_of_tolerance,
     worst_status,
 )
@@ -233,7 +233,7 @@ def test_edges_on_which_both_agree_are_not_excluded():
     # The pixels are so tall that many contain an edge near the centre.
     scene = replace(load_scene(SCENES / "room.xml"), width=1, height=96)
     result = check_scene(scene, "thin")
-    assert near_edges(scene, result.tracer, 0.003, 0).mean() > 0.05
+    assert find_pixels_near_edges(scene, result.tracer, 0.003, 0).mean() > 0.05
     assert (result.verdict, result.excluded.any()) == ("agrees", False)
 
 
