@@ -139,7 +139,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], action: str) -> Iter
     Failure
         If the block raises an error of the converter, of Mitsuba or of the file system.
     """
-    with errors_as_failure(path, action, errors=(ImportError, RuntimeError, ValueError)):
+    with errors_as_failure(path, action, error_types=(ImportError, RuntimeError, ValueError)):
         try:
             yield
         except ConversionError as error:

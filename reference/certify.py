@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     judged = _read_codes(arguments.judge, scene) if arguments.judge else None
     start = perf_counter()
     with (
-        failure_if_not(path, "certified", errors=(ValueError, RuntimeError)),
+        failure_if_not(path, "certified", error_types=(ValueError, RuntimeError)),
         Progress(1, "pictures") as bar,
     ):
         certificate = certify(scene, float(error), codes=arguments.codes, progress=bar.update)
@@ -147,7 +147,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     Failure
         If the picture cannot be read, or its size differs from that of the scene's picture.
     """
-    with errors_as_failure(path, "read", status=_FAILED_STATUS, errors=UNREADABLE):
+    with errors_as_failure(path, "read", status=_FAILED_STATUS, error_types=UNREADABLE):
         codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
     if (width, height) != (scene.width, scene.height):

@@ -148,7 +148,7 @@ def _sort_key(one: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
 @lru_cache(maxsize=1)
 def _solution(path: Path) -> tuple[Solution, str]:
     """Return the right picture of a file, and a note on what its format changes."""
-    with errors_as_failure(path, "read", status=_FAILED, errors=UNREADABLE):
+    with errors_as_failure(path, "read", status=_FAILED, error_types=UNREADABLE):
         if path.suffix.lower() == ".xml":
             return Solution(load_scene(path), shlex.quote(str(path))), ""
         picture = read_picture(path)
@@ -185,7 +185,7 @@ def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | 
     if hand_in.error or not (hand_in.picture and hand_in.right):
         return _failed(hand_in, hand_in.error)
     try:
-        with errors_as_failure(hand_in.picture, "read", status=_FAILED, errors=UNREADABLE):
+        with errors_as_failure(hand_in.picture, "read", status=_FAILED, error_types=UNREADABLE):
             picture = read_picture(hand_in.picture)
         solution, note = _solution(hand_in.right)
         remedy = "compare a part"
@@ -249,7 +249,7 @@ def _compared(
     if output is not None and not (options.many and agrees):
         labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
         with errors_as_failure(
-            output, "written", "choose another with -o", status=_FAILED, errors=(ValueError,)
+            output, "written", "choose another with -o", status=_FAILED, error_types=(ValueError,)
         ):
             output.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(

@@ -124,7 +124,7 @@ def test_errors_become_failures_where_they_arise(error, text):
     with (
         pytest.raises(type(error) if text is None else Failure) as caught,
         errors_as_failure(
-            "a.png", "read", "R", memory_remedy="M", status=3, errors=(KeyError, RuntimeError)
+            "a.png", "read", "R", memory_remedy="M", status=3, error_types=(KeyError, RuntimeError)
         ),
     ):
         raise error

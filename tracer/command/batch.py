@@ -84,17 +84,17 @@ class Job(NamedTuple):
 
     Attributes
     ----------
-    scene : str
+    scene_path : str
         Path of the scene file; "-" is standard input.
-    output : str
+    output_path : str
         Path of the picture; "-" is standard output.
     max_seconds : float
         If the estimated time of rendering is shorter than this, in seconds, one process renders the
         picture.  Otherwise all processes share it.
     """
 
-    scene: str
-    output: str
+    scene_path: str
+    output_path: str
     max_seconds: float = MIN_POOL_SECONDS
 
 
@@ -107,7 +107,7 @@ class Report(NamedTuple):
         Number of pixels of the picture; 0 if it was not written.
     line : str
         The line about the picture; empty if it was not written, or the command is quiet.
-    errors : tuple of str
+    notices : tuple of str
         Lines for standard error: why the picture was not written, or warnings about the scene.
     is_failure : bool
         Whether the picture could not be written.
@@ -115,7 +115,7 @@ class Report(NamedTuple):
 
     pixel_count: int = 0
     line: str = ""
-    errors: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
     is_failure: bool = False
 
 
@@ -182,10 +182,10 @@ class Batch:
                 self._pixel_count += report.pixel_count
                 has_succeeded &= not report.is_failure
                 self._show_progress(0, 0)
-                for line in report.errors:
+                for line in report.notices:
                     print_line(sys.stderr, line)
                 if report.line:
-                    print_line(sys.stderr if job.output == "-" else sys.stdout, report.line)
+                    print_line(sys.stderr if job.output_path == "-" else sys.stdout, report.line)
         return has_succeeded
 
     def close(self) -> None:
@@ -211,7 +211,7 @@ class Batch:
         except _Obsolete:
             return None  # the worker's report is used instead
         except Failure as failure:
-            return Report(errors=(str(failure),), is_failure=True)
+            return Report(notices=(str(failure),), is_failure=True)
 
     def _write_picture(self, job: Job) -> Report | None:
         """Read a scene, render it, and write the picture.
@@ -235,7 +235,7 @@ class Batch:
             If a worker has meanwhile written the picture.
         """
         start, (samples, size, file_format, quiet) = perf_counter(), self._settings
-        scene, exposure = read_scene(job.scene, size), Exposure()
+        scene, exposure = read_scene(job.scene_path, size), Exposure()
         pixel_count = scene.width * scene.height
         magic, encode, write = FORMATS[file_format]
 
@@ -249,7 +249,7 @@ class Batch:
                 self._after_tile(rendered_count, pixel_count)
 
         with errors_as_failure(
-            job.scene, "rendered", _BUG, memory_remedy=_SMALLER, errors=(ValueError,)
+            job.scene_path, "rendered", _BUG, memory_remedy=_SMALLER, error_types=(ValueError,)
         ):
             picture = RenderJob(scene, samples)
             is_large = picture.seconds >= job.max_seconds
@@ -260,19 +260,19 @@ class Batch:
                 self._work.executor = self._pool
                 self._work.submit()
             with (
-                errors_as_failure(job.output, "written", OTHER_NAME, memory_remedy=_SMALLER),
+                errors_as_failure(job.output_path, "written", OTHER_NAME, memory_remedy=_SMALLER),
                 open(1, "wb", closefd=False)
-                if job.output == "-"
-                else atomic_file(job.output, magic, needs_name=magic == EXR) as file,
+                if job.output_path == "-"
+                else atomic_file(job.output_path, magic, needs_name=magic == EXR) as file,
             ):
                 tiles = encoded_tiles(picture, self._pool if is_large else None)
                 write(file, scene.width, scene.height, tiles)
         if quiet:
             return Report(pixel_count)
         seconds = perf_counter() - start
-        line = f"{job.output}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
+        line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
         warnings = scene_warnings(scene, picture.prepared, exposure)
-        warning_lines = (printable(f"{job.scene}: warning: {warning}") for warning in warnings)
+        warning_lines = (printable(f"{job.scene_path}: warning: {warning}") for warning in warnings)
         return Report(pixel_count, printable(line), tuple(warning_lines))
 
     def _after_tile(self, rendered_count: int, pixel_count: int) -> None:
@@ -328,7 +328,7 @@ def _render_in_worker(settings: Settings, job: Job) -> Report | None:
         What to print about the scene.  None if the main process must render the scene, because the
         scene comes from standard input, or because all processes should share the picture.
     """
-    return None if job.scene == "-" else Batch(settings, processes=1)._render(job)
+    return None if job.scene_path == "-" else Batch(settings, processes=1)._render(job)
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:

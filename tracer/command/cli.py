@@ -297,16 +297,16 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
         changed = []
         for job in jobs:
             try:
-                status = os.stat(job.scene)
+                status = os.stat(job.scene_path)
                 version = status.st_mtime_ns, status.st_size, status.st_ino
             except OSError:
                 version = None
             # An editor may write a file in pieces: wait until it stops changing.
-            is_settled = seen_version.get(job.scene, version) == version
-            seen_version[job.scene] = version
+            is_settled = seen_version.get(job.scene_path, version) == version
+            seen_version[job.scene_path] = version
             # Not None, which would mean that a scene not yet rendered is missing.
-            if is_settled and rendered_version.get(job.scene, ()) != version:
-                rendered_version[job.scene] = version
+            if is_settled and rendered_version.get(job.scene_path, ()) != version:
+                rendered_version[job.scene_path] = version
                 changed.append(job)
         if changed:
             batch.render(changed)

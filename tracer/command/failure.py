@@ -47,7 +47,7 @@ def errors_as_failure(
     *,
     memory_remedy: str = "make the image smaller",
     status: int = 1,
-    errors: tuple[type[BaseException], ...] = (),
+    error_types: tuple[type[BaseException], ...] = (),
 ) -> Iterator[None]:
     """Run a with block, and convert errors with a cause outside the program to a Failure.
 
@@ -66,7 +66,7 @@ def errors_as_failure(
         Replaces `remedy` if there is not enough memory.
     status : int
         Exit status of a command that fails only because of this.
-    errors : tuple of exception classes
+    error_types : tuple of exception classes
         Classes to convert in addition to OSError, MemoryError and SceneFileError.
 
     Raises
@@ -86,7 +86,7 @@ def errors_as_failure(
         if isinstance(error, SceneFileError):
             raise Failure("", str(error), status=status) from error
         is_exempt = isinstance(error, (Failure, BrokenPipeError))
-        if is_exempt or not isinstance(error, (OSError, MemoryError, *errors)):
+        if is_exempt or not isinstance(error, (OSError, MemoryError, *error_types)):
             raise
         if is_lack_of_memory(error):
             remedy = memory_remedy
