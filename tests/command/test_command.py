@@ -303,7 +303,7 @@ def test_watch_waits_until_a_file_is_complete(scene, monkeypatch):
     steps = [partial(scene.write_text, text) for text in (new[:20], new[:40], new)]
     following = iter([*steps, dict, dict, sys.exit])
     monkeypatch.setattr(cli, "sleep", lambda _seconds: next(following)())
-    read_all = lambda _, jobs: rendered.extend(Path(job.scene).read_text() for job in jobs)  # noqa: E731
+    read_all = lambda _, jobs: rendered.extend(Path(job.scene_path).read_text() for job in jobs)  # noqa: E731
     monkeypatch.setattr(cli.Batch, "render", read_all)
     with pytest.raises(SystemExit):
         cli.main([str(scene), "--watch"])
