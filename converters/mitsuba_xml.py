@@ -138,7 +138,7 @@ def rgb(name: str, value: Iterable[float]) -> Element:
 
 
 def matrix(name: str, rows: Iterable[Iterable[float]]) -> Element:
-    """Create the XML element of a transform that is given by a matrix.
+    """Create the XML element of a transform from its matrix.
 
     Parameters
     ----------

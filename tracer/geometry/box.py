@@ -66,7 +66,7 @@ class Boxes:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Extract the boxes of a scene, and compute what rays of the camera need of each.
+        """Extract the boxes of a scene, and precompute their data for the rays of a camera.
 
         Parameters
         ----------
@@ -246,7 +246,7 @@ class Boxes:
     # Tests of shadow segments: segments from hits to lights.
 
     def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
-        """Return opposite corners of n boxes that are given by index.
+        """Look up opposite corners of n boxes by index.
 
         Parameters
         ----------
@@ -454,7 +454,7 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points that are close to the plane of a box's face onto this plane.
+    """Move points close to the plane of a box's face onto this plane.
 
     Parameters
     ----------

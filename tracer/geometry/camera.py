@@ -122,7 +122,7 @@ class CameraFrame(NamedTuple):
         return eye_x + x, eye_y + y, eye_z + z
 
     def scene_component(self, vector: Triple, axis: int) -> Floats:
-        """Compute one scene-axis component of vectors that are given in camera axes.
+        """Compute the component along one scene axis of vectors in camera axes.
 
         Parameters
         ----------

@@ -84,7 +84,7 @@ class Spheres:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Extract the spheres of a scene, and compute what rays of the camera need of each.
+        """Extract the spheres of a scene, and precompute their data for the rays of a camera.
 
         Parameters
         ----------

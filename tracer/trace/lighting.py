@@ -77,10 +77,11 @@ class LightGeometry(NamedTuple):
         distance = np.sqrt(dot(local, local))
 
         def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
-            """Compute unit vectors at hits that are selected by index (j,) from the k hits.
+            """Compute unit vectors at selected hits.
 
-            The result has three items: the normals, the directions to the light, and the directions
-            to the eye, each as a tuple of three (j,) arrays.
+            `selected` (j,) contains indices into the k hits.  The result has three items: the
+            normals, the directions to the light, and the directions to the eye, each as a tuple of
+            three (j,) arrays.
             """
             light_direction = scale3(take3(to_light, selected), 1 / length[selected])
             eye_direction = scale3(take3(local, selected), -1 / distance[selected])

@@ -167,7 +167,7 @@ class _OccluderSearch:
             yield shape, triples
 
     def find_fully_shaded(self) -> tuple[Ints, Ints]:
-        """Find all pairs of a light and a hit whose packet a single object shades entirely.
+        """Find the pairs of a light and a hit in packets shaded entirely by a single object.
 
         A packet is a group of neighbouring hits.  The result is complete only after
         `find_candidates` has yielded its last batch.
@@ -526,7 +526,7 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
 def _build_row_packets(
     hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits: int
 ) -> Packets:
-    """Divide each run of hits into groups of `max_hits` hits, which are called row packets.
+    """Divide each run of hits into row packets: groups of at most `max_hits` hits.
 
     A run consists of all consecutive hits in one row of samples that lie on the same object.  The
     last packet of a run may have fewer hits.

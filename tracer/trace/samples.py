@@ -270,7 +270,7 @@ class Scattered(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Number of samples in the width of a pixel, which is unknown here and taken to be 1."""
+        """Number of samples in the width of a pixel: 1, because the real number is unknown."""
         return 1.0
 
     def ray_s(self, frame: CameraFrame) -> Floats:
@@ -353,7 +353,7 @@ class Scattered(NamedTuple):
 
 
 def _sort_key(row: Ints, x: Floats) -> Floats:
-    """Encode positions as numbers whose order is by row and, along each row, by x.
+    """Encode positions as numbers, ordered by row and, within each row, by x.
 
     Parameters
     ----------

@@ -71,7 +71,10 @@ class Lights(NamedTuple):
 
 
 class PreparedScene:
-    """A scene with n objects, with all data that tracing needs and that no sample changes.
+    """A scene with n objects, and precomputed data for tracing rays of its camera.
+
+    The data do not depend on the samples.  Threads may share a `PreparedScene`: its arrays never
+    change, and a lock protects its cache of lights.
 
     Objects have indices from 0 to n - 1: see `ObjectRange`.
 
@@ -170,9 +173,9 @@ class PreparedScene:
         object_count = max(self.curvature.size, 1)
         step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, step):
-            yield self._light_batch(slice(start, start + step))
+            yield self._cached_light_batch(slice(start, start + step))
 
-    def _light_batch(self, index: slice) -> Lights:
+    def _cached_light_batch(self, index: slice) -> Lights:
         """Return a batch of lights from the cache, or prepare it.
 
         A prepared batch is added to the cache, unless the cache is full.
@@ -196,7 +199,9 @@ class PreparedScene:
         return self.prepare_lights(index)
 
     def prepare_lights(self, index: slice = slice(None)) -> Lights:
-        """Compute what shadow tests need of lights.  The cache of batches is not used.
+        """Compute positions, intensities, sides of objects and the light grid of several lights.
+
+        The cache of batches is not used.
 
         Parameters
         ----------
@@ -206,7 +211,7 @@ class PreparedScene:
         Returns
         -------
         lights : Lights
-            Positions, intensities, and light grid of these lights.
+            The data of these lights for shading and for shadow tests.
         """
         lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
@@ -229,7 +234,7 @@ class PreparedScene:
 
 
 def _find_duplicates(surfaces: Surfaces) -> Bools:
-    """Find objects whose geometry is equal to that of an object earlier in the file.
+    """Find objects with the same geometry as an object earlier in the file.
 
     Parameters
     ----------
