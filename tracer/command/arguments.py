@@ -21,7 +21,12 @@ def module_docstring(module: str) -> str:
     Parameters
     ----------
     module : str
-        Full name of the module, which has been imported.
+        Full name of a module that has been imported.
+
+    Returns
+    -------
+    docstring : str
+        The docstring; "" if the module has none.
     """
     import ast  # importing it takes milliseconds, which the tracer's own command does not need
 

@@ -49,7 +49,20 @@ class Executor(Protocol):
     """The part of a `concurrent.futures.Executor` that is used here."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule the call ``fn(*args)``, and return a future of what it returns."""
+        """Schedule the call ``fn(*args)`` in a worker.
+
+        Parameters
+        ----------
+        fn : callable
+            The function to call.
+        *args : object
+            Its arguments.
+
+        Returns
+        -------
+        future : Future
+            The future of what the function returns.
+        """
 
 
 class Distribution(Generic[_Item, _Result]):
@@ -289,9 +302,21 @@ class WorkerPool:
         self._start_count = 0
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule the call ``fn(*args)`` in a worker, and return a future of what it returns.
+        """Schedule the call ``fn(*args)`` in a worker.
 
         The workers are started if there are none, or if one of them has died.
+
+        Parameters
+        ----------
+        fn : callable
+            The function to call.  It, its arguments and its result must be picklable.
+        *args : object
+            Its arguments.
+
+        Returns
+        -------
+        future : Future
+            The future of what the function returns.
 
         Raises
         ------
@@ -314,9 +339,13 @@ class WorkerPool:
     def _new_executor(self) -> ProcessPoolExecutor:
         """Create an executor whose processes are forked if this is safe, and spawned otherwise.
 
-        The executor starts its processes when the first work is submitted.  This method changes
-        global settings: Python's resource tracker no longer prints warnings, and exceptions in
-        threads are no longer printed.
+        This method also changes global settings: Python's resource tracker no longer prints
+        warnings, and exceptions in threads are no longer printed.
+
+        Returns
+        -------
+        executor : ProcessPoolExecutor
+            It starts its processes when the first work is submitted.
         """
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor

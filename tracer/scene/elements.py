@@ -15,7 +15,7 @@ from typing import IO, Any
 from xml.parsers import expat
 
 from tracer.messages import quoted, shortened
-from tracer.scene.hints import SCENE, syntax_remedy
+from tracer.scene.hints import SCENE_REMEDY, syntax_remedy
 
 MAX_BYTES = 1 << 28
 """Maximum size of a scene file: 256 MiB, about two million objects."""
@@ -171,7 +171,7 @@ class Parser:
             if not isinstance(chunk, bytes):
                 raise TypeError("a scene is read from a binary file, not from text")
             if not chunk:
-                raise FatalError(0, f"is empty; {SCENE}")
+                raise FatalError(0, f"is empty; {SCENE_REMEDY}")
             while chunk:
                 self._parse_chunk(chunk, file)
                 chunk = file.read(_CHUNK_BYTES)
@@ -322,7 +322,7 @@ class Parser:
             self.report_at(line, element.tag, message)
 
     def _store_encoding(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Handle the XML declaration: store the encoding that it names, or "" for none."""
+        """Handle the XML declaration: store its encoding, or "" if it names no encoding."""
         self.encoding = encoding or ""
 
     def _refuse_declarations(self, _name: str, system_id: str | None, *others: object) -> None:

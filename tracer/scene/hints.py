@@ -15,7 +15,7 @@ from xml.parsers.expat import errors
 
 from tracer.messages import quoted, shortened
 
-SCENE = "a scene file holds <scene> ... </scene>"
+SCENE_REMEDY = "a scene file holds <scene> ... </scene>"
 
 # Maximum number of known names that are compared with an unknown one: about 30 us for each.
 _MAX_COMPARED = 256
@@ -33,7 +33,7 @@ _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <sha
 # at the error, and `code` is its code point.  The first row that matches is used.
 _SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
-    (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE),  # it may be a picture
+    (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # it may be a picture
     ("", rb"", rb"[\x80-\xc1\xf5-\xff]|[\xc2-\xf4](?![\x80-\xbf])", "save the file as UTF-8"),
     (_UNCLOSED, rb"", rb"<!--", "end it with -->"),
     (_UNCLOSED, rb"", rb"<\?", "end it with ?>"),
@@ -120,7 +120,7 @@ def syntax_remedy(
                 odd = after.decode(errors="replace")[:1] or " "
                 return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
     if not elements:
-        return _MESSAGE_REMEDIES.get(message, SCENE)
+        return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
     innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         end_tag = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
