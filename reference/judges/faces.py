@@ -132,9 +132,9 @@ class Faces:
         self.prepared_lights = lights = prepared.prepare_lights()
         spheres, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
         self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
-        self.light_position = lights.local
+        self.light_position = lights.from_eye
         self.center, self.radius, self.power = (
-            np.array(spheres.local),
+            np.array(spheres.from_eye),
             spheres.radius,
             spheres.power,
         )

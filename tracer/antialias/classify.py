@@ -307,10 +307,10 @@ def _light_positions(frame: CameraFrame, lights: Lights) -> Apexes:
     Returns
     -------
     apexes : Apexes
-        The positions, as `position` (m, 3) in the axes of the scene, and as `local` (m, 3) relative
-        to the eye in the axes of the camera.
+        The positions, as `position` (m, 3) in the axes of the scene, and as `from_eye` (m, 3),
+        relative to the eye in the axes of the camera.
     """
     if lights.grid is None:
-        return Apexes(lights.position, lights.local)
+        return Apexes(lights.position, lights.from_eye)
     position = lights.grid.light[:, :, 0].T
     return Apexes(position, np.column_stack(frame.points_to_camera(position)))

@@ -301,14 +301,14 @@ class InverseDepth(NamedTuple):
             tangent plane at the hit if the eye is on the sphere.
         """
         spheres = hits.prepared.spheres
-        k, w = np.empty(hits.local.shape), np.zeros(hits.local.shape[1])
+        k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             interval = group.interval
             # If the eye is on a sphere (P = 0), the tangent plane at the hit replaces the sphere.
             k[:, interval] = [group.per_hit(normal / -group.eye_height) for normal in group.normal]
             if not group.shape.is_planar:
                 power = group.object_values(spheres.power)
-                center = np.array([*map(group.object_values, spheres.local)])
+                center = np.array([*map(group.object_values, spheres.from_eye)])
                 w[interval] = np.where(power != 0, 1 / power, 0)
                 k[:, interval] = np.where(power != 0, center / power, k[:, interval])
         return cls((k[0], k[1], k[2]), w)

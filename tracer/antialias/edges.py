@@ -52,12 +52,12 @@ class Apexes(NamedTuple):
     ----------
     position : (m, 3) float array
         Positions in the axes of the scene.
-    local : (m, 3) float array
+    from_eye : (m, 3) float array
         The same positions relative to the eye, in the axes of the camera.
     """
 
     position: Floats
-    local: Floats
+    from_eye: Floats
 
 
 def edge_batches(index: Ints) -> Iterator[Ints]:
@@ -97,7 +97,7 @@ def footprints_at(hits: Hits, cell_width: float) -> Floats:
     """
     frame = hits.prepared.frame
     angle = _half_diagonal(frame, cell_width)
-    perpendicular_radius, distance = hits.local[2] * angle, hits.distance
+    perpendicular_radius, distance = hits.from_eye[2] * angle, hits.distance
     footprint = np.empty(distance.size)
     for group in hits.groups:
         radius = perpendicular_radius[group.interval]
@@ -241,8 +241,8 @@ def silhouettes(
     of_sphere = indices(spheres.objects.contains(owner))
     if of_sphere.size:
         sphere, sphere_ray = owner[of_sphere], map3(lambda component: component[:, of_sphere], ray)
-        sphere_apex = take3(apexes.local.T, apex[of_sphere])
-        center = map3(np.subtract, take3(spheres.local, sphere), sphere_apex)
+        sphere_apex = take3(apexes.from_eye.T, apex[of_sphere])
+        center = map3(np.subtract, take3(spheres.from_eye, sphere), sphere_apex)
         yield cell[of_sphere], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
     of_box = indices(boxes.objects.contains(owner))
     if of_box.size:
@@ -311,7 +311,7 @@ class CellSurfaces(NamedTuple):
         inverse_t : (6, k) float array
             1 / t for each ray: t times the ray is the vector from the eye to the surface.
         """
-        frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.local, index)
+        frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.from_eye, index)
         scale = frame.depth / z
         ray = cell_rays(frame, x * scale, y * scale, self.cell_width)
         return ray, self.inverse_depth.take(index).evaluate(ray)
@@ -386,7 +386,7 @@ class CellSurfaces(NamedTuple):
         frame, boxes = prepared.frame, prepared.boxes
         angle = _half_diagonal(frame, self.cell_width)
         index = indices(boxes.objects.contains(owner) & (is_close | prepared.is_eye_inside[owner]))
-        owner, hit, distance = owner[index], take3(hidden.local, index), hidden.distance[index]
+        owner, hit, distance = owner[index], take3(hidden.from_eye, index), hidden.distance[index]
         visible = visible[index]
         visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
         box = boxes.objects.positions(owner)
@@ -434,7 +434,7 @@ class CellSurfaces(NamedTuple):
             light, cell = light_index[batch], self.cell[hit_index[batch]]
             ray, inverse_t = self.trace_rays(hit_index[batch])
             # Vectors from the light to the surface, divided by t.
-            scaled_light = scale3(take3(apexes.local.T, light), inverse_t)
+            scaled_light = scale3(take3(apexes.from_eye.T, light), inverse_t)
             light_ray = map3(np.subtract, ray, scaled_light)
             yield from silhouettes(prepared, apexes, light, cell, occluder[batch], light_ray)
 
@@ -470,9 +470,9 @@ class CellSurfaces(NamedTuple):
             light_index, hit_index = np.divmod(pair, turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
             # The rays meet the sphere at ray / inverse_t.  All vectors are multiplied by inverse_t.
-            center = scale3(take3(prepared.spheres.local, owner[hit_index]), inverse_t)
+            center = scale3(take3(prepared.spheres.from_eye, owner[hit_index]), inverse_t)
             normal = map3(np.subtract, ray, center)
-            light = scale3(take3(apexes.local.T, light_index), inverse_t)
+            light = scale3(take3(apexes.from_eye.T, light_index), inverse_t)
             to_light = map3(np.subtract, light, ray)
             length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
             yield self.cell[hit_index], dot(normal, to_light) / length
@@ -498,7 +498,7 @@ class CellSurfaces(NamedTuple):
             is_other_face = group.face != axis
             if not group.shape.is_planar or not np.any(is_other_face):
                 continue
-            height = frame.scene_component(take3(self.hits.local, group.interval), axis)
+            height = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
             box = prepared.boxes.objects.positions(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
                 run_height = corner[axis, box] - frame.eye[axis]

@@ -204,7 +204,7 @@ class Boxes:
         return np.where(meets & (t > 0), t, np.inf), face
 
     def tangent_planes(
-        self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Sides
+        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, detail: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the plane of the face on which each run of hits lies.
 
@@ -216,7 +216,7 @@ class Boxes:
             Index of each run's box, among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        local, t : (3, n) and (n,) float arrays
+        from_eye, t : (3, n) and (n,) float arrays
             Not used: `Spheres.tangent_planes` needs them.
         detail : (n,) int8 array
             Second result of `intersect` for the ray through each hit: the number of the face.

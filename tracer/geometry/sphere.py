@@ -53,7 +53,7 @@ class Spheres:
         Centres, in scene axes.
     radius : (n,) float array
         Radii.
-    local : tuple of three (n,) float arrays
+    from_eye : tuple of three (n,) float arrays
         Vectors from the eye to the centres, in camera axes.
     power : (n,) float array
         |centre - eye|^2 - radius^2 for each sphere: positive if the eye is outside, 0 if the eye
@@ -75,7 +75,7 @@ class Spheres:
     objects: ObjectRange
     center: Floats
     radius: Floats
-    local: Triple
+    from_eye: Triple
     power: Floats
     bounds: ScreenBounds
     is_eye_inside: Bools
@@ -99,18 +99,18 @@ class Spheres:
             Positions relative to the eye, bounding rectangles, and other data of all n spheres.
         """
         center, radius = surfaces.center.T.copy(), surfaces.radius
-        local = frame.points_to_camera(surfaces.center)
-        distance = np.sqrt(dot(local, local))
+        from_eye = frame.points_to_camera(surfaces.center)
+        distance = np.sqrt(dot(from_eye, from_eye))
         eye_height = distance - radius
         # Rounding errors alone must not move the eye off a sphere on which it lies.
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         # Components of the centre to the right (u), down (v) and ahead (w).
-        (u, v, w), radius2 = local, radius * radius
+        (u, v, w), radius2 = from_eye, radius * radius
         down, right = (_tangent_slopes(x, w, radius2, x * x + w * w - radius2) for x in (v, u))
         bounds = ScreenBounds.from_slopes(frame, down, right)
         objects, coordinate_size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        relation_to_eye = local, power, bounds, power <= 0
+        relation_to_eye = from_eye, power, bounds, power <= 0
         return cls(frame, objects, center, radius, *relation_to_eye, 1 / radius, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
@@ -151,7 +151,7 @@ class Spheres:
         frame, sphere = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere]
         slope_margin = 0.5 * height * frame.step_v / frame.depth
-        grown_radius = radius + slope_margin * np.maximum(self.local[2][sphere] + radius, 0)
+        grown_radius = radius + slope_margin * np.maximum(self.from_eye[2][sphere] + radius, 0)
         power = self.power[sphere] - (grown_radius - radius) * (grown_radius + radius)
         g = frame.ray_g(rows + height / 2)
         ray_ahead2, u, ahead, disc_radius2 = self._cut_discs(sphere, grown_radius, g)
@@ -186,7 +186,7 @@ class Spheres:
         disc_radius2 : (n,) float array
             Squared radius of each disc; negative if the plane misses the sphere.
         """
-        (u, v, w), depth = take3(self.local, sphere), self.frame.depth
+        (u, v, w), depth = take3(self.from_eye, sphere), self.frame.depth
         ray_ahead2 = g * g + depth * depth
         ray_ahead = np.sqrt(ray_ahead2)
         plane_distance, ahead = (v * depth - w * g) / ray_ahead, (v * g + w * depth) / ray_ahead
@@ -244,7 +244,7 @@ class Spheres:
         return np.where(t > 0, t, np.inf), root
 
     def tangent_planes(
-        self, object_index: Ints, run_length: Ints, local: Floats, t: Floats, detail: Floats
+        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, detail: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the tangent plane of the surface at each of n hits.
 
@@ -256,7 +256,7 @@ class Spheres:
             Index of each run's object, among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        local : (3, n) float array
+        from_eye : (3, n) float array
             Vectors from the eye to the hits, in camera axes.
         t, detail : (n,) arrays
             The results of `intersect` for the rays through the hits.
@@ -281,8 +281,8 @@ class Spheres:
         # Negative where the eye is inside: the normal then points to the centre.
         signed_radius = np.where(self.is_eye_inside[sphere], -1.0, 1.0) * self.radius[sphere]
         curvature = repeat_runs(1 / signed_radius, run_length)
-        center = (repeat_runs(component[sphere], run_length) for component in self.local)
-        x, y, z = ((hit - middle) * curvature for hit, middle in zip(local, center, strict=True))
+        center = (repeat_runs(component[sphere], run_length) for component in self.from_eye)
+        x, y, z = ((hit - middle) * curvature for hit, middle in zip(from_eye, center, strict=True))
         face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
         return face, sign, level, (x, y, z), detail * np.abs(curvature) * t
 

@@ -136,7 +136,7 @@ class Hits(NamedTuple):
         The scene.
     samples : Rows or Scattered
         The positions in the picture through which the rays pass.
-    local : (3, n) float array
+    from_eye : (3, n) float array
         Vectors from the eye to the hits, in camera axes.
     groups : list of ShapeHits
         The hits on spheres, and the hits on boxes, if there are any.
@@ -150,7 +150,7 @@ class Hits(NamedTuple):
 
     prepared: PreparedScene
     samples: Samples
-    local: Floats
+    from_eye: Floats
     groups: list[ShapeHits]
     sample: Ints
     run_start: Ints
@@ -164,7 +164,7 @@ class Hits(NamedTuple):
     @property
     def distance(self) -> Floats:
         """Distance (n,) of each hit from the eye, in the scene's unit of length."""
-        x, y, z = self.local
+        x, y, z = self.from_eye
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def points(self, index: Ints | slice) -> Triple:
@@ -180,4 +180,4 @@ class Hits(NamedTuple):
         position : tuple of three (k,) float arrays
             Coordinates x, y and z of each hit.
         """
-        return self.prepared.frame.point_to_scene(take3(self.local, index))
+        return self.prepared.frame.point_to_scene(take3(self.from_eye, index))

@@ -70,11 +70,11 @@ class LightGeometry(NamedTuple):
         strength : (k,) float array
             The strength at each hit.
         """
-        local = take3(self.hits.local[:, group.interval], index)
-        x, y, z = self.lights.local[light_index].tolist()
-        to_light = x - local[0], y - local[1], z - local[2]
+        from_eye = take3(self.hits.from_eye[:, group.interval], index)
+        x, y, z = self.lights.from_eye[light_index].tolist()
+        to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
         length = np.sqrt(self.length2[light_index, group.interval][index])
-        distance = np.sqrt(dot(local, local))
+        distance = np.sqrt(dot(from_eye, from_eye))
 
         def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
             """Compute unit vectors at selected hits.
@@ -84,14 +84,14 @@ class LightGeometry(NamedTuple):
             three (j,) arrays.
             """
             light_direction = scale3(take3(to_light, selected), 1 / length[selected])
-            eye_direction = scale3(take3(local, selected), -1 / distance[selected])
+            eye_direction = scale3(take3(from_eye, selected), -1 / distance[selected])
             normal = take3(map3(group.per_hit, group.normal), index[selected])
             return normal, light_direction, eye_direction
 
         return _stable_highlight(
             self.n_dot_l[light_index, group.interval][index] / length,
             group.per_hit(group.eye_height)[index] / distance,
-            dot(to_light, local) / (-distance * length),
+            dot(to_light, from_eye) / (-distance * length),
             group.object_values(self.hits.prepared.exponent)[index],
             unit_vectors,
         )
@@ -117,7 +117,7 @@ class Shading:
         self._is_glossy = [group.object_values(hits.prepared.is_glossy) for group in hits.groups]
         # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
         # the colours of the surfaces.
-        self._diffuse, self._specular = np.zeros((2, *hits.local.shape))
+        self._diffuse, self._specular = np.zeros((2, *hits.from_eye.shape))
         faces = [group.repeat_runs(4 * group.run_object + group.face) for group in hits.groups]
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
 
@@ -217,13 +217,15 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     geometry : LightGeometry
         The dot products, as arrays (lights, hits).
     """
-    geometry = LightGeometry(hits, lights, *np.empty((2, len(lights.local), hits.local.shape[1])))
-    for light_index, (x, y, z) in enumerate(lights.local.tolist()):
+    geometry = LightGeometry(
+        hits, lights, *np.empty((2, len(lights.from_eye), hits.from_eye.shape[1]))
+    )
+    for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
         # If the eye is inside an object, the object blocks all lights outside of it.
         is_blocked = hits.prepared.is_eye_inside & (lights.side[light_index] != INSIDE)
         for group in hits.groups:
-            local = hits.local[:, group.interval]
-            to_light = x - local[0], y - local[1], z - local[2]
+            from_eye = hits.from_eye[:, group.interval]
+            to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
             n_dot_l = group.height_of(lights.position[light_index], to_light)
             if is_blocked[group.run_object].any():
                 # 0 would count as a terminator: a line at which light begins.

@@ -593,7 +593,7 @@ def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[
     for position in hits.samples.grid_positions(hits.sample.take(first_hit)):
         square_key = square_key * (position.max() // side + 1) + position // side
     order = square_key.argsort(kind="stable")
-    depth = hits.local[2].take(first_hit)
+    depth = hits.from_eye[2].take(first_hit)
     layer = hits.prepared.frame.depth_layer(depth, side / hits.samples.density)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
     start, count = run_lengths(square_key[order], layer[order])
@@ -620,8 +620,8 @@ def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     radius : (m,) float array
         Radii of the spheres.
     """
-    low = np.minimum.reduceat(hits.local, start, axis=1)
-    high = np.maximum.reduceat(hits.local, start, axis=1)
+    low = np.minimum.reduceat(hits.from_eye, start, axis=1)
+    high = np.maximum.reduceat(hits.from_eye, start, axis=1)
     half_diagonal = 0.5 * (high - low)
     center = hits.prepared.frame.point_to_scene(take3(low + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))

@@ -271,16 +271,18 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     """
     frame, groups = prepared.frame, [group for group in groups if group.t.size]
     bounds = np.cumsum([0] + [group.t.size for group in groups]).tolist()
-    local, shape_hits, empty = np.empty((3, bounds[-1])), [], np.zeros(0, dtype=np.intp)
+    from_eye, shape_hits, empty = np.empty((3, bounds[-1])), [], np.zeros(0, dtype=np.intp)
     for group, start, end in zip(groups, bounds, bounds[1:], strict=False):
-        group_local = local[:, start:end]
-        np.multiply(group.t, group.s, out=group_local[0])
-        np.multiply(group.t, repeat_runs(group.g, group.sample_count), out=group_local[1])
-        np.multiply(group.t, frame.depth, out=group_local[2])
-        run_start = group.find_run_starts(samples, frame, group_local[2])
+        group_from_eye = from_eye[:, start:end]
+        np.multiply(group.t, group.s, out=group_from_eye[0])
+        np.multiply(group.t, repeat_runs(group.g, group.sample_count), out=group_from_eye[1])
+        np.multiply(group.t, frame.depth, out=group_from_eye[2])
+        run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         length = np.diff(run_start, append=end - start)
         run_object = repeat_runs(group.object_index, group.sample_count)[run_start]
-        surface = group.shape.tangent_planes(run_object, length, group_local, group.t, group.detail)
+        surface = group.shape.tangent_planes(
+            run_object, length, group_from_eye, group.t, group.detail
+        )
         interval = slice(start, end)
         shape_hits.append(
             ShapeHits(group.shape, interval, group.sample, length, run_object, *surface)
@@ -288,4 +290,4 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     run_start = np.concatenate([empty, [0], *(group.run_length for group in shape_hits)]).cumsum()
     sample = np.concatenate([empty, *(group.sample for group in shape_hits)])
     run_object = np.concatenate([empty, *(group.run_object for group in shape_hits)])
-    return Hits(prepared, samples, local, shape_hits, sample, run_start, run_object)
+    return Hits(prepared, samples, from_eye, shape_hits, sample, run_start, run_object)

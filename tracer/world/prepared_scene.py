@@ -46,7 +46,7 @@ class Lights(NamedTuple):
     ----------
     position : (lights, 3) float array
         Positions of the lights, in scene axes.
-    local : (lights, 3) float array
+    from_eye : (lights, 3) float array
         Vectors from the eye to the lights, in camera axes.
     intensity : (lights, 3) float array
         Linear RGB intensities.
@@ -58,7 +58,7 @@ class Lights(NamedTuple):
     """
 
     position: Floats
-    local: Floats
+    from_eye: Floats
     intensity: Floats
     side: Sides
     grid: LightGrid | None
@@ -224,7 +224,7 @@ class PreparedScene:
         is_visible = self.bounds.in_picture(self.frame)
         return Lights(
             position=position,
-            local=np.column_stack(self.frame.points_to_camera(position)),
+            from_eye=np.column_stack(self.frame.points_to_camera(position)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
             grid=build_light_grid(
