@@ -78,16 +78,10 @@ def main() -> None:
     arguments = make_parser("reference.cluster", "few and small frames").parse_args()
     count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
     commands = write_frames_and_commands(count, size)
-    cpu_seconds = {
-        name: _measure_cpu_seconds(commands[name]) / count
-        for name in _RENDERERS
-        if name in commands
-    }
+    names = [name for name in _RENDERERS if name in commands]
+    cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / count for name in names}
     hours = {name: seconds * _FRAMES / 3600 for name, seconds in cpu_seconds.items()}
-    tracer_seconds, task_seconds = (
-        cpu_seconds[_RENDERERS[0]],
-        _measure_scheduler_seconds(50 * count),
-    )
+    task_seconds, tracer_seconds = _measure_scheduler_seconds(50 * count), cpu_seconds[names[0]]
     png_bytes = sum(build_path(f"frame-{k}.xml.png").stat().st_size for k in range(count)) / count
     core_count = tracer_seconds / task_seconds
     costs = format_section(
@@ -103,20 +97,19 @@ def main() -> None:
             for name in cpu_seconds
         ],
     )  # fmt: skip
-    batch_size, memory = _FRAMES_PER_TASK, f"{_CLIENT_BYTES / 1e9:.0f} GB"
+    batch_size, max_frames = _FRAMES_PER_TASK, _CLIENT_BYTES / png_bytes
     limits = format_section(
         "What would break first",
-        f"Measured: Dask's scheduler takes {1e3 * task_seconds:.2f} ms per task, and a PNG file has"
-        f" {png_bytes / 1e3:,.0f} kB. Computed: when each limit is reached with one frame per"
+        f"Measured: Dask's scheduler takes {1e3 * task_seconds:.2f} ms per task, and a PNG file"
+        f" has {png_bytes / 1e3:,.0f} kB. Computed: when each limit is reached with one frame per"
         " task.",
         ("limit", "reached with", "remedy"),
         [
             ("the scheduler is too slow for the workers", f"{core_count:,.0f} cores",
              f"{batch_size} frames per task, for {core_count * batch_size:,.0f} cores; a worker"
              f" that dies then costs {tracer_seconds * batch_size:,.0f} s of CPU time"),
-            (f"gathered PNG files fill a memory of {memory}",
-             f"{_CLIENT_BYTES / png_bytes:,.0f} frames",
-             "tasks that write their files, and return nothing"),
+            (f"gathered PNG files fill a memory of {_CLIENT_BYTES / 1e9:.0f} GB",
+             f"{max_frames:,.0f} frames", "tasks that write their files, and return nothing"),
             ("a folder has too many files for its file system", "(not measured)",
              "a folder for each thousand frames"),
         ],

@@ -32,18 +32,7 @@ import numpy as np
 from reference.judges.arrays import Bools, Floats, Ints, add_at_sorted_index, list_segment_elements
 from reference.judges.cells import MAX_WIDTH, Cells
 from reference.judges.faces import Faces
-from reference.judges.forms import (
-    ROUNDING,
-    XX,
-    C,
-    Form,
-    R,
-    X,
-    Y,
-    Z,
-    enclose_constant,
-    subtract_independent,
-)
+from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, constant_form, difference_form
 
 # |l + v|^2 of two unit vectors, and squared distances, are positive.  Their enclosures are cut off
 # here before they are raised to a negative power.
@@ -282,7 +271,7 @@ class CellForms:
         coef[R] = ROUNDING * self.faces.frame.max_ray_size * np.abs(k).sum(axis=0)
         return Form(coef)
 
-    def _half_space_function(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
+    def _side_function(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
         """Express whether the visible point of a face is in a half-space, by the sign of a
         function.
 
@@ -306,14 +295,12 @@ class CellForms:
             The numbers v = b.
         """
         *normal, b, size = half_space
-        u = (
-            self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
-            + self._inverse_without_root[pair] * b
-        )
+        u = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
+        u += self._linear_inverse[pair] * b
         u.coef[R] += ROUNDING * size * self._inverse_max_abs[pair]
         return u, b
 
-    def _enclose_function(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
+    def _enclose(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
         """Enclose functions u + v s, where s is the root in the inverse distance of a face.
 
         Parameters
@@ -333,7 +320,7 @@ class CellForms:
         coef[:, index] += (self.root[pair[index]] * v[index]).coef
         return Form(coef)
 
-    def _decide_conditions(
+    def _decide(
         self, pair: Ints, light: Ints | int, is_never: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
         """Decide for each question whether all its conditions are true everywhere in a cell, or one
@@ -364,7 +351,7 @@ class CellForms:
         is_always, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
         edges = []
         for question, u, v, is_edge in conditions:
-            low, high = self._enclose_function(pair[question], u, v).bounds()
+            low, high = self._enclose(pair[question], u, v).bounds()
             is_never[question[high <= 0]] = True
             is_always[question[~(low > 0)]] = False
             index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
@@ -372,7 +359,7 @@ class CellForms:
         for question, u, v in edges:
             index = np.flatnonzero(~is_never[question])
             question, v = question[index], v[index]
-            v = v if isinstance(v, Form) else enclose_constant(v)
+            v = v if isinstance(v, Form) else constant_form(v)
             self._edges.append(_Edges(pair[question], light[question], u[index], v))
         return is_always & ~is_never
 
@@ -393,13 +380,13 @@ class CellForms:
         center, radius = faces.center[:, face[ball]], faces.radius[face[ball]]
         cone[:, ball] = _cone_function(center, radius, rays, size, rays, size)[0].coef
         self.root2, self.root = Form(cone * faces.w[face] ** 2), Form(root)
-        self._inverse_without_root = self.inverse = self._dot_with_rays(faces.k[:, face], cell)
+        self._linear_inverse = self.inverse = self._dot_with_rays(faces.k[:, face], cell)
         self._inverse_max_abs = self.inverse.max_abs
         is_outside = np.zeros(face.size, np.bool_)
-        covers_cell = self._decide_conditions(
+        covers_cell = self._decide(
             np.arange(face.size), -1, is_outside, self._visibility_conditions(ball, Form(cone))
         )
-        self.inverse, index = Form(self._inverse_without_root.coef.copy()), ball[~is_outside[ball]]
+        self.inverse, index = Form(self._linear_inverse.coef.copy()), ball[~is_outside[ball]]
         coef, rounding = self.root2[index].power(0.5).coef, self.inverse.coef[R, index]
         # The radius of s becomes its Z, which it shares with 1 / t, except for rounding errors.
         coef[Z], coef[R] = coef[R] + rounding, rounding
@@ -411,10 +398,8 @@ class CellForms:
         remaining = [edges.take(np.flatnonzero(kept[edges.pair])) for edges in self._edges]
         self._edges = [edges._replace(pair=new_index[edges.pair]) for edges in remaining]
         self.inverse, self.root2, self.root = self.inverse[kept], self.root2[kept], self.root[kept]
-        self._inverse_without_root, self._inverse_max_abs = (
-            self._inverse_without_root[kept],
-            self.inverse.max_abs,
-        )
+        self._linear_inverse = self._linear_inverse[kept]
+        self._inverse_max_abs = self.inverse.max_abs
 
     def _visibility_conditions(self, ball: Ints, cone: Form) -> Iterator[_Condition]:
         """Yield the conditions under which camera rays meet the face of a pair, apart from
@@ -441,15 +426,13 @@ class CellForms:
         pair = np.flatnonzero(~cells.covers_cell & faces.is_planar[cells.pair_face])
         for half_spaces in faces.rim.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
-            yield _Condition(pair, *self._half_space_function(pair, half_space), is_edge=True)
+            yield _Condition(pair, *self._side_function(pair, half_space), is_edge=True)
         # A sphere around the eye is in every direction.
         pair = ball[~cells.covers_cell[ball] & (faces.power[cells.pair_face[ball]] > 0)]
-        center = faces.center[:, cells.pair_face[pair]]
-        no_root = np.zeros(pair.size)
+        center, no_root = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
         # The cone extends in the opposite direction as well, where c.d is negative.
-        yield _Condition(
-            pair, self._dot_with_rays(center, cells.pair_cell[pair]), no_root, is_edge=False
-        )
+        ahead = self._dot_with_rays(center, cells.pair_cell[pair])
+        yield _Condition(pair, ahead, no_root, is_edge=False)
         yield _Condition(pair, cone[pair], no_root, is_edge=True)
 
     def _is_hidden(self, covers_cell: Bools) -> Bools:
@@ -481,7 +464,7 @@ class CellForms:
         pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
         occluder = occluder[pair]
         in_same_plane = (faces.plane[:, face[pair]] == faces.plane[:, face[occluder]]).all(axis=0)
-        is_behind = subtract_independent(inverse[pair], inverse[occluder]).bounds()[1] < 0
+        is_behind = difference_form(inverse[pair], inverse[occluder]).bounds()[1] < 0
         is_later = file_index[pair] > file_index[occluder]
         is_hidden = np.zeros(cell.size, np.bool_)
         is_hidden[pair] = np.where(in_same_plane, is_later, is_behind)
@@ -508,9 +491,7 @@ class CellForms:
         v : (n,) float array
             The factors of s.
         """
-        return self._half_space_function(
-            pair, self.faces.height[:, light, self.cells.pair_face[pair]]
-        )
+        return self._side_function(pair, self.faces.height[:, light, self.cells.pair_face[pair]])
 
     def _find_terminators(self) -> None:
         """Find the lights that are below the horizon of a sphere, for each pair of a cell and a
@@ -524,10 +505,9 @@ class CellForms:
         is_curved = ~self.faces.is_planar[self.cells.pair_face]
         pair, light = np.nonzero(~self.cells.is_settled & is_curved[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
-        heights = _Condition(
-            np.arange(pair.size), *self._height_function(pair, light), is_edge=True
-        )
-        self._decide_conditions(pair, light, is_unlit, [heights])
+        height = self._height_function(pair, light)
+        is_above = _Condition(np.arange(pair.size), *height, is_edge=True)
+        self._decide(pair, light, is_unlit, [is_above])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
@@ -563,15 +543,14 @@ class CellForms:
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
-            triples = self.faces.find_occluders(
-                *self._bound_visible_parts(), cells.pair_face, ~cells.is_settled.T
-            )
+            bounds = self._bound_visible_parts()
+            triples = self.faces.find_occluders(*bounds, cells.pair_face, ~cells.is_settled.T)
             self.cells = cells = cells._replace(triples=triples)
         pair, light, occluder = cells.triples
         is_sphere, is_lit = occluder < self.faces.sphere_count, np.zeros(pair.size, dtype=np.bool_)
         cones = self._sphere_shadow_conditions(np.flatnonzero(is_sphere))
         boxes = self._box_shadow_conditions(np.flatnonzero(~is_sphere), is_lit)
-        is_shaded = self._decide_conditions(pair, light, is_lit, chain(cones, boxes))
+        is_shaded = self._decide(pair, light, is_lit, chain(cones, boxes))
         cells.is_settled[pair[is_shaded], light[is_shaded]] = True
         self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
@@ -609,11 +588,9 @@ class CellForms:
         faces, cells, (pair, light, ball) = self.faces, self.cells, self.cells.triples[:, triple]
         c, r2 = faces.to_center[:, light, ball], faces.radius[ball] ** 2
         position, center = faces.light_position[light].T, faces.center[:, ball]
-        rays, root = (
-            self._ray_directions(cells.pair_cell[pair]),
-            self._inverse_without_root.coef[:XX, pair],
-        )
-        q, w = (rays - end[:, None] * root for end in (position, center))
+        rays = self._ray_directions(cells.pair_cell[pair])
+        inverse = self._linear_inverse.coef[:XX, pair]
+        q, w = (rays - end[:, None] * inverse for end in (position, center))
         position2, center2, c2 = ((end * end).sum(axis=0) for end in (position, center, c))
         k_size = np.abs(faces.k[:, cells.pair_face[pair]]).sum(axis=0)
         q_size, w_size = (
@@ -633,7 +610,7 @@ class CellForms:
         yield _Condition(triple, u, Form(v), is_edge=True)
         terms = c * center
         beyond = np.array([*c, r2 - terms.sum(axis=0), r2 + np.abs(terms).sum(axis=0)])
-        yield _Condition(triple, *self._half_space_function(pair, beyond), is_edge=False)
+        yield _Condition(triple, *self._side_function(pair, beyond), is_edge=False)
 
     def _box_shadow_conditions(self, triple: Ints, is_lit: Bools) -> Iterator[_Condition]:
         """Yield the conditions under which the visible point of a face is in the shadow of a box.
@@ -662,7 +639,7 @@ class CellForms:
             # A box that the light sees edge-on has fewer than nine planes.
             exists = half_space[:4].any(axis=0)
             pending = pending[exists]
-            function = self._half_space_function(pair[pending], half_space[:, exists])
+            function = self._side_function(pair[pending], half_space[:, exists])
             yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
 
     def _find_intersections(self) -> None:
@@ -678,9 +655,8 @@ class CellForms:
         # Each pair of a cell with all earlier pairs of the cell.
         segments = list_segment_elements(np.arange(order.size) - cell_start, cell_start)
         pair, other = (order[index] for index in segments)
-        # If only one of both faces is a sphere, it comes first.
         is_planar = faces.is_planar[cells.pair_face[pair]]
-        pair, other = np.where(is_planar, (other, pair), (pair, other))
+        pair, other = np.where(is_planar, (other, pair), (pair, other))  # spheres first
         face, other_face = cells.pair_face[pair], cells.pair_face[other]
         differs_in_object = faces.object_index[face] != faces.object_index[other_face]
         differs_in_plane = (faces.plane[:, face] != faces.plane[:, other_face]).any(axis=0)
@@ -688,9 +664,9 @@ class CellForms:
         pair, face, other_face = pair[index], face[index], other_face[index]
         plane, ball = faces.equation[:, other_face], np.flatnonzero(~faces.is_planar[other_face])
         plane[:, ball] += faces.equation[:, face[ball]] * [[-1], [-1], [-1], [-1], [1]]
-        function = self._half_space_function(pair, plane)
+        function = self._side_function(pair, plane)
         crossing = _Condition(np.arange(pair.size), *function, is_edge=True)
-        self._decide_conditions(pair, -1, np.zeros(pair.size, np.bool_), [crossing])
+        self._decide(pair, -1, np.zeros(pair.size, np.bool_), [crossing])
 
     def edge_functions(self) -> tuple[Ints, Ints, Form]:
         """Return all edge functions: the picture may have an edge only where one of them is zero.
@@ -711,7 +687,7 @@ class CellForms:
         pair, light = (np.concatenate([edges[i] for edges in self._edges]) for i in (0, 1))
         u = Form(np.concatenate([edges.u.coef for edges in self._edges], axis=1))
         v = Form(np.concatenate([edges.v.coef for edges in self._edges], axis=1))
-        form = self._enclose_function(pair, u, v)
+        form = self._enclose(pair, u, v)
 
         def relative_width(form: Form) -> Floats:
             """Estimate the width of the strip around the zero of each function (8, n), in half cell
@@ -781,7 +757,7 @@ class CellForms:
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
-        height = self._enclose_function(pair, *self._height_function(pair, light))
+        height = self._enclose(pair, *self._height_function(pair, light))
         cell, obj = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         q = faces.light_position[light].T
         square, along = self.square[cell], self.inverse[pair] * self._dot_with_rays(q, cell)
@@ -794,9 +770,8 @@ class CellForms:
         glossy = np.flatnonzero(prepared.is_glossy[obj])
         glossy_pair, position = np.unique(pair[glossy], return_inverse=True)
         inverse_length = self.square.power(-0.5)
-        eye_height = self._enclose_function(
-            glossy_pair, *self._height_function(glossy_pair, 0 * glossy_pair - 1)
-        )
+        eye_function = self._height_function(glossy_pair, 0 * glossy_pair - 1)
+        eye_height = self._enclose(glossy_pair, *eye_function)
         n_dot_v = eye_height * inverse_length[cells.pair_cell[glossy_pair]]
         l_dot_v = (square[glossy] - along[glossy]) * (
             inverse_distance[glossy] * inverse_length[cell[glossy]]

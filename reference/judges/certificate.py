@@ -69,7 +69,7 @@ from reference.judges.arrays import (
 from reference.judges.cell_forms import CellForms, Contributions
 from reference.judges.cells import MAX_WIDTH, Cells, initial_cells
 from reference.judges.faces import Faces
-from reference.judges.forms import Form, Z, enclose_constant
+from reference.judges.forms import Form, Z, constant_form
 from reference.judges.regions import (
     MIN_AREA,
     Regions,
@@ -569,7 +569,7 @@ class _Picture:
             enclosed = enclose(forms, contributions, ~is_pending, self.error)
             is_accurate = self.is_accurate(cells, enclosed.mean, enclosed.error, is_pending)
             finished = np.flatnonzero(is_pending & is_accurate)
-            radiance = enclose_constant(enclosed.mean[:, finished], enclosed.error[finished])
+            radiance = constant_form(enclosed.mean[:, finished], enclosed.error[finished])
             self.add(cells, finished, radiance)
             is_pending[finished] = False
         return cells.select_cells(is_pending)

@@ -14,7 +14,7 @@ for some Z between -1 and 1, the quantity differs by at most coef[R] from
 
 Z stands for the unknown part of the inverse distance of a surface.  All forms about one surface
 share the same Z, so unknown parts that are linear in the distance cancel.  Forms about different
-surfaces have different Z: see `subtract_independent`.
+surfaces have different Z: see `difference_form`.
 
 Why the result is right: each operation moves what it cannot represent (terms of degree three or
 four, products with Z, rounding errors) to the radius coef[R], with its largest absolute value.
@@ -106,7 +106,7 @@ class Form:
         """Add quantities of the same surfaces, or numbers.
 
         The unknown parts Z of both forms are treated as equal.  For quantities of different
-        surfaces, whose unknown parts are independent, see `subtract_independent`.
+        surfaces, whose unknown parts are independent, see `difference_form`.
 
         Parameters
         ----------
@@ -295,7 +295,7 @@ def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
     return power
 
 
-def enclose_constant(value: Floats, radius: Floats | float = 0.0) -> Form:
+def constant_form(value: Floats, radius: Floats | float = 0.0) -> Form:
     """Make forms (enclosures by polynomials) of quantities that are nearly constant in a cell.
 
     Parameters
@@ -315,7 +315,7 @@ def enclose_constant(value: Floats, radius: Floats | float = 0.0) -> Form:
     return Form(coef)
 
 
-def subtract_independent(form: Form, other: Form) -> Form:
+def difference_form(form: Form, other: Form) -> Form:
     """Subtract quantities of different surfaces.
 
     A form encloses a quantity by a polynomial with an unknown part Z.  The unknown parts of

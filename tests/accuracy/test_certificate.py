@@ -204,7 +204,7 @@ BROKEN: dict[str, tuple[object, str, Callable[..., object]]] = {
     "no terminators": (CellForms, "_find_terminators", without_last_edges),
     "no intersections": (CellForms, "_find_intersections", without_last_edges),
     "occluders missing": (Faces, "find_occluders", without_third_occluders),
-    "faces hidden too early": (cell_forms, "subtract_independent", lower),
+    "faces hidden too early": (cell_forms, "difference_form", lower),
 }
 """Functions of the certificate, each with a change to its results that makes bounds unsound."""
 
