@@ -85,7 +85,7 @@ class Exposure(NamedTuple):
         Returns
         -------
         exposure : Exposure
-            The sums of the counts; black if both parts are black.
+            The sums of the counts of both parts.
         """
         lit_count = self.lit_count + other.lit_count
         return Exposure(lit_count, self.clipped_count + other.clipped_count)
