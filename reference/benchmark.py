@@ -215,9 +215,8 @@ def benchmark_rendering(quick: bool) -> str:
             scene = resize_picture(scenes[name], *size)
             ours, exact_timing = _time_tracer_and_mitsuba(scene, str(convert_exact(scene)))
             ours_again, stock_timing = _time_tracer_and_mitsuba(scene, str(convert_stock(scene, 1)))
-            speedups.append(
-                (compute_speedup(ours, exact_timing), compute_speedup(ours_again, stock_timing))
-            )
+            over_exact = compute_speedup(ours, exact_timing)
+            speedups.append((over_exact, compute_speedup(ours_again, stock_timing)))
             timings = ours, exact_timing, stock_timing
             rows.append((f"{name} {size[0]}×{size[1]}", *timings, *speedups[-1]))
         means = (geometric_mean(column) for column in zip(*speedups, strict=True))
@@ -364,9 +363,8 @@ def benchmark_frames(quick: bool) -> str:
     count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     commands = write_frames_and_commands(count, size)
     tasks = {name: partial(_run_commands, steps) for name, steps in commands.items()}
-    timings = {
-        name: time.divided_by(count) for name, time in time_interleaved(tasks, ROUNDS).items()
-    }
+    timings = time_interleaved(tasks, ROUNDS)
+    timings = {name: timing.divided_by(count) for name, timing in timings.items()}
     first_timing = timings["tracer, 1 process"]
     return format_section(
         f"{count} frames of {size[0]}×{size[1]}",

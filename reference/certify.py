@@ -113,8 +113,7 @@ def _make_command_parser() -> argparse.ArgumentParser:
 
 
 def _positive_fraction(text: str) -> Fraction:
-    """Parse a command-line argument that must be a positive number or fraction, such as 0.01 or
-    1/128.
+    """Parse a command-line argument that must be a positive number or fraction, as 1/128.
 
     Raises
     ------

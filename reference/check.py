@@ -254,10 +254,8 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     """
     shifts = (-shift, shift)
     moved_pictures = [render(scene, offset=(dx, dy)) for dx, dy in product(shifts, shifts)]
-    low, high = (
-        np.min(moved_pictures, axis=0) - tolerance,
-        np.max(moved_pictures, axis=0) + tolerance,
-    )
+    low = np.min(moved_pictures, axis=0) - tolerance
+    high = np.max(moved_pictures, axis=0) + tolerance
     is_near: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
     return is_near
 
@@ -358,8 +356,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
 
 
 def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floats:
-    """Render the light of a single light with Mitsuba's own plugins, without its fall-off with
-    distance.
+    """Render a single light with Mitsuba's own plugins, and undo its fall-off with distance.
 
     The lights are rendered separately because Mitsuba would choose one of them at random.  The
     radiance is multiplied by the squared distance from the light to the points that Mitsuba
@@ -451,9 +448,8 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         excluded = edges | examination.ties
         # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
         shown = np.where(excluded[:, :, None], mitsuba, image)
-        measured = measure_differences(
-            shown / unit, mitsuba / unit, None if excluded.all() else excluded
-        )
+        mask = None if excluded.all() else excluded
+        measured = measure_differences(shown / unit, mitsuba / unit, mask)
         if examination.examined or not out_of_tolerance(measured):
             break
     return CheckResult(
@@ -615,16 +611,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     command_parser = make_parser("reference.check")
     add_scene_arguments(command_parser)
-    command_parser.add_argument(
-        "--flavour", choices=("exact", "stock"), default="exact", help="see above"
-    )
+    add = command_parser.add_argument
+    add("--flavour", choices=("exact", "stock"), default="exact", help="see above")
     options = command_parser.parse_args(arguments)
     scenes = skip_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
-    targets = choose_output_paths(
-        command_parser, [*map(str, scenes)], options.output, default_paths
-    )
+    names = [*map(str, scenes)]
+    targets = choose_output_paths(command_parser, names, options.output, default_paths)
     choose_variant(options.variant, status=MISUSED)
     make_output_folder(options.output)
     # If a picture is black, the comparison shows it.

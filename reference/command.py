@@ -22,9 +22,7 @@ def own_scenes() -> list[Path]:
 
 
 def build_path(name: str) -> Path:
-    """Return the path of the file with this name in the build folder; create the folder if it is
-    missing.
-    """
+    """Return the path of a file in the build folder, and create the folder if needed."""
     BUILD.mkdir(exist_ok=True)
     return BUILD / name
 

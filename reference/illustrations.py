@@ -153,9 +153,8 @@ def _cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     for octant, patch_index in enumerate(grid.patch.tolist()):
         if patch_index >= 0:
             fraction = np.linspace(0, 1, cells_per_side + 1)
-            u, v = np.meshgrid(
-                *(grid.origin[:, patch_index, None] + grid.size[:, patch_index, None] * fraction)
-            )
+            origin, size = grid.origin[:, patch_index, None], grid.size[:, patch_index, None]
+            u, v = np.meshgrid(*(origin + size * fraction))
             # Bit k of `octant` is set where component k of the direction is negative.
             x, y = (1 - v, 1 - u) if octant & 4 else (u, v)
             corner = np.stack([-x if octant & 1 else x, -y if octant & 2 else y], axis=-1)
@@ -221,9 +220,8 @@ def draw_classes() -> None:
     class_index[classified.is_unresolved] = 2
     _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
     _show_picture(left, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")
-    _show_picture(
-        right, _CLASS_COLORS[class_index].reshape(20, 28, 3), "Classes, edges and samples"
-    )
+    colors = _CLASS_COLORS[class_index].reshape(20, 28, 3)
+    _show_picture(right, colors, "Classes, edges and samples")
     corner = np.array([columns.start, rows.start])
     segments = [segment - corner for segment in _clipped_lines(classified)]
     right.add_collection(LineCollection(segments, colors="k", lw=1))
@@ -268,9 +266,7 @@ class _RecordingPicture(certificate._Picture):
 
 
 def draw_certificate() -> None:
-    """Draw the cells into which the certificate divides a picture.  The cells along edges are
-    small.
-    """
+    """Draw the cells into which the certificate divides a picture."""
     scene, _, _ = _load_and_prepare("four-spheres", 48)
     with patch.object(certificate, "_Picture", _RecordingPicture):
         proof = certificate.certify(scene, 1 / 256)

@@ -126,9 +126,8 @@ def write_scene_and_command(
     command : list of str
         The program and its arguments.
     """
-    (source := target.with_suffix(".pov")).write_text(
-        convert_scene(scene, exposure), encoding="utf-8"
-    )
+    source = target.with_suffix(".pov")
+    source.write_text(convert_scene(scene, exposure), encoding="utf-8")
     size = (f"+W{scene.width}", f"+H{scene.height}")
     return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
 
@@ -154,9 +153,8 @@ def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) ->
     command : list of str
         The program and its arguments.
     """
-    return write_scene_and_command(
-        scene, target, "+FP16", "File_Gamma=1.0", *options, exposure=1 / WHITE
-    )
+    options = ("+FP16", "File_Gamma=1.0", *options)
+    return write_scene_and_command(scene, target, *options, exposure=1 / WHITE)
 
 
 def read_linear_picture(target: Path) -> NDArray[np.float64]:

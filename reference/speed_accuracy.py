@@ -246,9 +246,7 @@ def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
 
 
 def main() -> None:
-    """Measure times and errors, store them as a table, and draw the chart, as the command line
-    says.
-    """
+    """Measure times and errors, store them as a table, and draw the chart."""
     note = (
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Points: 1, 4, 16, ...\nsamples per pixel (this tracer: 9, 36, ... as"

@@ -63,8 +63,7 @@ class Contributions(NamedTuple):
 
 
 class _Condition(NamedTuple):
-    """A function u + v s for n questions about pairs, which is positive where a condition is
-    satisfied.
+    """A condition for n questions about pairs: it is true where a function u + v s is positive.
 
     The root s is the part of the inverse distance 1 / t = k.d + s that is not linear in the
     direction d of the ray.
@@ -272,8 +271,7 @@ class CellForms:
         return Form(coef)
 
     def _side_function(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
-        """Express whether the visible point of a face is in a half-space, by the sign of a
-        function.
+        """Express by a function's sign whether the visible point of a face is in a half-space.
 
         Let n.x + b >= 0 be the half-space, and x = t d the point where the ray with direction d
         meets the face.  Then n.d + b / t is positive if the point is inside.  As 1 / t = k.d + s,
@@ -323,8 +321,7 @@ class CellForms:
     def _decide(
         self, pair: Ints, light: Ints | int, is_never: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Decide for each question whether all its conditions are true everywhere in a cell, or one
-        nowhere.
+        """Decide questions about cells: are all conditions true everywhere, or is one true nowhere?
 
         A question is about a pair of a cell and a face, and has several conditions.  A condition is
         true where its function u + v s is positive.  If a question stays undecided, those of its
@@ -364,8 +361,7 @@ class CellForms:
         return is_always & ~is_never
 
     def _find_surfaces(self) -> None:
-        """Enclose the inverse distance of the face of each pair, and remove pairs that are not
-        visible.
+        """Enclose the inverse distance of each pair's face, and remove pairs that are not visible.
 
         The inverse distance is 1 / t = k.d + s, where the camera ray t d meets the face.  A pair is
         removed if its face is outside the cell, or hidden by another face everywhere in the cell.
@@ -402,8 +398,7 @@ class CellForms:
         self._inverse_max_abs = self.inverse.max_abs
 
     def _visibility_conditions(self, ball: Ints, cone: Form) -> Iterator[_Condition]:
-        """Yield the conditions under which camera rays meet the face of a pair, apart from
-        occlusion.
+        """Yield the conditions under which camera rays meet the face of a pair.
 
         The question of each condition is a pair.
 
@@ -494,8 +489,7 @@ class CellForms:
         return self._side_function(pair, self.faces.height[:, light, self.cells.pair_face[pair]])
 
     def _find_terminators(self) -> None:
-        """Find the lights that are below the horizon of a sphere, for each pair of a cell and a
-        sphere.
+        """Find the lights below the horizon of the sphere, for each pair of a cell and a sphere.
 
         A light that is below the horizon everywhere in the cell becomes settled without adding
         radiance.  If it is below the horizon in a part of the cell, the terminator between the lit
@@ -555,8 +549,7 @@ class CellForms:
         self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
     def _sphere_shadow_conditions(self, triple: Ints) -> Iterator[_Condition]:
-        """Yield the two conditions under which the visible point of a face is in the shadow of a
-        sphere.
+        """Yield the two conditions for the visible point of a face to be in a sphere's shadow.
 
         Let L be the light, C the sphere's centre, both relative to the eye, c = C - L, and r the
         radius.  The point p is in the shadow if it satisfies two conditions:
@@ -643,8 +636,7 @@ class CellForms:
             yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
 
     def _find_intersections(self) -> None:
-        """Add the lines where the faces of two pairs of the same cell may intersect to
-        `self._edges`.
+        """Add lines to `self._edges` where the faces of two pairs of a cell may intersect.
 
         A point p on one face is on a plane if k.p - 1 = 0.  It is on a second sphere if it is on
         the plane that is the difference of both spheres' equations, p^2 - 2 c.p + power = 0.
@@ -690,9 +682,7 @@ class CellForms:
         form = self._enclose(pair, u, v)
 
         def relative_width(form: Form) -> Floats:
-            """Estimate the width of the strip around the zero of each function (8, n), in half cell
-            widths.
-            """
+            """Estimate the width of the strip around the zero of each function (8, n)."""
             size = np.abs(form.coef)
             return np.asarray(size[XX:].sum(axis=0) / np.maximum(size[X], size[Y]))
 
@@ -704,8 +694,7 @@ class CellForms:
         return pair, light, form
 
     def shade(self, is_requested: Bools, error: float) -> Contributions:
-        """Compute the radiance that unsettled lights add to pairs, and settle as many lights as
-        possible.
+        """Compute the radiance that unsettled lights add to pairs, and settle lights if possible.
 
         A light becomes settled for a pair of a cell and a face if (1) it has no edge there, so that
         it reaches all of the face in the cell, and (2) the error of its radiance is at most `error`

@@ -72,8 +72,7 @@ class Cells(NamedTuple):
     triples: Ints
 
     def select_triples(self, kept: Bools) -> Cells:
-        """Select triples (a pair, a light and an object that may shade the pair's face from the
-        light).
+        """Select triples of a pair, a light and an object that may shade the pair's face.
 
         Parameters
         ----------
@@ -88,8 +87,7 @@ class Cells(NamedTuple):
         return self._replace(triples=self.triples.compress(kept, axis=1))
 
     def select_pairs(self, kept: Bools) -> tuple[Cells, Ints]:
-        """Select pairs (a cell and a face that may be visible in it), and the triples of these
-        pairs.
+        """Select pairs of a cell and a face that may be visible in it, and their triples.
 
         Parameters
         ----------

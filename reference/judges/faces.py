@@ -1,5 +1,4 @@
-"""The scene in the form that the certificate needs: faces, lights and shadows, in the camera's
-axes.
+"""The scene as the certificate needs it: faces, lights and shadows, in the camera's axes.
 
 Which functions decide what a pixel shows, and how can they be bounded?  A *face* is a sphere, or a
 rectangular side of a box.  Everything that the certificate needs to know about a face is linear or
@@ -133,11 +132,8 @@ class Faces:
         spheres, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
         self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
         self.light_position = lights.from_eye
-        self.center, self.radius, self.power = (
-            np.array(spheres.from_eye),
-            spheres.radius,
-            spheres.power,
-        )
+        self.center = np.array(spheres.from_eye)
+        self.radius, self.power = spheres.radius, spheres.power
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
         is_on_box = is_eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.power == 0) or is_on_box.any():
@@ -199,9 +195,8 @@ class Faces:
             """Append an array of sides of boxes to one of spheres, along the last axis."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        self.bounding_box = append_sides(
-            np.array([scene_center - r, scene_center + r]), bounding_box
-        )
+        sphere_box = np.array([scene_center - r, scene_center + r])
+        self.bounding_box = append_sides(sphere_box, bounding_box)
         self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), side)
         self.k = append_sides(c / power, axes[:, :, None, None] / corner)
         self.w = append_sides(1 / power, 0 * corner)
@@ -247,10 +242,10 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, cone_edges, axis=0)
 
     def find_occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
-        """List the objects that may block light on its way to parts of faces (spheres or sides of
-        boxes).
+        """List the objects that may block light on its way to parts of faces.
 
-        The tracer's light grid lists the objects near the segments between a part and a light.
+        A face is a sphere or a side of a box.  The tracer's light grid lists the objects near the
+        segments between a part of a face and a light.
 
         Parameters
         ----------
@@ -301,9 +296,8 @@ class Faces:
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
             is_high_side = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]
-            side = group.run_object + group.shape.is_planar * box_count * (
-                2 * group.face + is_high_side
-            )
+            side = 2 * group.face + is_high_side
+            side = group.run_object + group.shape.is_planar * box_count * side
             face[group.interval] = group.repeat_runs(side)
         # A ray through the rim of a sheet may hit a side that has no area.
         sheet_face = self.sheet_face[self.object_index[face]]

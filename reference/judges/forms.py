@@ -219,8 +219,7 @@ class Form:
     def _power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Form:
-        """Enclose the powers z^exponent of quantities z by a line parallel to the chord of the
-        power.
+        """Enclose powers z^exponent by a line parallel to the chord of the power function.
 
         The chord joins the powers at both ends of the interval of z.  The line is at two thirds of
         the way from the chord to the tangent with the same slope.

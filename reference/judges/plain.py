@@ -33,6 +33,9 @@ from tracer import Phong, Scene, Sphere
 Array: TypeAlias = NDArray[Any]
 """Numbers of any arithmetic: float32, float64, or Decimal objects.  Vectors are (3, n)."""
 
+Roots: TypeAlias = tuple[Array, Array]
+"""The smaller and the larger t of the points origin + t direction where rays meet a surface."""
+
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
 
@@ -63,10 +66,8 @@ def _normalise(vectors: Array) -> Any:
     return vectors / _norm(vectors)
 
 
-def intersect_by_closest_approach(
-    origin: Array, direction: Array, center: Array, radius: Array
-) -> tuple[Array, Array]:
-    """Intersect rays with a sphere by way of the point on the ray that is closest to the centre.
+def intersect_by_projection(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
+    """Intersect rays with a sphere by projecting the sphere's centre onto them.
 
     The error grows in proportion to the distance (Haines, Günther and Akenine-Möller, Precision
     Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable form of the
@@ -93,9 +94,7 @@ def intersect_by_closest_approach(
     return np.minimum(t, other_t), np.maximum(t, other_t)
 
 
-def intersect_by_textbook(
-    origin: Array, direction: Array, center: Array, radius: Array
-) -> tuple[Array, Array]:
+def intersect_by_textbook(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
     """Intersect rays with a sphere by the quadratic formula of most textbooks.
 
     The error grows with the square of the distance from the origin to the sphere.
@@ -117,9 +116,7 @@ def intersect_by_textbook(
     return _quadratic_roots(_dot(direction, direction), 2 * _dot(from_center, direction), constant)
 
 
-def intersect_by_expanded_formula(
-    origin: Array, direction: Array, center: Array, radius: Array
-) -> tuple[Array, Array]:
+def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
     """Intersect rays with a sphere by the quadratic formula with a square that is multiplied out.
 
     The square |origin - center|^2 becomes |origin|^2 - 2 origin.center + |center|^2.  The error
@@ -143,7 +140,7 @@ def intersect_by_expanded_formula(
     return _quadratic_roots(_dot(direction, direction), 2 * along, distance2 - radius * radius)
 
 
-def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+def _quadratic_roots(a: Array, b: Array, c: Array) -> Roots:
     """Solve quadratic equations a t^2 + b t + c = 0 by the textbook's formula.
 
     Parameters
@@ -161,9 +158,9 @@ def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
 
 
 SPHERES = {
-    "closest": intersect_by_closest_approach,
+    "closest": intersect_by_projection,
     "textbook": intersect_by_textbook,
-    "expanded": intersect_by_expanded_formula,
+    "expanded": intersect_by_expansion,
 }
 """Methods to intersect rays with a sphere."""
 
@@ -349,9 +346,7 @@ class _PlainTracer:
         # With exact zeros, a ray can be exactly parallel to the sides of a box.
         return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
-    def intersect_slabs(
-        self, box: int, origin: Array, direction: Array, is_closed: bool
-    ) -> tuple[Array, Array]:
+    def intersect_slabs(self, box: int, origin: Array, direction: Array, is_closed: bool) -> Roots:
         """Intersect rays with the three slabs between opposite sides of a box.
 
         Parameters
@@ -378,9 +373,7 @@ class _PlainTracer:
         near = np.where(direction == 0, -far_if_parallel, np.minimum(t_low, t_high))
         return near, np.where(direction == 0, far_if_parallel, np.maximum(t_low, t_high))
 
-    def intersect(
-        self, surface: int, origin: Array, direction: Array, is_closed: bool
-    ) -> tuple[Array, Array]:
+    def intersect(self, surface: int, origin: Array, direction: Array, is_closed: bool) -> Roots:
         """Intersect rays with a surface.
 
         Parameters
@@ -426,9 +419,8 @@ class _PlainTracer:
         normals = np.zeros_like(points)
         for i in np.unique(owner).tolist():
             index = np.flatnonzero(owner == i)
-            points[:, index], normals[:, index] = self.project_onto_surface(
-                i, points.take(index, 1), direction.take(index, 1)
-            )
+            near_surface = points.take(index, 1), direction.take(index, 1)
+            points[:, index], normals[:, index] = self.project_onto_surface(i, *near_surface)
         radiance, is_lit = np.zeros((x.size, 3)), np.zeros((len(self.lights), x.size), dtype=bool)
         for light, position, is_lit_by in zip(self.scene.lights, self.lights, is_lit, strict=True):
             is_lit_by[visible] = self.is_lit(owner, points, normals, position)

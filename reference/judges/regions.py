@@ -67,8 +67,7 @@ class Strips(NamedTuple):
 
 
 def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
-    """Find a point near the zero of each quadratic function, along the gradient at the cell's
-    centre.
+    """Find a point near the zero of each quadratic function in a cell.
 
     The function is expanded to second order along the gradient.  The zero of this expansion that is
     closest to the centre is moved into the cell.  Any point is valid, but the closer it is to the
@@ -85,10 +84,8 @@ def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
         The points, from -1 to 1.
     """
     steepness2 = coef[X] ** 2 + coef[Y] ** 2
-    second_derivative = (
-        coef[X] ** 2 * coef[XX] + coef[X] * coef[Y] * coef[XY] + coef[Y] ** 2 * coef[YY]
-    )
-    second_derivative = 2 * second_derivative / steepness2
+    curvature = coef[X] ** 2 * coef[XX] + coef[X] * coef[Y] * coef[XY] + coef[Y] ** 2 * coef[YY]
+    second_derivative = 2 * curvature / steepness2
     root = np.sqrt(np.abs(steepness2 * (steepness2 - 2 * coef[C] * second_derivative)))
     step = -2 * coef[C] / (steepness2 + root)
     max_step = 1 / np.maximum(np.abs(coef[X]), np.abs(coef[Y]))
@@ -153,8 +150,7 @@ def enclose_in_strips(cell: Ints, form: Form, jump: Floats) -> Strips:
 
 
 class Regions(NamedTuple):
-    """Convex regions (n,) into which the centre lines of strips divide cells, sorted by cell and
-    `signs`.
+    """Convex regions (n,) of cells between the centre lines of strips, sorted by cell and sign.
 
     A cell has coordinates X and Y from -1 to 1.
 
@@ -227,14 +223,12 @@ def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
     weight = area / np.maximum(area_of_region, MIN_AREA)[region]
     means = [sum_by_index(region, weight * moment, key.size) for moment in mean]
     mean_of_region = np.array([np.ones(key.size), *means])
-    return Regions(
-        key >> max_line_count, key & ((1 << max_line_count) - 1), area_of_region, mean_of_region
-    )
+    cell, signs = key >> max_line_count, key & ((1 << max_line_count) - 1)
+    return Regions(cell, signs, area_of_region, mean_of_region)
 
 
 def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Floats]]:
-    """Compute areas of triangles, and means of coordinates and of their products over the
-    triangles.
+    """Compute the areas of triangles, and means over them of coordinates and their products.
 
     Parameters
     ----------

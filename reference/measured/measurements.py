@@ -160,9 +160,7 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 
 def describe_origin() -> str:
-    """Describe this machine on one line: date, commit, processor, system, and versions of
-    renderers.
-    """
+    """Describe on one line the date, the commit, the processor, the system and the versions."""
     povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
     system = [platform.system(), f"Python {platform.python_version()}", *versions]
