@@ -210,8 +210,8 @@ class LightGrid(NamedTuple):
                 match = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
                 occluder = self.entry_object.take(entry.take(match))
                 light_index, ball_index = np.divmod(box.take(batch_part.take(match)), ball_count)
-                triples = np.array([light_index, ball_index, occluder])
-                yield triples.take(indices(occluder != own_object.take(ball_index)), axis=1)
+                kept = indices(occluder != own_object.take(ball_index))
+                yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
     def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
         """Yield, for each rectangle, the ranges of `listed` that belong to the cells it overlaps.
