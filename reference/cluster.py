@@ -58,7 +58,7 @@ def _measure_scheduler_seconds(count: int) -> float:
     Parameters
     ----------
     count : int
-        Number of tasks that are timed, after as many others.
+        Number of tasks that are timed.  The same number runs before, so that the worker has started.
 
     Returns
     -------

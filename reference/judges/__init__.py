@@ -1,1 +1,1 @@
-"""What is true of a picture: renderers and proofs that the tracer is held against."""
+"""References for pictures: renderers and proofs with which the tracer is compared."""

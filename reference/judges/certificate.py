@@ -227,7 +227,7 @@ def enclose(
     regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), known.size)
     regions = regions._replace(cell=known[regions.cell])
     doubt = _bound_doubt(lines, regions, cell_count)
-    radiance = _enclose_region_radiance(forms, contributions, regions)
+    radiance = _region_radiance(forms, contributions, regions)
     region_mean = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
     max_difference = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
     region_error = np.minimum(radiance.radius + doubt, max_difference)
@@ -353,9 +353,7 @@ def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
     return doubt
 
 
-def _enclose_region_radiance(
-    forms: CellForms, contributions: Contributions, regions: Regions
-) -> Form:
+def _region_radiance(forms: CellForms, contributions: Contributions, regions: Regions) -> Form:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
     The sample shows which face is visible in the region, and which lights reach it.

@@ -107,7 +107,7 @@ def render_supersampled(scene: Scene, side: int) -> NDArray[np.float64]:
         height = min(strip_height, scene.height - top)
         strip_camera = replace(camera, view_height=camera.view_height * height / scene.height)
         window = replace(scene, camera=strip_camera, width=scene.width * side, height=height * side)
-        # Of the strip's centre from the picture's, downwards.
+        # Distance of the strip's centre below the picture's centre, in samples.
         offset = (top + height / 2 - scene.height / 2) * side
         with warnings.catch_warnings():  # a strip may be black although the picture is not
             warnings.simplefilter("ignore", SceneWarning)

@@ -72,8 +72,8 @@ def time_interleaved(
     rounds : int
         Minimum number of rounds.
     min_seconds : float
-        A task whose rounds have taken less than this together runs in more rounds: in at most five
-        times as many.
+        A task whose rounds have taken less than this together runs in more rounds: at most five
+        times `rounds`.
 
     Returns
     -------

@@ -60,7 +60,7 @@ def crowd_scene(count: int, *, width: int = 640, height: int = 360) -> Scene:
 def field_scene(count: int) -> Scene:
     """Make a scene of small objects above a floor, half of them spheres and half boxes.
 
-    The objects fill a volume of constant size, so many are hidden behind others, and they cast
+    The objects fill a volume of constant size.  Many are hidden behind others, and they cast
     shadows on each other and on the floor.  The scene depends only on `count`.
 
     Parameters
