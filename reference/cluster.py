@@ -58,7 +58,8 @@ def _measure_scheduler_seconds(count: int) -> float:
     Parameters
     ----------
     count : int
-        Number of tasks that are timed.  The same number runs before, so that the worker has started.
+        Number of tasks that are timed.  The same number runs before, to
+        start the worker.
 
     Returns
     -------

@@ -69,9 +69,9 @@ def _normalise(vectors: Array) -> Any:
 def intersect_by_projection(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
     """Intersect rays with a sphere by projecting the sphere's centre onto them.
 
-    The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller, Precision
-    Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable form of the
-    roots does not cancel on huge spheres (Press et al., Numerical Recipes, 5.6).
+    The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
+    Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable
+    form of the roots does not cancel on huge spheres (Press et al., Numerical Recipes, 5.6).
 
     Parameters
     ----------
