@@ -31,11 +31,17 @@ import numpy as np
 
 from reference.command import forbid_overwriting_inputs, make_parser
 from reference.figures import SSIM_WINDOW, decode_to_linear, measure_differences, write_comparison
-from reference.handins.class_page import class_page, pair_of
+from reference.handins.class_page import class_page, make_pair
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
-from reference.handins.folders import HandIn, hand_ins, match
-from reference.handins.results import Result, csv_of, json_of, text_of, with_common_causes_first
-from reference.handins.workers import start_workers
+from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
+from reference.handins.results import (
+    Result,
+    format_csv,
+    format_json,
+    format_text,
+    with_common_causes_first,
+)
+from reference.handins.workers import map_in_workers
 from reference.page import Pair
 from reference.pictures import UNREADABLE, Codes, Picture, read_picture
 from tracer import load_scene
@@ -46,30 +52,54 @@ from tracer.command.progress import track
 from tracer.files import atomic_file
 from tracer.messages import printable
 
+# Exit status if some pictures cannot be compared.
 _FAILED = 3
 # Number of pixels in a band of rows: figures are computed band by band.
 _PIXELS_PER_BAND = 500_000
 
 
 def tolerance(text: str) -> float:
-    """Convert the argument of an option; argparse uses this function's name in its message."""
+    """Convert the argument of an option to a number that is not negative.
+
+    argparse uses the name of this function in its message about text that is no number.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If the number is negative or NaN.
+    ValueError
+        If the text is not a number.
+    """
     if not (value := float(text)) >= 0:
         raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
     return value
 
 
 def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
-    """Parse the command line.
+    """Parse the command line, and find the hand-ins with their right pictures.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        The arguments of the command; None stands for those of this process.
 
     Returns
     -------
     options : Namespace
-        The options, with `many`: whether the hand-ins are a folder's; and the `folder`.
-    matched : list of HandIn
-        The hand-ins, and the missing ones.
+        The options.  In addition, `is_class` is true if the first argument is a folder, and
+        `folder` is that folder, or the folder of the picture.
+    hand_ins : list of HandIn
+        The pictures that were handed in, and those that are missing.
+
+    Raises
+    ------
+    SystemExit
+        For wrong usage, with status 2 after a message.
+    Failure
+        If a file does not exist.
     """
     command_parser = make_parser("reference.compare")
-    add, error = command_parser.add_argument, command_parser.error
+    add, exit_with = command_parser.add_argument, command_parser.error
     add("a", metavar="HAND-IN", type=Path, help="the picture in question, or a folder")
     add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")
     add("--ssim", type=tolerance, metavar="S", help="minimum SSIM that is tolerated")
@@ -77,77 +107,143 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     where = "write a comparison picture: a file, or a folder, which may end in /"
     add("-o", "--output", type=file_name, metavar="PATH", help=where)
     add("--html", type=file_name, metavar="OUT.html", help="write one page that shows all of them")
-    form = command_parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print a list with an object per picture")
-    form.add_argument("--csv", action="store_true", help="print the same as a table")
+    output_format = command_parser.add_mutually_exclusive_group()
+    output_format.add_argument(
+        "--json", action="store_true", help="print a list with an object per picture"
+    )
+    output_format.add_argument("--csv", action="store_true", help="print the same as a table")
     options = command_parser.parse_args(arguments)
     for path in (options.a, options.b):
         if not path.exists():
             raise Failure(str(path), "does not exist", status=_FAILED)
-    options.many = options.a.is_dir()
-    options.folder = options.a if options.many else options.a.parent
-    pictures = hand_ins(options.a) if options.many else [options.a]
+    options.is_class = options.a.is_dir()
+    options.folder = options.a if options.is_class else options.a.parent
+    pictures = list_hand_ins(options.a) if options.is_class else [options.a]
     if options.a.suffix.lower() == ".xml" or (not pictures and [*options.a.glob("*.xml")]):
-        error(printable(f"{options.a}: a hand-in is a picture; give it first, then the scene"))
+        exit_with(printable(f"{options.a}: a hand-in is a picture; give it first, then the scene"))
     if not pictures:
-        error(printable(f"{options.a}: contains no pictures"))
-    if options.many and options.output and not is_folder(options.output):
+        exit_with(printable(f"{options.a}: contains no pictures"))
+    if options.is_class and options.output and not is_folder(options.output):
         wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
-        error(printable(wrong))
-    matched = [one._replace(output=_output(options, one.picture) if options.output else None)
-               for one in match(pictures, options.folder, options.b)]  # fmt: skip
-    outputs = [one.output for one in matched] + [options.html and Path(options.html)]
-    rights = (one.right for one in matched if one.right)
+        exit_with(printable(wrong))
+    hand_ins = [
+        hand_in._replace(output=_output_path(options, hand_in.picture))
+        for hand_in in match_hand_ins(pictures, options.folder, options.b)
+    ]
+    outputs = [hand_in.output for hand_in in hand_ins] + [options.html and Path(options.html)]
+    rights = (hand_in.right for hand_in in hand_ins if hand_in.right)
     forbid_overwriting_inputs(command_parser, filter(None, outputs), (*pictures, *rights))
-    return options, matched
+    return options, hand_ins
 
 
-def _output(options: argparse.Namespace, picture: Path | None) -> Path | None:
-    """Return where the comparison of a picture is written; each has another place."""
-    if picture is None or (not options.many and not is_folder(options.output)):
-        return picture and Path(options.output)
+def _output_path(options: argparse.Namespace, picture: Path | None) -> Path | None:
+    """Return the file to which the picture that shows a hand-in and the right picture is written.
+
+    Parameters
+    ----------
+    options : Namespace
+        The options of the command.
+    picture : Path or None
+        The picture that was handed in; None if it is missing.
+
+    Returns
+    -------
+    Path or None
+        A different file for each picture of a class.  None if the picture is missing, or if the
+        option -o is.
+    """
+    if picture is None or not options.output:
+        return None
+    if not options.is_class and not is_folder(options.output):
+        return Path(options.output)
     path = picture.relative_to(options.folder)
     return Path(options.output, path.with_name(f"{path.name}.compare.png"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line, and return the exit status."""
-    options, matched = _parse(arguments)
+    """Run the command, which compares pictures with right ones, and return its exit status.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The arguments of the command; by default, those of this process.
+
+    Returns
+    -------
+    int
+        0 if all pictures agree; 1 if some differ or are missing; 3 if some cannot be compared.
+
+    Raises
+    ------
+    SystemExit
+        For wrong usage, with status 2.
+    Failure
+        If a file does not exist or cannot be written.
+    """
+    options, hand_ins = _parse(arguments)
     # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
-    jobs = sorted(matched, key=lambda one: str(one.right))
-    judged = start_workers(partial(judge, options), jobs, lost)
-    judged_pairs = sorted(track(judged, len(jobs), "pictures"), key=_sort_key)
-    results = with_common_causes_first([result for result, _ in judged_pairs])
+    jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.right))
+    compared = map_in_workers(partial(compare_hand_in, options), jobs, result_of_lost_worker)
+    results_and_pairs = sorted(track(compared, len(jobs), "pictures"), key=_sort_key)
+    results = with_common_causes_first([result for result, _ in results_and_pairs])
     if options.html:
-        pairs = {str(result.picture): pair for result, pair in judged_pairs if pair}
-        text = class_page(results, pairs, options.folder)
-        page = Path(options.html)
-        with errors_as_failure(page, "written", "choose another with --html", status=_FAILED):
-            page.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_file(page, b"<!doctype html>") as file:
-                file.write(text.encode(errors="backslashreplace"))
-    unread = any(result.word == "unread" for result in results)
+        pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
+        html = class_page(results, pairs, options.folder)
+        path = Path(options.html)
+        with errors_as_failure(path, "written", "choose another with --html", status=_FAILED):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_file(path, b"<!doctype html>") as file:
+                file.write(html.encode(errors="backslashreplace"))
+    is_any_unread = any(result.verdict == "unread" for result in results)
     if options.json or options.csv:
-        text = (json_of if options.json else csv_of)(results)
+        text = (format_json if options.json else format_csv)(results)
     else:
-        text = text_of(results, many=options.many)
-    if unread and not (options.many or options.json or options.csv):
+        text = format_text(results, as_list=options.is_class)
+    if is_any_unread and not (options.is_class or options.json or options.csv):
         print_line(sys.stderr, text)
     else:
         with errors_as_failure("standard output", "written", status=_FAILED):
             print_result(sys.stdout, text)
-    return _FAILED if unread else int(not all(result.agrees for result in results))
+    return _FAILED if is_any_unread else int(not all(result.agrees for result in results))
 
 
-def _sort_key(one: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
-    """Return the key by which results are sorted: pictures by name, then what is missing."""
-    result = one[0]
+def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
+    """Return a key that sorts results: first pictures by their paths, then missing ones.
+
+    Missing pictures are sorted by student, and those that nobody has handed in come last.
+
+    Parameters
+    ----------
+    result_and_pair : tuple of Result and Pair
+        The pair of pictures, or None, does not matter.
+    """
+    result = result_and_pair[0]
     return not result.picture, result.picture or result.student or "~", result.scene
 
 
 @lru_cache(maxsize=1)
-def _solution(path: Path) -> tuple[Solution, str]:
-    """Return the right picture of a file, and a note on what its format changes."""
+def _load_solution(path: Path) -> tuple[Solution, str]:
+    """Load the right picture, or the scene from which it is rendered, with which to compare.
+
+    The last solution is cached.
+
+    Parameters
+    ----------
+    path : Path
+        A scene file, whose name ends in .xml, or a picture.
+
+    Returns
+    -------
+    solution : Solution
+        The right picture, from which hand-ins are diagnosed.
+    note : str
+        What the format of a picture has changed: "is a JPEG, which changes levels: …"; or empty.
+
+    Raises
+    ------
+    Failure
+        If the file cannot be read, or is not a valid scene.
+    """
     with errors_as_failure(path, "read", status=_FAILED, error_types=UNREADABLE):
         if path.suffix.lower() == ".xml":
             return Solution(load_scene(path), shlex.quote(str(path))), ""
@@ -155,98 +251,166 @@ def _solution(path: Path) -> tuple[Solution, str]:
         return Solution(picture), picture.note
 
 
-def lost(hand_in: HandIn) -> tuple[Result, None]:
-    """Return the result of a picture whose worker died."""
+def result_of_lost_worker(hand_in: HandIn) -> tuple[Result, None]:
+    """Return the result for a hand-in whose comparison ended the process that computed it.
+
+    Returns
+    -------
+    tuple of Result and None
+        A result with an error; there is no pair of pictures to show.
+    """
     return _failed(hand_in, "cannot be compared: its process was ended; is there enough memory?")
 
 
-def _failed(hand_in: HandIn, what: str) -> tuple[Result, None]:
-    where = hand_in.picture or hand_in.right
+def _failed(hand_in: HandIn, reason: str) -> tuple[Result, None]:
+    """Return the result for a hand-in that is missing or could not be compared.
+
+    Parameters
+    ----------
+    hand_in : HandIn
+        The picture that was handed in, or a missing one.
+    reason : str
+        Why it could not be compared, as a predicate that follows its path.
+
+    Returns
+    -------
+    tuple of Result and None
+        A result with an error; there is no pair of pictures to show.
+    """
+    path = hand_in.picture or hand_in.right
     if hand_in.picture is None and hand_in.student:
-        where = Path(hand_in.student, hand_in.scene)
-    return _result(hand_in)._replace(error=str(Failure(str(where), what))), None
+        path = Path(hand_in.student, hand_in.scene)
+    return _new_result(hand_in)._replace(error=str(Failure(str(path), reason))), None
 
 
-def _result(hand_in: HandIn) -> Result:
+def _new_result(hand_in: HandIn) -> Result:
+    """Return a result that has the names and files of a hand-in, but not yet a diagnosis."""
     picture, right = (str(path) if path else None for path in (hand_in.picture, hand_in.right))
     return Result(hand_in.student, hand_in.scene, picture, right)
 
 
-def judge(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a picture with the right one.
+def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
+    """Compare a picture that was handed in with the right one; errors become results.
+
+    Parameters
+    ----------
+    options : Namespace
+        The options of the command.
+    hand_in : HandIn
+        The picture, with its right picture or scene.
 
     Returns
     -------
     result : Result
-        If the picture cannot be compared, the result states why.
+        If the picture is missing or cannot be compared, the result states why.
     pair : Pair or None
-        Both pictures, if a page is requested and the sizes are the same.
+        What a page shows of both pictures; None if no page is requested, if the sizes differ, or
+        if the picture cannot be compared.
     """
     if hand_in.error or not (hand_in.picture and hand_in.right):
         return _failed(hand_in, hand_in.error)
     try:
         with errors_as_failure(hand_in.picture, "read", status=_FAILED, error_types=UNREADABLE):
             picture = read_picture(hand_in.picture)
-        solution, note = _solution(hand_in.right)
+        solution, note = _load_solution(hand_in.right)
         remedy = "compare a part"
         with errors_as_failure(hand_in.picture, "compared", memory_remedy=remedy, status=_FAILED):
-            return _compared(options, hand_in, picture, solution, note)
+            return _compare_with(solution, note, options, hand_in, picture)
     except Failure as failure:
-        return _result(hand_in)._replace(error=str(failure)), None
+        return _new_result(hand_in)._replace(error=str(failure)), None
     except Exception as bug:
-        what = f"{type(bug).__name__}: {bug}"
-        return _failed(hand_in, f"cannot be compared: {what}; this is a bug, please report it")
+        error = f"{type(bug).__name__}: {bug}"
+        return _failed(hand_in, f"cannot be compared: {error}; this is a bug, please report it")
 
 
-def _figures(a: Codes, b: Codes) -> tuple[float, float, float]:
-    """Return SSIM, RMSE and the maximum difference in linear light, of codes of one shape.
+def _linear_figures(a: Codes, b: Codes) -> tuple[float, float, float]:
+    """Compute figures of the difference of two pictures in linear light.
 
-    They are computed band by band, because their arrays take about 100 bytes per pixel.  `windows`
-    is the number of rows at which SSIM's window lies inside the picture.
+    They are computed band by band, because the arrays of a band take about 100 bytes per pixel.
+
+    Parameters
+    ----------
+    a, b : (h, w, 3) uint8 arrays
+        The pictures' codes.
+
+    Returns
+    -------
+    ssim : float
+        Structural similarity; 1 for equal pictures.
+    rmse, maximum : float
+        Root mean square, and maximum, of the difference.
     """
     (height, width, _), margin = a.shape, SSIM_WINDOW - 1
-    step = max(1, _PIXELS_PER_BAND // width)
-    ssim, squares, largest, windows = 0.0, 0.0, 0.0, max(1, height - margin)
-    for start in range(0, windows, step):
-        rows = slice(start, start + step + margin)
+    band_height = max(1, _PIXELS_PER_BAND // width)
+    # Rows at which the window of the structural similarity lies inside the picture.
+    window_rows = max(1, height - margin)
+    ssim, sum_of_squares, maximum = 0.0, 0.0, 0.0
+    for start in range(0, window_rows, band_height):
+        rows = slice(start, start + band_height + margin)
         band = measure_differences(decode_to_linear(a[rows]), decode_to_linear(b[rows]))
-        ssim += band.ssim * min(step, windows - start) / windows
-        largest = max(largest, band.max)
-    for start in range(0, height, step):
-        rows = slice(start, start + step)
-        squares += float(((decode_to_linear(a[rows]) - decode_to_linear(b[rows])) ** 2).sum())
-    return ssim, float(np.sqrt(squares / a.size)), largest
+        ssim += band.ssim * min(band_height, window_rows - start) / window_rows
+        maximum = max(maximum, band.max)
+    for start in range(0, height, band_height):
+        rows = slice(start, start + band_height)
+        difference = decode_to_linear(a[rows]) - decode_to_linear(b[rows])
+        sum_of_squares += float((difference**2).sum())
+    return ssim, float(np.sqrt(sum_of_squares / a.size)), maximum
 
 
-def _compared(
-    options: argparse.Namespace, hand_in: HandIn, picture: Picture, solution: Solution, note: str
+def _compare_with(
+    solution: Solution, note: str, options: argparse.Namespace, hand_in: HandIn, picture: Picture
 ) -> tuple[Result, Pair | None]:
-    """Compare a picture that was read with a solution; `note` is about the solution's format.
+    """Compare a picture with a solution, and write a picture that shows both if it is requested.
 
-    If there are several hand-ins, a comparison is written only for those that differ.
+    Of a class, only pictures that differ are written.
+
+    Parameters
+    ----------
+    solution : Solution
+        The right picture.
+    note : str
+        What the file format of the right picture has changed; may be empty.
+    options : Namespace
+        The options of the command.
+    hand_in : HandIn
+        The files of the two pictures, and the file to write.
+    picture : Picture
+        The contents of the file that was handed in.
+
+    Returns
+    -------
+    result : Result
+        Without figures if the sizes differ.
+    pair : Pair or None
+        What a page shows of both pictures; None if no page is requested, or if the sizes differ.
+
+    Raises
+    ------
+    Failure
+        If the file cannot be written.
     """
     diagnosis, right = solution.diagnose(picture), solution.codes
     names = ("It", picture.note), (str(hand_in.right and hand_in.right.name), note)
     notes = [f"{name} {text}" for name, text in names if text and diagnosis.kind != "identical"]
     diagnosis = diagnosis.preceded_by(" ".join(notes))
-    result, pair = _result(hand_in)._replace(diagnosis=diagnosis), None
+    result, pair = _new_result(hand_in)._replace(diagnosis=diagnosis), None
     if picture.codes.shape != right.shape:
         return result, None
-    ssim, rmse, largest = _figures(picture.codes, right)
+    ssim, rmse, maximum = _linear_figures(picture.codes, right)
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
-        agrees = (options.max is None or largest <= options.max) and (
+        agrees = (options.max is None or maximum <= options.max) and (
             options.ssim is None or ssim >= options.ssim
         )
     result = result._replace(
-        agrees=agrees, ssim=ssim, rmse=rmse, max=largest,
+        agrees=agrees, ssim=ssim, rmse=rmse, max=maximum,
         differing=int((picture.codes != right).any(axis=2).sum()),
         worst=worst_pixel(picture.codes, right),
     )  # fmt: skip
     if options.html:
-        pair = pair_of(result, picture.codes, right)
+        pair = make_pair(result, picture.codes, right)
     output = hand_in.output
-    if output is not None and not (options.many and agrees):
+    if output is not None and not (options.is_class and agrees):
         labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
         with errors_as_failure(
             output, "written", "choose another with -o", status=_FAILED, error_types=(ValueError,)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 from reference.figures import amplify_difference, decode_to_linear
-from reference.handins.results import Result, count_of, mistake_counts
+from reference.handins.results import Result, mistake_lines, summarize_counts
 from reference.page import Cell, Pair, encode_png, prepare_pair, render_page
 from reference.pictures import Codes
 
@@ -17,8 +18,16 @@ _LEGEND = (
 )
 
 
-def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
-    """Return the pair of a hand-in and the right picture, which have the same size."""
+def make_pair(result: Result, handin: Codes, right: Codes) -> Pair:
+    """Return what an HTML page shows of a hand-in: both pictures, their difference and figures.
+
+    Parameters
+    ----------
+    result : Result
+        The result of comparing the two pictures.
+    handin, right : (h, w, 3) uint8 arrays
+        Codes of the picture that was handed in, and of the right picture.
+    """
     diagnosis = result.diagnosis
     return prepare_pair(
         handin,
@@ -26,7 +35,7 @@ def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
         *amplify_difference(decode_to_linear(handin), decode_to_linear(right)),
         name=str(result.picture),
         good=result.agrees,
-        word=result.word,
+        word=result.verdict,
         left="hand-in",
         right="right",
         thumbnail=encode_png(handin, thumbnail=True),
@@ -41,39 +50,54 @@ def pair_of(result: Result, handin: Codes, right: Codes) -> Pair:
     )  # fmt: skip
 
 
-def _cell(result: Result, shown: Pair | None, link: int | None) -> Cell:
-    """Return the cell of the overview: the verdict, or the first cause in words."""
-    text = result.word
+def _make_cell(result: Result, pair: Pair | None, pair_index: int | None) -> Cell:
+    """Return the cell of the table by student and scene that shows one result.
+
+    Its text is the verdict, or, for a picture that differs, the sentences of the first cause.
+
+    Parameters
+    ----------
+    result : Result
+        The result of a comparison.
+    pair : Pair or None
+        The pair of pictures on the page, if there is one; the cell shows its thumbnail.
+    pair_index : int or None
+        Number of the pair on the page, to which the cell links.
+    """
+    text = result.verdict
     if result.diagnosis and text == "differs":
         text = result.diagnosis.first
-    return Cell(text, link, result.agrees, shown["thumbnail"] if shown else None)
+    return Cell(text, pair_index, result.agrees, pair["thumbnail"] if pair else None)
 
 
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
-    """Return the page as HTML.
+    """Return a page, as HTML, that shows the results of a class.
+
+    It has a table by student and by scene, the pairs of pictures, the number of pictures with each
+    mistake, and what could not be compared.
 
     Parameters
     ----------
     results : sequence of Result
         All results of the class.
     pairs : dict of str to Pair
-        Pairs by the pictures' names.
+        The pairs of pictures to show, by the path of the picture that was handed in.
     folder : Path
-        Folder that contains all pictures.
+        Folder of the class.  The page shows the paths of pictures relative to it.
     """
-    links = {name: k for k, name in enumerate(pairs)}
-    cells: dict[str, dict[str, list[Cell]]] = {}
-    right: dict[str, set[str]] = {}
+    index_of = {path: k for k, path in enumerate(pairs)}
+    cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
+    right_scenes: dict[str, set[str]] = defaultdict(set)
     for result in results:
         if result.student and result.scene:
-            name, student = result.picture or "", result.student
-            cell = _cell(result, pairs.get(name), links.get(name))
-            cells.setdefault(student, {}).setdefault(result.scene, []).append(cell)
-            right.setdefault(student, set()).update([result.scene] if result.agrees else [])
-    scenes = sorted({scene for row in cells.values() for scene in row})
-    rows = [[[Cell(student)], [Cell(f"{len(right[student])} of {len(scenes)}")],
-             *(row.get(scene, []) for scene in scenes)]
-            for student, row in sorted(cells.items())]  # fmt: skip
+            path, student = result.picture or "", result.student
+            cell = _make_cell(result, pairs.get(path), index_of.get(path))
+            cells[student][result.scene].append(cell)
+            right_scenes[student].update([result.scene] if result.agrees else [])
+    scenes = sorted({scene for cells_of_scenes in cells.values() for scene in cells_of_scenes})
+    rows = [[[Cell(student)], [Cell(f"{len(right_scenes[student])} of {len(scenes)}")],
+             *(cells[student].get(scene, []) for scene in scenes)]
+            for student in sorted(cells)]  # fmt: skip
     notes = [f"{result.picture}: {result.diagnosis}" for result in results
              if result.diagnosis and result.picture not in pairs]  # fmt: skip
     errors = [result.error for result in results if result.error and not (
@@ -81,13 +105,13 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
     return render_page(
         title=f"Hand-ins in {folder}",
         lead=f"{len(cells)} students, {len(scenes)} scenes.",
-        verdict=f"{count_of(results)}.",
+        verdict=f"{summarize_counts(results)}.",
         good=all(result.agrees for result in results),
         overview="By student and by scene",
         head=["student", "right", *scenes],
         rows=rows,
-        pairs=[shown | {"name": os.path.relpath(name, folder)} for name, shown in pairs.items()],
+        pairs=[pair | {"name": os.path.relpath(path, folder)} for path, pair in pairs.items()],
         legend=_LEGEND,
-        below=[*mistake_counts(results), *notes, *errors],
+        below=[*mistake_lines(results), *notes, *errors],
         is_folded=True,
     )

@@ -15,18 +15,22 @@ _COPY = re.compile(r"[ _-]*(\(\d+\)|copy|kopie)$")
 
 
 class HandIn(NamedTuple):
-    """A picture that was handed in, or a missing one.
+    """A picture that was handed in, or one that is missing, with the right picture.
 
     Attributes
     ----------
     student, scene : str
-        Who handed it in, and the name of the scene.
-    picture, right : Path or None
-        The picture, and the right picture or scene file.
+        The student who handed the picture in, and the name of the scene.  The student is empty for
+        a scene of which nobody has handed in a picture; the scene is empty if it is unknown.
+    picture : Path or None
+        The file that was handed in; None if it is missing.
+    right : Path or None
+        The right picture or scene file; None if it is unknown.
     error : str
-        What is wrong, if there is no right picture.
+        Why the picture cannot be compared, as a predicate: "is an archive; unpack it first".  Empty
+        if it can be compared.
     output : Path or None
-        Where a picture of both is written.
+        File to which a picture that shows both is written; None if no such file is requested.
     """
 
     student: str
@@ -37,101 +41,156 @@ class HandIn(NamedTuple):
     output: Path | None = None
 
 
-def hand_ins(folder: Path) -> list[Path]:
-    """Return all pictures and archives in a folder and its subfolders, without comparisons."""
-    return sorted(path for path in _visible(folder) if _has_suffix(path, _PICTURES + _ARCHIVES))
+def list_hand_ins(folder: Path) -> list[Path]:
+    """Return the paths of all pictures and archives in a folder and its subfolders, sorted.
+
+    Hidden files, files that operating systems leave in folders, and comparisons that an earlier run
+    wrote (`NAME.compare.png`) are skipped.
+    """
+    paths = _visible_paths(folder)
+    return sorted(path for path in paths if _is_hand_in(path, _PICTURES + _ARCHIVES))
 
 
-def _visible(folder: Path) -> Iterator[Path]:
-    """Yield all files and folders in a folder, without those that systems leave there."""
+def _visible_paths(folder: Path) -> Iterator[Path]:
+    """Yield all files and folders below a folder.
+
+    Hidden ones, whose names begin with a dot, and the folders `__MACOSX`, which macOS adds to
+    archives, are skipped with all that they contain.
+    """
     for path in folder.rglob("*"):
         names = path.relative_to(folder).parts
         if not any(name.startswith(".") or name == "__MACOSX" for name in names):
             yield path
 
 
-def _has_suffix(path: Path, suffixes: tuple[str, ...]) -> bool:
+def _is_hand_in(path: Path, suffixes: tuple[str, ...]) -> bool:
+    """Test whether a path is a file with one of some suffixes, in upper or lower case.
+
+    The result is false for comparisons that an earlier run wrote (`NAME.compare.png`).
+    """
     name = path.name.lower()
     return name.endswith(suffixes) and not name.endswith(".compare.png") and path.is_file()
 
 
-def match(pictures: Iterable[Path], folder: Path, rights: Path) -> list[HandIn]:
-    """Find the right picture or scene of each picture, and pictures that are missing.
+def match_hand_ins(pictures: Iterable[Path], folder: Path, rights: Path) -> list[HandIn]:
+    """Find the right picture or scene of each hand-in, and the pictures that are missing.
 
-    In a folder `rights`, files such as `NAME.png` and `NAME.check.png` were computed from the scene
-    `NAME.xml`, and are ignored.  A hand-in of NAME has NAME in its name as a whole word, in upper
-    or lower case: `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.
+    A hand-in of the scene NAME has NAME in its file name as a whole word, in upper or lower case:
+    `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.  In a folder
+    `rights` that contains the scene `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are
+    taken for pictures that were computed from the scene, and are ignored.
 
     Parameters
     ----------
     pictures : iterable of Path
-        The result of `hand_ins(folder)`, or one picture.
+        The result of `list_hand_ins(folder)`, or one picture.
     folder : Path
-        The folder of the class.
+        The folder of the class, with a subfolder for each student.
     rights : Path
         A scene file or a picture, or a folder of these.
 
     Returns
     -------
     list of HandIn
-        Those of `pictures`; then, if a student has handed in some pictures or has an empty folder,
-        one for each scene that others have handed in and this student has not; and one, without a
-        student, for each scene that nobody has handed in.
+        First, one for each of `pictures`.  If `rights` is a folder, then one for each student and
+        each scene of which others, but not the student, have handed in a picture; a student without
+        any picture needs an empty folder to be known.  Last, one for each scene of which nobody has
+        handed in a picture.
     """
-    known = _known(rights)
-    matched = [_match(picture, folder, rights, known) for picture in pictures]
+    right_of = _find_rights(rights)
+    matched = [_match(picture, folder, rights, right_of) for picture in pictures]
     if not rights.is_dir():
         return matched
-    present = {(one.student, one.scene) for one in matched}
-    handed_in = {one.scene: one.right for one in matched if one.right}
-    students = {one.student for one in matched} | set(_empty_folders(folder))
-    lacking = [HandIn(student, scene, None, right, "no picture of this scene")
+    present = {(hand_in.student, hand_in.scene) for hand_in in matched}
+    handed_in = {hand_in.scene: hand_in.right for hand_in in matched if hand_in.right}
+    students = {hand_in.student for hand_in in matched} | set(_empty_folders(folder))
+    missing = [HandIn(student, scene, None, right, "no picture of this scene")
                for student in sorted(students) for scene, right in sorted(handed_in.items())
                if (student, scene) not in present]  # fmt: skip
-    nobodys = [HandIn("", name, None, path, "nobody has handed in a picture of it")
-               for name, path in known.items() if name not in handed_in]  # fmt: skip
-    return matched + lacking + nobodys
+    without_hand_in = [HandIn("", scene, None, right, "nobody has handed in a picture of it")
+                       for scene, right in right_of.items() if scene not in handed_in]  # fmt: skip
+    return matched + missing + without_hand_in
 
 
-def _known(rights: Path) -> dict[str, Path]:
-    """Return the scenes, and pictures without a scene, of a folder by their names."""
+def _find_rights(rights: Path) -> dict[str, Path]:
+    """Return the scenes that hand-ins are compared with, and pictures that have no scene file.
+
+    Parameters
+    ----------
+    rights : Path
+        A scene file or a picture, or a folder of these.
+
+    Returns
+    -------
+    dict of str to Path
+        The files by their names, in lower case and without suffixes.  Pictures that were computed
+        from a scene of the folder are left out: their names begin with its name and a dot.
+    """
     if not rights.is_dir():
-        return {_name(rights): rights}
+        return {_base_name(rights): rights}
     scenes = sorted(rights.glob("*.xml"))
-    paths = [path for path in sorted(rights.iterdir()) if _has_suffix(path, _PICTURES)] + scenes
+    paths = [path for path in sorted(rights.iterdir()) if _is_hand_in(path, _PICTURES)] + scenes
     generated = {path for path in paths for scene in scenes
                  if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
-    return {_name(path): path for path in paths if path not in generated}
+    return {_base_name(path): path for path in paths if path not in generated}
 
 
 def _empty_folders(folder: Path) -> list[str]:
-    """Return the folders in a class's folder that contain no pictures."""
+    """Return the names of the visible subfolders of a folder that contain no hand-ins.
+
+    A path that is not a folder has none.
+    """
     if not folder.is_dir():
         return []
-    full = {above for picture in hand_ins(folder) for above in picture.parents}
-    visible = (path for path in folder.iterdir() if path.is_dir() and path not in full)
-    return [path.name for path in visible if path in set(_visible(folder))]
+    filled = {parent for picture in list_hand_ins(folder) for parent in picture.parents}
+    empty = [path for path in folder.iterdir() if path.is_dir() and path not in filled]
+    visible = set(_visible_paths(folder))
+    return [path.name for path in empty if path in visible]
 
 
-def _match(picture: Path, folder: Path, rights: Path, known: dict[str, Path]) -> HandIn:
-    """Find the right picture of one hand-in."""
-    above = picture.parent.relative_to(folder) if picture.is_relative_to(folder) else Path()
-    student = str(above) if above.parts else ""
-    if _has_suffix(picture, _ARCHIVES):
+def _match(picture: Path, folder: Path, rights: Path, right_of: dict[str, Path]) -> HandIn:
+    """Determine the student and the scene of one hand-in from its path.
+
+    The student is the subfolder of the class's folder; without one, the rest of the file name.
+
+    Parameters
+    ----------
+    picture : Path
+        The file that was handed in.
+    folder : Path
+        The folder of the class.
+    rights : Path
+        The scene or picture, or the folder of these, that the user has given.  A single one belongs
+        to every hand-in, regardless of the name.
+    right_of : dict of str to Path
+        The result of `_find_rights(rights)`.
+
+    Returns
+    -------
+    HandIn
+        With an error if it is an archive, or if no scene has its name.
+    """
+    subfolder = picture.parent.relative_to(folder) if picture.is_relative_to(folder) else Path()
+    student = str(subfolder) if subfolder.parts else ""
+    if _is_hand_in(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
-    name = _COPY.sub("", _name(picture))
-    fitting = [one for one in known if re.search(rf"(?<![^\W_]){re.escape(one)}(?![^\W_])", name)]
-    if fitting or not rights.is_dir():
-        scene = max(fitting, key=len) if fitting else next(iter(known))
-        owner = name.replace(scene, " ", 1).strip(" _-.")
-        return HandIn(student or owner or folder.name, scene, picture, known[scene])
+    name = _COPY.sub("", _base_name(picture))
+    scenes = [scene for scene in right_of
+              if re.search(rf"(?<![^\W_]){re.escape(scene)}(?![^\W_])", name)]  # fmt: skip
+    if scenes or not rights.is_dir():
+        scene = max(scenes, key=len) if scenes else next(iter(right_of))
+        rest_of_name = name.replace(scene, " ", 1).strip(" _-.")
+        return HandIn(student or rest_of_name or folder.name, scene, picture, right_of[scene])
     error = f"no scene or picture in {rights} has this name"
     words = (name, name.rpartition("_")[2])
-    close = [close for word in words for close in difflib.get_close_matches(word, known, 1)]
-    error += f"; did you mean {known[close[0]].name}?" if close else ""
+    similar = [scene for word in words for scene in difflib.get_close_matches(word, right_of, 1)]
+    error += f"; did you mean {right_of[similar[0]].name}?" if similar else ""
     return HandIn(student or folder.name, "", picture, None, error)
 
 
-def _name(path: Path) -> str:
-    """Return what a picture and the right one have in common: the name without suffixes."""
+def _base_name(path: Path) -> str:
+    """Return the name of a file in lower case, without its suffix and without ".xml" before it.
+
+    `Room.xml.png`, `room.png` and `room.xml` all have the base name "room".
+    """
     return path.stem.lower().removesuffix(".xml")

@@ -23,69 +23,106 @@ Result = TypeVar("Result")
 _MIN_JOBS = 8
 
 
-def _serve(work: Callable[[Any], Any], link: connection.Connection) -> None:
-    """Process each job that arrives, until the other end is closed."""
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    with suppress(EOFError):
-        while True:
-            link.send(work(link.recv()))
+def _serve_jobs(work: Callable[[Any], Any], pipe: connection.Connection) -> None:
+    """Process jobs in a worker until the calling process closes its end of the pipe.
 
-
-def _start(work: Callable[[Any], Any]) -> connection.Connection:
-    """Start a process for jobs; it ignores Ctrl-C, and ends with the calling process."""
-    context = get_context("spawn")
-    own_end, other_end = context.Pipe()
-    mask = None
-    if os.name != "nt":
-        # If it started later, it would let signals through again (CPython's resource_tracker.py).
-        resource_tracker.ensure_running()
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        context.Process(target=_serve, args=(work, other_end), daemon=True).start()
-    finally:
-        if mask is not None:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        other_end.close()
-    return own_end
-
-
-def start_workers(
-    work: Callable[[Job], Result], jobs: Sequence[Job], lost: Callable[[Job], Result]
-) -> Iterator[Result]:
-    """Yield the result of each job, in any order.
-
-    One worker begins with the first jobs, the other with the last: neighbouring jobs may use the
-    same cached data.  If no process can be started, the calling process does all jobs.
+    The worker ends at once if the calling process dies.
 
     Parameters
     ----------
     work : callable
-        Computes the result of a job, in a worker.
-    jobs : sequence
-    lost : callable
-        Returns the result of a job whose worker died.
+        Computes the result of a job.
+    pipe : Connection
+        The worker's end of the pipe on which jobs arrive and results are sent.
     """
-    todo = deque(jobs)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    with suppress(EOFError):
+        while True:
+            pipe.send(work(pipe.recv()))
+
+
+def _start_worker(work: Callable[[Any], Any]) -> connection.Connection:
+    """Start a process that computes results of jobs.
+
+    The process ignores Ctrl-C, and ends with the calling process.
+
+    Parameters
+    ----------
+    work : callable
+        Computes the result of a job.
+
+    Returns
+    -------
+    Connection
+        The calling process's end of a pipe, on which jobs are sent and results arrive.
+
+    Raises
+    ------
+    OSError
+        If no process can be started.
+    """
+    context = get_context("spawn")
+    own_end, worker_end = context.Pipe()
+    previous_mask = None
+    if os.name != "nt":
+        # If it started later, it would let signals through again (CPython's resource_tracker.py).
+        resource_tracker.ensure_running()
+        previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        context.Process(target=_serve_jobs, args=(work, worker_end), daemon=True).start()
+    finally:
+        if previous_mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
+        worker_end.close()
+    return own_end
+
+
+def map_in_workers(
+    work: Callable[[Job], Result], jobs: Sequence[Job], result_if_lost: Callable[[Job], Result]
+) -> Iterator[Result]:
+    """Compute the results of jobs in two processes, of which a crash loses only one job.
+
+    One process begins with the first jobs, the other with the last, because neighbouring jobs may
+    use the same cached data.  The calling process computes the results itself if there are few
+    jobs, or if no process can be started.
+
+    Parameters
+    ----------
+    work : callable
+        Computes the result of a job.  It must be picklable, as jobs and results must be.
+    jobs : sequence
+        The arguments of `work`.
+    result_if_lost : callable
+        Returns the result of a job whose process died.
+
+    Yields
+    ------
+    object
+        The result of each job, in the order in which they are computed.
+    """
+    pending = deque(jobs)
+    # For each worker's pipe, its current job, and the function that takes its next one.
     running: dict[Any, tuple[Job, Callable[[], Job]]] = {}
-    link: Any
+    pipe: Any
 
-    def give(take: Callable[[], Job], link: connection.Connection | None = None) -> None:
+    def send_job(take: Callable[[], Job], pipe: connection.Connection | None = None) -> None:
+        """Send the next job to a worker; without a pipe, to a new worker."""
         with suppress(OSError):
-            link = link or _start(work)
-            if todo:
-                running[link] = take(), take
-                link.send(running[link][0])
+            pipe = pipe or _start_worker(work)
+            if pending:
+                running[pipe] = take(), take
+                pipe.send(running[pipe][0])
 
-    for take in (todo.popleft, todo.pop) if len(jobs) >= _MIN_JOBS else ():
-        give(take)
+    for take in (pending.popleft, pending.pop) if len(jobs) >= _MIN_JOBS else ():
+        send_job(take)
     while running:
-        for link in connection.wait([*running]):
-            job, take = running.pop(link)
+        for pipe in connection.wait([*running]):
+            job, take = running.pop(pipe)
             try:
-                result = link.recv()
+                result = pipe.recv()
             except (EOFError, OSError):  # this job ended the worker, which had no other job
-                result, link = lost(job), None
+                result, pipe = result_if_lost(job), None
             yield result
-            give(take, link)
-    for job in todo:
+            send_job(take, pipe)
+    for job in pending:
         yield work(job)

@@ -23,7 +23,7 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import main
 from reference.figures import measure_differences, write_comparison
-from reference.handins.workers import start_workers
+from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
 from tracer.command.failure import Failure
@@ -278,20 +278,20 @@ def deadly(job: int) -> int:
 
 def test_a_worker_that_dies_takes_one_result_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     results = [-5 if job == 5 else 10 * job for job in range(10)]
-    assert sorted(start_workers(deadly, range(10), lambda job: -job)) == sorted(results)
+    assert sorted(map_in_workers(deadly, range(10), lambda job: -job)) == sorted(results)
 
     def none(*_arguments: object) -> None:
         raise OSError(errno.EAGAIN, "no process")
 
     monkeypatch.setattr("reference.handins.workers.get_context", none)
-    assert [*start_workers(str, range(10), str)] == [*map(str, range(10))]
+    assert [*map_in_workers(str, range(10), str)] == [*map(str, range(10))]
 
 
 def test_workers_end_with_a_command_that_is_killed() -> None:
     """Workers end at any moment, although they keep their ends of the command's pipes open."""
-    script = "import time; from reference.handins.workers import start_workers"
+    script = "import time; from reference.handins.workers import map_in_workers"
     process = start_process(
-        python=("-c", f"{script}; [*start_workers(time.sleep, [600] * 8, str)]")
+        python=("-c", f"{script}; [*map_in_workers(time.sleep, [600] * 8, str)]")
     )
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while len(children.read_text(encoding="ascii").split()) < 3:  # two, and a tracker of resources
@@ -305,10 +305,10 @@ def test_pipes_are_neither_read_nor_replaced(tmp_path: Path) -> None:
     """The command runs in separate processes: opening a pipe without a writer waits for ever."""
     pipe, right = tmp_path / "pipe", save(tmp_path / "a.png", CODES)
     os.mkfifo(pipe)
-    for arguments, action in (((right, pipe), "read"), ((right, right, "-o", pipe), "written")):
-        _, output, error = run(*arguments, python=("-m", "reference.compare"))
-        assert output == ""
-        assert error.startswith(f"{pipe}: cannot be {action}: not a regular file")
+    unread = f"{pipe}: cannot be read: not a regular file\n"
+    unwritten = f"{pipe}: cannot be written: not a regular file; choose another with -o\n"
+    for arguments, error in (((right, pipe), unread), ((right, right, "-o", pipe), unwritten)):
+        assert run(*arguments, python=("-m", "reference.compare")) == (3, "", error)
     assert pipe.is_fifo()
 
 
