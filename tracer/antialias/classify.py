@@ -196,7 +196,7 @@ def classify(
     edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
     geometry_lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
-    shading, all_lines = Shading(hits), [geometry_lines]
+    shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
     for lights in prepared.light_batches:
         light_lines, unresolved, crowded = _add_lights(shading, surfaces, lights, tolerance)
         all_lines.append(light_lines)

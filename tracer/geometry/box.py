@@ -178,11 +178,16 @@ class Boxes:
         eye, (u, v, w), enters, leaves, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
         for axis in range(3):
             direction = s * u[axis] + repeat_runs(g * v[axis] + frame.depth * w[axis], ray_count)
-            low, high = (
-                repeat_runs(corner[axis, box] - eye[axis], ray_count)
-                for corner in (self.min_pt, self.max_pt)
-            )
-            enter, leave = _intersect_slab(low, high, direction, closed=True)
+            low, high = self.min_pt[axis, box] - eye[axis], self.max_pt[axis, box] - eye[axis]
+            is_eye_above = high < 0
+            if np.all(is_eye_above | (low > 0)):
+                # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
+                # from the slab gets an exit before its entry, and so misses the box.
+                planes = np.where(is_eye_above, high, low), np.where(is_eye_above, low, high)
+                enter, leave = (repeat_runs(plane, ray_count) / direction for plane in planes)
+            else:
+                low, high = repeat_runs(low, ray_count), repeat_runs(high, ray_count)
+                enter, leave = _intersect_slab(low, high, direction, closed=True)
             enters.append(enter)
             leaves.append(leave)
             # The normal of a visible face points against the ray.

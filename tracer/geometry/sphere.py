@@ -236,10 +236,12 @@ class Spheres:
         root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
         dot_product = repeat_runs(u, ray_count) * s + repeat_runs(ahead * ray_ahead, ray_count)
         divisor = dot_product + root
-        power = repeat_runs(self.power[sphere], ray_count)
-        # If the eye is inside, the farther root, in the form with less cancellation.
-        far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
-        t = np.where(power > 0, power / divisor, far_t)
+        power = self.power[sphere]
+        is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
+        t = power / divisor
+        if not is_eye_outside_all:  # the farther root, in the form with less cancellation
+            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
+            t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
         return np.where(t > 0, t, np.inf), root
 

@@ -104,21 +104,23 @@ class Shading:
     ----------
     hits : Hits
         The hits.
+    with_ids : bool
+        Whether to compute `ids`.
 
     Attributes
     ----------
     ids : (n,) int array
         For each hit, a number that encodes the object, its face, and the lights visible from the
-        hit.
+        hit.  If `with_ids` is False, the array is empty.
     """
 
-    def __init__(self, hits: Hits) -> None:
-        self._hits = hits
+    def __init__(self, hits: Hits, *, with_ids: bool) -> None:
+        self._hits, self._with_ids = hits, with_ids
         self._is_glossy = [group.object_values(hits.prepared.is_glossy) for group in hits.groups]
         # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
         # the colours of the surfaces.
         self._diffuse, self._specular = np.zeros((2, *hits.from_eye.shape))
-        faces = [group.repeat_runs(4 * group.run_object + group.face) for group in hits.groups]
+        faces = [g.repeat_runs(4 * g.run_object + g.face) for g in hits.groups if with_ids]
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
@@ -131,7 +133,7 @@ class Shading:
         is_lit : (lights, n) bool array
             Whether the light is visible from the hit.
         """
-        for light_is_lit in is_lit:
+        for light_is_lit in is_lit if self._with_ids else ():
             # The factor is odd: with more lights than bits, the first lights still count.
             self.ids = self.ids * 3 + light_is_lit
         for group, is_glossy in zip(self._hits.groups, self._is_glossy, strict=True):

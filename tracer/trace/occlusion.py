@@ -53,6 +53,7 @@ from tracer.arrays import (
 )
 from tracer.geometry.rounding import ON
 from tracer.trace.hits import Hits
+from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import Lights, Shape
 
 # Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
@@ -603,12 +604,14 @@ def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[
 def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
 
-    Each sphere encloses the bounding box of the group's hits in camera axes.
+    Each sphere encloses the bounding box of the group's hits in camera axes or, if this is faster,
+    has the chord from the first hit to the last as its diameter.
 
     Parameters
     ----------
     hits : Hits
-        All hits, which the groups divide.
+        All hits, which the groups divide.  The hits of one group lie on the same object, in the
+        same row of samples.
     start : (m,) int array
         Group i contains the hits start[i], ..., start[i + 1] - 1; the last group ends with the
         last hit.
@@ -620,10 +623,16 @@ def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     radius : (m,) float array
         Radii of the spheres.
     """
-    low = np.minimum.reduceat(hits.from_eye, start, axis=1)
-    high = np.maximum.reduceat(hits.from_eye, start, axis=1)
-    half_diagonal = 0.5 * (high - low)
-    center = hits.prepared.frame.point_to_scene(take3(low + half_diagonal, slice(None)))
+    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.is_eye_inside.any():
+        corner = np.minimum.reduceat(hits.from_eye, start, axis=1)
+        opposite = np.maximum.reduceat(hits.from_eye, start, axis=1)
+    else:
+        # Hits in one row of samples lie on a straight line, or on an arc of less than half a
+        # circle.  A sphere whose diameter is the chord from the first to the last contains both.
+        last = np.append(start[1:], hits.from_eye.shape[1]) - 1
+        corner, opposite = hits.from_eye.take(start, axis=1), hits.from_eye.take(last, axis=1)
+    half_diagonal = 0.5 * (opposite - corner)
+    center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 

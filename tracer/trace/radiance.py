@@ -55,13 +55,13 @@ def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats,
         same face of the same object, and the same lights are visible from both hits.
     """
     hits = nearest_hits(prepared, samples)
-    shading = shade(hits, prepared.light_batches)
+    shading = shade(hits, prepared.light_batches, with_ids=True)
     ids = np.full(samples.size, -1)
     ids[hits.sample] = shading.ids
     return shading.radiance(), ids
 
 
-def shade(hits: Hits, light_batches: Iterable[Lights]) -> Shading:
+def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
     """Add up the light that hits reflect towards the eye, with shadows.
 
     Parameters
@@ -70,13 +70,16 @@ def shade(hits: Hits, light_batches: Iterable[Lights]) -> Shading:
         The hits: points where rays from the eye meet surfaces.
     light_batches : iterable of Lights
         The lights, in batches.
+    with_ids : bool
+        Whether to compute `Shading.ids`, which encodes each hit's face and the lights visible from
+        it.
 
     Returns
     -------
     shading : Shading
         The sum over all lights, from which `Shading.radiance` computes the picture.
     """
-    shading = Shading(hits)
+    shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:
         geometry = light_geometry(hits, lights)
         is_lit = geometry.n_dot_l > 0

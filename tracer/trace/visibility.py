@@ -238,6 +238,8 @@ def _select_visible(
         distance, the intersection with the first of them in the scene file.
     """
     visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
+    if sum(group.t.size for group in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
+        return visible  # no sample has two nearest intersections
     file_index = prepared.surfaces.file_index
     file_positions = [
         repeat_runs(file_index.take(group.object_index), group.sample_count) for group in visible
