@@ -99,7 +99,7 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(measurements, "_MAX_ROUNDS_FACTOR", 1)
     scene = small_scene("four-spheres", 32, 18)
-    monkeypatch.setattr(speed_accuracy, "_scenes", lambda quick: {"small": scene})
+    monkeypatch.setattr(speed_accuracy, "_scenes_to_measure", lambda quick: {"small": scene})
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
     if use_variant().variant != LLVM:
         with pytest.raises(ImportError, match=LLVM):
