@@ -114,7 +114,7 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
     if not kept.any():
         raise ValueError("every pixel is masked")
     padding = [(0, max(SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
-    displayed = [np.float32(image.clip(0, 1)) ** (1 / GAMMA) for image in (a, b)]
+    displayed = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in (a, b)]
     displayed = [np.pad(image, padding, mode="edge") for image in displayed]
     ssim = structural_similarity(*displayed, win_size=SSIM_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]

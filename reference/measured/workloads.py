@@ -17,7 +17,7 @@ _SHADERS = (
 )
 
 
-def crowd_scene(count: int, *, width: int = 640, height: int = 360) -> Scene:
+def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Make a scene of a floor and small objects that hover in front of the camera.
 
     Half of the objects are spheres and half are boxes; two lights shine on them.  Together they

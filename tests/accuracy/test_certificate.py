@@ -27,7 +27,7 @@ from reference.judges.faces import Faces
 from reference.judges.forms import Form, R, Z
 from reference.judges.regions import Strips, divide_into_regions
 from reference.judges.true_picture import render_supersampled, true_picture
-from reference.measured.workloads import crowd_scene, resize_picture
+from reference.measured.workloads import crowd, resize_picture
 from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
@@ -149,7 +149,7 @@ def test_points_lit_by_distant_lights(light_scale: float, monkeypatch: Patch) ->
 
 def test_points_of_crowds(monkeypatch: Patch) -> None:
     pictures = (
-        resize_picture(crowd_scene(80), 16, 9),
+        resize_picture(crowd(80), 16, 9),
         small_scene("sunflower", 6, 6),
         small_scene("many-objects", 16, 9),
     )
