@@ -92,7 +92,7 @@ def test_chart_of_a_few_points(monkeypatch, tmp_path):
     assert drawn.count(">this tracer</text>") == 2  # once in each legend
     # With --redraw, the chart is drawn from the table without measuring anything.
     monkeypatch.setattr(sys, "argv", ["stability", "--quick", "--redraw"])
-    monkeypatch.delattr(stability, "measure")
+    monkeypatch.delattr(stability, "measure_errors")
     chart.unlink()
     stability.main()
     assert chart.read_text() == drawn
