@@ -1,1 +1,1 @@
-"""Tools that hold the tracer against others; a module with a `main` is a command."""
+"""Tools that validate the tracer; a module with a `main` is a command."""

@@ -362,7 +362,7 @@ def _compare_with(
 ) -> tuple[Result, Pair | None]:
     """Compare a picture with a solution, and write a picture that shows both if it is requested.
 
-    Of a class, only pictures that differ are written.
+    For a class, only pictures that differ are written.
 
     Parameters
     ----------

@@ -137,9 +137,9 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     path : str or Path
         The file to write.
     a, b : (height, width, 3) float arrays
-        Linear radiance of the left and the middle picture.
+        Linear radiance of the left and the central picture.
     labels : (str, str)
-        Titles of the left and the middle picture.  Titles that are too long are cut off.
+        Titles of the left and the central picture.  Titles that are too long are cut off.
 
     Raises
     ------

@@ -157,7 +157,7 @@ class FormulaCache:
         return versions
 
     def _versions_with(self, changes: Formulas) -> dict[str, int]:
-        """Return the versions of all formulas, by name, if `changes` replace some of them."""
+        """Return the versions of all formulas, by name, if `changes` replace several formulas."""
         return self._update_versions(_with_dependents(tuple(changes)), dict(self._right), changes)
 
     def is_computable(self, changes: Formulas) -> bool:

@@ -78,7 +78,7 @@ def match_hand_ins(pictures: Iterable[Path], folder: Path, rights: Path) -> list
     A hand-in of the scene NAME has NAME in its file name as a whole word, in upper or lower case:
     `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.  In a folder
     `rights` that contains the scene `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are
-    taken for pictures that were computed from the scene, and are ignored.
+    treated as pictures that were computed from the scene, and are ignored.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _find_rights(rights: Path) -> dict[str, Path]:
     -------
     dict of str to Path
         The files by their names, in lower case and without suffixes.  Pictures that were computed
-        from a scene of the folder are left out: their names begin with its name and a dot.
+        from a scene of the folder are excluded: their names begin with its name and a dot.
     """
     if not rights.is_dir():
         return {_base_name(rights): rights}

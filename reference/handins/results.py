@@ -67,9 +67,9 @@ class Result(NamedTuple):
         The diagnosis becomes three columns: "kind" (keywords of its mistakes), "hint" (keywords of
         the most similar known picture) and "diagnosis" (sentences).
         """
-        found = self.diagnosis
-        columns = {"kind": found and found.kind, "hint": found and found.hint,
-                   "diagnosis": found and str(found)}  # fmt: skip
+        diagnosis = self.diagnosis
+        columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
+                   "diagnosis": diagnosis and str(diagnosis)}  # fmt: skip
         values = [*self._asdict().items()]
         return dict(values[:5]) | columns | dict(values[6:])
 
@@ -118,8 +118,8 @@ def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
 def mistake_lines(results: Sequence[Result]) -> list[str]:
     """Return a line of text for each mistake of a class, the most frequent mistake first.
 
-    Each line has the number of pictures with the mistake, and the sentence that describes it.  Of
-    alternative causes, only the first is counted.
+    Each line has the number of pictures with the mistake, and the sentence that describes it.  If
+    a picture has alternative causes, only the first is counted.
     """
     causes = (
         result.diagnosis.causes[0] for result in results if result.diagnosis and not result.agrees

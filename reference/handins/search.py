@@ -118,7 +118,7 @@ class KnownPictures:
     """The pictures of one scene at one size: the right one, and those with known mistakes.
 
     Pictures are defined by formulas (functions for values such as the radiance); a mistake replaces
-    some of them.  A cause is a tuple of keywords of mistakes that are made together.
+    several formulas.  A cause is a tuple of keywords of mistakes that are made together.
 
     Parameters
     ----------
@@ -438,8 +438,8 @@ class Search:
         chosen_wrong = wrong[: max(count // 2, count - len(right))]
         chosen_right = right[: count - len(chosen_wrong)]
         chosen = chosen_wrong, chosen_right
-        weights = [len(every) / max(1, len(some))
-                   for every, some in zip(self._wrong_and_right, chosen, strict=True)]  # fmt: skip
+        weights = [len(every) / max(1, len(part))
+                   for every, part in zip(self._wrong_and_right, chosen, strict=True)]  # fmt: skip
         return np.concatenate(chosen), np.repeat(weights, (len(chosen_wrong), len(chosen_right)))
 
     def _final_differences(self, causes: Sequence[Cause]) -> Array:
@@ -563,7 +563,7 @@ class Search:
         ----------
         singles, pairs : list of tuples of str
             Single mistakes, and pairs of mistakes, each with the best first.  The best pair is
-            preferred only if it leaves less than half as many pixels as the best single mistake.
+            preferred only if it leaves less than half the pixels of the best single mistake.
 
         Returns
         -------
@@ -581,8 +581,8 @@ class Search:
     def _best_pairs(self) -> list[Cause]:
         """Return the pairs of mistakes that leave the fewest pixels wrong, the best first.
 
-        Of mistakes that have the same picture, first only one is tried in pairs.  The others are
-        tried in place of the first where a pair with it is among the best.
+        If several mistakes have the same picture, only the first of them is tried in pairs.  The
+        others are tried in its place if a pair with it is among the best.
         """
         known = self.known
         pairs, codes, pixels = known.rendered_pairs

@@ -33,7 +33,7 @@ _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 
 
 class LightChanges(NamedTuple):
-    """Which lights are missing, or wrongly present, at the n wrong pixels of a hand-in.
+    """Lights that are missing, or wrongly present, at the n wrong pixels of a hand-in.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class LightChanges(NamedTuple):
 def find_light_changes(search: Search) -> LightChanges | None:
     """Find the lights that are missing, or wrongly present, at each wrong pixel of a hand-in.
 
-    Each wrong pixel is rendered with every set of lights.  Of the sets that give the hand-in's
-    codes within one level, the set that differs least from the right one is chosen.
+    Each wrong pixel is rendered with every set of lights.  Among the sets that give the
+    hand-in's codes within one level, the set that differs least from the right one is chosen.
 
     Parameters
     ----------

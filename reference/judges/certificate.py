@@ -3,7 +3,7 @@
 The idea: objects are convex and lights are points.  So every edge in the picture is the zero of a
 smooth function, and radiance is smooth between edges.  Enclose the radiance by a polynomial where
 it is smooth, enclose each edge in a narrow strip, and count the worst case inside the strips.
-Where the bounds are too wide, divide the picture into smaller cells.
+If the bounds are too wide, divide the picture into smaller cells.
 
 Sources: the subdivision is that of Warnock (1969; see `cells`), the bounds are affine arithmetic of
 second order (Comba and Stolfi, 1993; see `forms`), and one of them is Winternitz's theorem (see
@@ -14,7 +14,7 @@ A cell of the picture is treated as follows:
 1. A light that reaches all of a face in the cell adds a form.  The mean of the form's polynomial
    over the cell is computed exactly, so that the estimate is much better than the bounds.  Quarters
    of the cell inherit what such lights add.
-2. If nothing else is visible in the cell, it is finished, and so are all pixels in it.
+2. If no other face is visible in the cell, it is finished, and so are all pixels in it.
 3. Otherwise each edge lies in a *strip* between two parallel lines (see `regions`).  The centre
    lines of the strips divide the cell into convex *regions*.  Outside the strips, nothing changes
    within a region.  So one sample at the centroid of a region shows which face is visible and which
@@ -130,7 +130,7 @@ class Certificate:
 
     @property
     def error(self) -> Floats:
-        """For each pixel (height, width), an upper bound on the error of `image` in any channel."""
+        """Upper bound (height, width) on the error of each pixel of `image`, in any channel."""
         return np.asarray((self.high - self.image).max(axis=2))
 
     @property
@@ -140,7 +140,7 @@ class Certificate:
 
     @property
     def is_certain(self) -> Bools:
-        """For each pixel (height, width), whether both bounds have the same 8-bit codes."""
+        """Mask (height, width) of the pixels for which both bounds have the same 8-bit codes."""
         return np.asarray((to_codes(self.low) == to_codes(self.high)).all(axis=2))
 
 

@@ -20,7 +20,7 @@ quadratic in the direction of a camera ray, if it is divided by the distance:
   n = 0.
 
 This module is the only one in the certificate that uses internals of the tracer: the prepared
-scene, its light grid, and single samples.  Of a sample, the certificate uses only *which* face is
+scene, its light grid, and single samples.  From a sample, the certificate uses only *which* face is
 visible and *which* lights reach it, never the radiance.
 """
 
@@ -84,7 +84,7 @@ class Faces:
         other objects, -1.
     plane : (2, f) float array
         Two numbers that identify the plane of a face: only faces in the same plane have the same
-        two.  Where two of them overlap, the first in the scene file is visible.
+        two.  If two of them overlap, the first in the scene file is visible.
     k, w : (3, f) and (f,) float arrays
         Coefficients of the inverse distance: see above.  For a side of a box, w = 0.
     equation : (5, f) float array

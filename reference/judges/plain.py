@@ -12,8 +12,8 @@ The arithmetic can be chosen:
 - In float32, or with the textbook's quadratic formula, or with an epsilon for shadows, it shows how
   usual ray tracers fail (see `reference.stability`).
 
-What is visible: the nearest intersection with t > 0 along the camera ray.  Of equal ones, the first
-object in the file is visible, and of the faces of a box, the one along the first axis.  If the eye
+Visibility: the nearest intersection with t > 0 along the camera ray is visible.  Among equal ones,
+it is that of the first object in the file or, on one box, of the first axis.  If the eye
 is inside an object, or on its surface, the far intersection counts, and the normal points inwards.
 """
 
@@ -189,7 +189,7 @@ _DEFAULTS = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact", 
 
 
 class TracedRays(NamedTuple):
-    """For n camera rays: the visible surface, the lights that reach it, and its radiance.
+    """Results for n camera rays: the visible surface, the lights that reach it, and its radiance.
 
     Attributes
     ----------

@@ -61,7 +61,7 @@ class Strips(NamedTuple):
 
     @property
     def area(self) -> Floats:
-        """For each strip (n,), an upper bound on the fraction of the cell's area that it covers."""
+        """Upper bound (n,) on the fraction of the cell's area that each strip covers."""
         steepness = np.maximum(np.abs(self.a), np.abs(self.b))
         return np.asarray(np.fmin(self.half_width / steepness, 1))
 

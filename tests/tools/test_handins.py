@@ -49,9 +49,9 @@ def verdict(name: str, made: tuple[str, ...]) -> str | None:
     codes = student.render_mistakes(scene(name), *made)
     if codes is None or (codes == solution(name).codes).all() or not np.ptp(codes, (0, 1)).any():
         return None
-    found = solution(name).diagnose(Picture(codes)).kind
-    causes = [cause.split("+") for cause in found.split("|")]
-    if found == "unknown":
+    kind_found = solution(name).diagnose(Picture(codes)).kind
+    causes = [cause.split("+") for cause in kind_found.split("|")]
+    if kind_found == "unknown":
         return "vague"
     if {*made} in map(set, causes):
         return "right"
@@ -65,20 +65,20 @@ def verdict(name: str, made: tuple[str, ...]) -> str | None:
 
 def verdicts(name: str, count: int, seed: int) -> Counter[str]:
     """Count the verdicts on this many pictures: first shifts, then other mistakes, then pairs."""
-    chance, found = random.Random(f"{name} {seed}"), Counter[str]()
+    chance, counts = random.Random(f"{name} {seed}"), Counter[str]()
     singles = [(kind,) for kind in chance.sample([*student.MISTAKES], len(student.MISTAKES))]
     shifts = [kinds for kinds in singles if kinds[0] in SHIFTS]
     for kinds in shifts:
         assert verdict(name, kinds) in ("right", None), kinds
     others = [kinds for kinds in singles if kinds not in shifts]
-    while found.total() < count:
-        half = others and found.total() < count // 2
+    while counts.total() < count:
+        half = others and counts.total() < count // 2
         made = others.pop() if half else tuple(chance.sample([*student.MISTAKES], 2))
         if word := verdict(name, made):
-            found[word] += 1
+            counts[word] += 1
             if word in ("wrong", "vague"):
                 print(name, made, word)
-    return found
+    return counts
 
 
 def test_the_student_draws_what_the_tracer_does() -> None:
@@ -88,9 +88,9 @@ def test_the_student_draws_what_the_tracer_does() -> None:
 
 
 def test_few_mistakes_are_found() -> None:
-    found = verdicts("non-square-pixels", 20, 1)
-    assert found["wrong"] == 0
-    assert found["right"] + found["part"] >= 19
+    counts = verdicts("non-square-pixels", 20, 1)
+    assert counts["wrong"] == 0
+    assert counts["right"] + counts["part"] >= 19
 
 
 def test_what_shows_only_beside_another_mistake_is_found() -> None:
@@ -103,10 +103,10 @@ def test_what_shows_only_beside_another_mistake_is_found() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_mistakes_are_found(name: str) -> None:
     """No diagnosis of 25 pictures is wrong, and at least 24 are right or right in part."""
-    found = verdicts(name, 25, 2)
-    print(found)
-    assert found["wrong"] == 0
-    assert found["right"] + found["part"] >= 24
+    counts = verdicts(name, 25, 2)
+    print(counts)
+    assert counts["wrong"] == 0
+    assert counts["right"] + counts["part"] >= 24
 
 
 def test_a_surface_of_many_is_found() -> None:
@@ -121,8 +121,8 @@ def test_a_surface_of_many_is_found() -> None:
         surfaces=[*(Sphere(center=place, radius=0.3) for place in places), wall],
     )
     for kind in ("missing-surface-1", "shadow-none-surface-0"):
-        found = Solution(many).diagnose(Picture(student.render_mistakes(many, kind)))
-        assert found.kind == kind
+        diagnosis = Solution(many).diagnose(Picture(student.render_mistakes(many, kind)))
+        assert diagnosis.kind == kind
 
 
 def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
@@ -149,15 +149,15 @@ def test_what_no_mistake_draws_is_described() -> None:
     right = solution("room").codes
     codes = right.copy()
     codes[60:90, 100:140] //= 2
-    found = solution("room").diagnose(Picture(codes))
-    assert found.kind == "unknown"
+    diagnosis = solution("room").diagnose(Picture(codes))
+    assert diagnosis.kind == "unknown"
     count = len(list_mistakes(scene("room")))
     told = re.fullmatch(
         rf"None of the {count} known mistakes explains this picture\. "
         r"([\d,]+) pixels differ: ([\d,]+) of ([\d,]+) on \w+ \d"
         r" \(line .*\. The worst is (\d+),(\d+): ([\d ]+) in place of ([\d ]+);"
         r" tracer room.xml --pixel (\d+,\d+) explains it\.",
-        str(found),
+        str(diagnosis),
     )
     number, on, of, x, y = (int(word.replace(",", "")) for word in told.groups()[:5])
     assert number == (abs(codes.astype(int) - right) > 1).any(axis=2).sum()
@@ -170,10 +170,10 @@ def test_what_no_mistake_draws_is_described() -> None:
 def test_lights_that_are_lacking_are_named() -> None:
     right, first = solution("room").codes, student.render_mistakes(scene("room"), "light-first")
     codes = np.where(np.indices(right.shape)[1] < 120, first, right)
-    found = solution("room").diagnose(Picture(codes))
-    assert found.kind == "unknown"
+    diagnosis = solution("room").diagnose(Picture(codes))
+    assert diagnosis.kind == "unknown"
     words = r"At [\d,]+ of these pixels light 1 \(line \d+\) should shine but does not\."
-    assert re.search(words, str(found))
+    assert re.search(words, str(diagnosis))
 
 
 def test_speckles_and_single_precision() -> None:
@@ -190,9 +190,9 @@ def test_speckles_and_single_precision() -> None:
     differ = np.argwhere((abs(near.astype(int) - few) > 1).any(axis=2))[:9]
     few[tuple(differ.T)] = near[tuple(differ.T)]
     few[0, :99] += few[0, :99] < 255
-    found = solution("room").diagnose(Picture(few))
-    assert found.kind == "single-precision"
-    assert str(found) == "9 pixels differ where rounding decides, as in single precision."
+    diagnosis = solution("room").diagnose(Picture(few))
+    assert diagnosis.kind == "single-precision"
+    assert str(diagnosis) == "9 pixels differ where rounding decides, as in single precision."
 
 
 def test_single_levels() -> None:
@@ -202,9 +202,9 @@ def test_single_levels() -> None:
     for count, kind in ((2, "rounding"), (40, "unknown")):
         codes = right.copy()
         codes.reshape(-1, 3)[:count, 0] ^= 1
-        found = Solution(small).diagnose(Picture(codes))
-        assert found.kind == kind
-    assert str(found) == "40 pixels are one level off; no known mistake does this."
+        diagnosis = Solution(small).diagnose(Picture(codes))
+        assert diagnosis.kind == kind
+    assert str(diagnosis) == "40 pixels are one level off; no known mistake does this."
     source = student.SOURCE.replace("np.floor(255 * shown + 0.5)", "np.ceil(255 * shown)")
     codes = student.render_with_source(source, scene("room"))
     assert solution("room").diagnose(Picture(codes)).kind == "levels-up"
@@ -215,14 +215,14 @@ def test_half_a_truth_is_a_hint() -> None:
     source = student.source_with("shift-right", "levels-truncated")
     source = source.replace("EXPONENT", "(sh.exponent * (1 + 0.3 * (k == 3)))")
     codes = student.render_with_source(source, scene("four-spheres"))
-    found = solution("four-spheres").diagnose(Picture(codes))
-    assert (found.kind, found.hint) == ("unknown", "shift-right+levels-truncated")
+    diagnosis = solution("four-spheres").diagnose(Picture(codes))
+    assert (diagnosis.kind, diagnosis.hint) == ("unknown", "shift-right+levels-truncated")
     words = (
         r"The nearest that is known: The picture is a pixel too far right\. .* It does not explain"
     )
-    assert re.search(words, str(found))
-    assert "light" not in str(found)
-    assert "--pixel" not in str(found)
+    assert re.search(words, str(diagnosis))
+    assert "light" not in str(diagnosis)
+    assert "--pixel" not in str(diagnosis)
 
 
 def test_right_pictures_that_travelled(tmp_path: Path) -> None:
@@ -301,8 +301,8 @@ ALONE += ["background", "mirrored+gamma-none"]
 def test_geometry_and_encoding_are_named_without_a_scene(kinds: str) -> None:
     alone = Solution(Picture(solution("four-spheres").codes))
     codes = student.render_mistakes(scene("four-spheres"), *kinds.split("+"))
-    found = alone.diagnose(Picture(codes))
-    assert found.kind == (kinds if kinds in ALONE else "unknown")
+    diagnosis = alone.diagnose(Picture(codes))
+    assert diagnosis.kind == (kinds if kinds in ALONE else "unknown")
     assert kinds in ALONE or re.search(
-        r"[\d,]+ pixels differ. The worst .* With the scene", str(found)
+        r"[\d,]+ pixels differ. The worst .* With the scene", str(diagnosis)
     )

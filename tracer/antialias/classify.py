@@ -239,8 +239,7 @@ def _add_lights(
         shadow edge that was not searched for, too many shadow edges, or a narrow highlight.  An
         index may be repeated.
     crowded_cell : (j,) int array
-        Indices of cells with so many shadow edges that a lattice of samples costs less than finding
-        them.
+        Indices of cells in which a lattice of samples costs less than finding all shadow edges.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = light_geometry(hits, lights)

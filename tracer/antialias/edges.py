@@ -181,7 +181,7 @@ def silhouette_pixels(
     """
     lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
     top, bottom = prepared.bounds.top, prepared.bounds.bottom
-    # Of each interval: row, object, and the columns at which it starts and stops.
+    # For each interval: row, object, and the columns at which it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in prepared.shapes:
         limits = columns.start, columns.stop
