@@ -267,7 +267,11 @@ def test_what_is_no_picture_is_told(tmp_path: Path, compare: Compare) -> None:
     assert compare(archive, SCENE) == (3, [], f"{archive}: is an archive; unpack it first\n")
     words = "a hand-in is a picture; give it first, then the scene"
     assert f"{SCENE}: {words}" in compare(SCENE, picture)[2]
-    assert f"{SCENES}: {words}" in compare(SCENES, picture.parent)[2]
+    # Not the project's own folder: that contains pictures as soon as somebody renders.
+    scenes = tmp_path / "scenes"
+    scenes.mkdir()
+    (scenes / SCENE.name).write_bytes(SCENE.read_bytes())
+    assert f"{scenes}: {words}" in compare(scenes, picture.parent)[2]
 
 
 def deadly(job: int) -> int:
