@@ -59,9 +59,9 @@ _PIXELS_PER_BAND = 500_000
 
 
 def tolerance(text: str) -> float:
-    """Convert the argument of an option to a number that is not negative.
+    """Convert a command-line option's argument to a number of at least 0.
 
-    argparse uses the name of this function in its message about text that is no number.
+    If the text is not a number, the message of argparse contains the name of this function.
 
     Raises
     ------
@@ -76,12 +76,12 @@ def tolerance(text: str) -> float:
 
 
 def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
-    """Parse the command line, and find the hand-ins with their right pictures.
+    """Parse the command line, and find the hand-ins with their reference pictures.
 
     Parameters
     ----------
     arguments : sequence of str or None
-        The arguments of the command; None stands for those of this process.
+        The command's arguments; by default (None), those of this process.
 
     Returns
     -------
@@ -131,13 +131,13 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
         for hand_in in match_hand_ins(pictures, options.folder, options.b)
     ]
     outputs = [hand_in.output for hand_in in hand_ins] + [options.html and Path(options.html)]
-    rights = (hand_in.right for hand_in in hand_ins if hand_in.right)
-    forbid_overwriting_inputs(command_parser, filter(None, outputs), (*pictures, *rights))
+    references = (hand_in.right for hand_in in hand_ins if hand_in.right)
+    forbid_overwriting_inputs(command_parser, filter(None, outputs), (*pictures, *references))
     return options, hand_ins
 
 
 def _output_path(options: argparse.Namespace, picture: Path | None) -> Path | None:
-    """Return the file to which the picture that shows a hand-in and the right picture is written.
+    """Return the path for the picture that shows a hand-in beside its reference picture.
 
     Parameters
     ----------
@@ -149,8 +149,8 @@ def _output_path(options: argparse.Namespace, picture: Path | None) -> Path | No
     Returns
     -------
     Path or None
-        A different file for each picture of a class.  None if the picture is missing, or if the
-        option -o is.
+        Different for each picture of a class.  None if the picture is missing, or if the option -o
+        is not given.
     """
     if picture is None or not options.output:
         return None
@@ -161,7 +161,9 @@ def _output_path(options: argparse.Namespace, picture: Path | None) -> Path | No
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command, which compares pictures with right ones, and return its exit status.
+    """Compare hand-ins with their references, print the results, and return the exit status.
+
+    If the options request it, an HTML page and comparison pictures are written, too.
 
     Parameters
     ----------
@@ -210,12 +212,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
     """Return a key that sorts results: first pictures by their paths, then missing ones.
 
-    Missing pictures are sorted by student, and those that nobody has handed in come last.
+    Missing pictures are ordered by student; those without a known student come last.
 
     Parameters
     ----------
     result_and_pair : tuple of Result and Pair
-        The pair of pictures, or None, does not matter.
+        A result, and the pair of pictures for the page or None; only the result is used.
+
+    Returns
+    -------
+    tuple of bool, str and str
+        Whether the picture is missing; its path, or else the student's name; the scene's name.
     """
     result = result_and_pair[0]
     return not result.picture, result.picture or result.student or "~", result.scene
@@ -223,9 +230,9 @@ def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, s
 
 @lru_cache(maxsize=1)
 def _load_solution(path: Path) -> tuple[Solution, str]:
-    """Load the right picture, or the scene from which it is rendered, with which to compare.
+    """Load the reference with which hand-ins are compared: a scene or a picture.
 
-    The last solution is cached.
+    Only the result of the last call is cached.
 
     Parameters
     ----------
@@ -235,9 +242,10 @@ def _load_solution(path: Path) -> tuple[Solution, str]:
     Returns
     -------
     solution : Solution
-        The right picture, from which hand-ins are diagnosed.
+        The reference picture or scene; its method `diagnose` finds the mistake in a hand-in.
     note : str
-        What the format of a picture has changed: "is a JPEG, which changes levels: …"; or empty.
+        What the file format of a reference picture has changed, such as "is a JPEG, which changes
+        levels: …"; empty for a scene, or if nothing has changed.
 
     Raises
     ------
@@ -252,7 +260,7 @@ def _load_solution(path: Path) -> tuple[Solution, str]:
 
 
 def result_of_lost_worker(hand_in: HandIn) -> tuple[Result, None]:
-    """Return the result for a hand-in whose comparison ended the process that computed it.
+    """Return the result for a hand-in if the process that compared it has ended early.
 
     Returns
     -------
@@ -284,28 +292,29 @@ def _failed(hand_in: HandIn, reason: str) -> tuple[Result, None]:
 
 
 def _new_result(hand_in: HandIn) -> Result:
-    """Return a result that has the names and files of a hand-in, but not yet a diagnosis."""
+    """Return a result with the student, scene and files of a hand-in, but without a diagnosis."""
     picture, right = (str(path) if path else None for path in (hand_in.picture, hand_in.right))
     return Result(hand_in.student, hand_in.scene, picture, right)
 
 
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a picture that was handed in with the right one; errors become results.
+    """Compare a picture that was handed in with its reference; errors become results.
 
     Parameters
     ----------
     options : Namespace
         The options of the command.
     hand_in : HandIn
-        The picture, with its right picture or scene.
+        The paths of the picture and of its reference, which is a picture or a scene file.
 
     Returns
     -------
     result : Result
-        If the picture is missing or cannot be compared, the result states why.
+        The diagnosis and figures.  If the picture is missing or cannot be compared, the result
+        states why instead.
     pair : Pair or None
-        What a page shows of both pictures; None if no page is requested, if the sizes differ, or
-        if the picture cannot be compared.
+        Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
+        the picture cannot be compared.
     """
     if hand_in.error or not (hand_in.picture and hand_in.right):
         return _failed(hand_in, hand_in.error)
@@ -323,80 +332,81 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         return _failed(hand_in, f"cannot be compared: {error}; this is a bug, please report it")
 
 
-def _linear_figures(a: Codes, b: Codes) -> tuple[float, float, float]:
-    """Compute figures of the difference of two pictures in linear light.
+def _linear_figures(first: Codes, second: Codes) -> tuple[float, float, float]:
+    """Measure the difference between two pictures in linear light.
 
-    They are computed band by band, because the arrays of a band take about 100 bytes per pixel.
+    The pictures are divided into bands of rows to limit memory use, because the arrays of a band
+    take about 100 bytes per pixel.
 
     Parameters
     ----------
-    a, b : (h, w, 3) uint8 arrays
-        The pictures' codes.
+    first, second : (h, w, 3) uint8 arrays
+        The pictures' 8-bit codes.
 
     Returns
     -------
     ssim : float
         Structural similarity; 1 for equal pictures.
     rmse, maximum : float
-        Root mean square, and maximum, of the difference.
+        Root mean square and maximum of the difference, over all pixels and channels.
     """
-    (height, width, _), margin = a.shape, SSIM_WINDOW - 1
+    (height, width, _), margin = first.shape, SSIM_WINDOW - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Rows at which the window of the structural similarity lies inside the picture.
+    # Number of rows at which a structural-similarity window can begin.
     window_rows = max(1, height - margin)
     ssim, sum_of_squares, maximum = 0.0, 0.0, 0.0
     for start in range(0, window_rows, band_height):
         rows = slice(start, start + band_height + margin)
-        band = measure_differences(decode_to_linear(a[rows]), decode_to_linear(b[rows]))
+        band = measure_differences(decode_to_linear(first[rows]), decode_to_linear(second[rows]))
         ssim += band.ssim * min(band_height, window_rows - start) / window_rows
         maximum = max(maximum, band.max)
     for start in range(0, height, band_height):
         rows = slice(start, start + band_height)
-        difference = decode_to_linear(a[rows]) - decode_to_linear(b[rows])
+        difference = decode_to_linear(first[rows]) - decode_to_linear(second[rows])
         sum_of_squares += float((difference**2).sum())
-    return ssim, float(np.sqrt(sum_of_squares / a.size)), maximum
+    return ssim, float(np.sqrt(sum_of_squares / first.size)), maximum
 
 
 def _compare_with(
     solution: Solution, note: str, options: argparse.Namespace, hand_in: HandIn, picture: Picture
 ) -> tuple[Result, Pair | None]:
-    """Compare a picture with a solution, and write a picture that shows both if it is requested.
+    """Compare a picture with its reference; if requested, write a picture that shows both.
 
-    For a class, only pictures that differ are written.
+    For a class, comparison pictures are written only for hand-ins that differ.
 
     Parameters
     ----------
     solution : Solution
-        The right picture.
+        The reference picture.
     note : str
-        What the file format of the right picture has changed; may be empty.
+        What the file format of the reference picture has changed; empty if nothing.
     options : Namespace
         The options of the command.
     hand_in : HandIn
-        The files of the two pictures, and the file to write.
+        The paths of the two pictures, and the path of the comparison picture to write.
     picture : Picture
         The contents of the file that was handed in.
 
     Returns
     -------
     result : Result
-        Without figures if the sizes differ.
+        The diagnosis and, unless the sizes differ, the figures.
     pair : Pair or None
-        What a page shows of both pictures; None if no page is requested, or if the sizes differ.
+        Both pictures, for the HTML page.  None if no page is requested, or if the sizes differ.
 
     Raises
     ------
     Failure
         If the file cannot be written.
     """
-    diagnosis, right = solution.diagnose(picture), solution.codes
+    diagnosis, reference_codes = solution.diagnose(picture), solution.codes
     names = ("It", picture.note), (str(hand_in.right and hand_in.right.name), note)
     notes = [f"{name} {text}" for name, text in names if text and diagnosis.kind != "identical"]
     diagnosis = diagnosis.preceded_by(" ".join(notes))
     result, pair = _new_result(hand_in)._replace(diagnosis=diagnosis), None
-    if picture.codes.shape != right.shape:
+    if picture.codes.shape != reference_codes.shape:
         return result, None
-    ssim, rmse, maximum = _linear_figures(picture.codes, right)
+    ssim, rmse, maximum = _linear_figures(picture.codes, reference_codes)
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or maximum <= options.max) and (
@@ -404,11 +414,11 @@ def _compare_with(
         )
     result = result._replace(
         agrees=agrees, ssim=ssim, rmse=rmse, max=maximum,
-        differing=int((picture.codes != right).any(axis=2).sum()),
-        worst=worst_pixel(picture.codes, right),
+        differing=int((picture.codes != reference_codes).any(axis=2).sum()),
+        worst=worst_pixel(picture.codes, reference_codes),
     )  # fmt: skip
     if options.html:
-        pair = make_pair(result, picture.codes, right)
+        pair = make_pair(result, picture.codes, reference_codes)
     output = hand_in.output
     if output is not None and not (options.is_class and agrees):
         labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
@@ -419,7 +429,7 @@ def _compare_with(
             write_comparison(
                 output,
                 decode_to_linear(picture.codes),
-                decode_to_linear(right),
+                decode_to_linear(reference_codes),
                 (labels[0], labels[1]),
             )
         result = result._replace(comparison=str(output))

@@ -32,6 +32,11 @@ def normalize(vectors: Array, axis: int = 0) -> Array:
         Vectors of any length other than 0.
     axis : int
         The axis of the array along which the three components lie.
+
+    Returns
+    -------
+    array
+        Unit vectors, in an array of the same shape.
     """
     return vectors / np.sqrt((vectors * vectors).sum(axis=axis, keepdims=True))
 
@@ -54,6 +59,7 @@ def select_vectors(surface_vectors: Array, surface: Array) -> Array:
     Returns
     -------
     (3, n) array
+        The vector for each pixel.
     """
     return surface_vectors[:, surface, 0]
 
@@ -70,7 +76,8 @@ def intersect_spheres(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     assume_unit_d : bool
-        Compute as if all directions had length 1, which is a mistake for others.
+        Whether to compute as if all directions had length 1.  For directions of other lengths, this
+        simulates a mistake.
 
     Returns
     -------
@@ -103,7 +110,8 @@ def intersect_boxes(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     sort_slabs : bool
-        Sort the two t at which a ray crosses a pair of parallel faces; not to do so is a mistake.
+        Whether to sort the two t at which a ray crosses each pair of parallel faces.  False
+        simulates a mistake.
 
     Returns
     -------
@@ -119,12 +127,12 @@ def intersect_boxes(
 
 
 def scale_roots(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
-    """Return a function like `intersect`, but with all t that it returns multiplied by `factor`."""
+    """Return a function that multiplies all t that `intersect` returns by `factor`."""
     return lambda *arguments: factor * intersect(*arguments)
 
 
 def replace_near_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """Return a function like `intersect`, but with the larger t in place of the smaller one.
+    """Return a function like `intersect` that replaces the smaller t by the larger one.
 
     `intersect` returns an array (2, ...) of smaller and larger t.  The new function returns the
     larger t in both rows.
@@ -136,7 +144,7 @@ def make_intersect(
     is_sphere: Array, centers: Array, radii: Array, low: Array, high: Array, is_present: Array,
     sphere_function: Callable[..., Array], box_function: Callable[..., Array],
 ) -> Callable[[Array, Array], Array]:  # fmt: skip
-    """Return a function that intersects rays with all surfaces of a scene, spheres and boxes.
+    """Return a function that intersects rays o + t d with all spheres and boxes of a scene.
 
     Parameters
     ----------
@@ -174,7 +182,7 @@ def make_intersect(
 
 
 def first_positive(roots: Array) -> Array:
-    """Return the first positive t at which each ray crosses each surface.
+    """Return the smallest positive t at which each ray o + t d crosses each surface.
 
     Parameters
     ----------
@@ -184,7 +192,7 @@ def first_positive(roots: Array) -> Array:
     Returns
     -------
     t : (...) array
-        Infinity if no t is positive.
+        The smallest t above a minimum (`_MIN_T`); infinity if no t is.
     """
     near, far = roots
     t = np.where(near > _MIN_T, near, far)
@@ -239,18 +247,19 @@ def find_blocking(
     Returns
     -------
     is_blocking : (lights, surfaces, n) bool array
+        Whether each surface blocks each light from each hit.
     """
     is_blocking = np.zeros((len(shadow_roots), *is_tested.shape), dtype=bool)
     limits = zip(shadow_roots, t_min, t_max, strict=True)
-    for light, ((near, far), low, high) in enumerate(limits):
+    for light_index, ((near, far), low, high) in enumerate(limits):
         far_low = low if far_t_min is None else far_t_min
         t = np.where(near > low, near, np.where(far > far_low, far, np.nan))
-        is_blocking[light] = (t < high) & is_tested
+        is_blocking[light_index] = (t < high) & is_tested
     return is_blocking
 
 
 def last_chosen(values: Array, is_chosen: Array) -> Array:
-    """Return the value of the last surface in the file that is chosen.
+    """Return the value of the last chosen surface, in the order of the scene file.
 
     Parameters
     ----------
@@ -262,7 +271,7 @@ def last_chosen(values: Array, is_chosen: Array) -> Array:
     Returns
     -------
     (..., 1) array
-        Zero if no surface is chosen.
+        The value, with an axis of length 1 for the surfaces; zero if no surface is chosen.
     """
     chosen = np.flatnonzero(is_chosen)
     return values[..., chosen[-1:]] if chosen.size else 0 * values[..., :1]
@@ -271,7 +280,9 @@ def last_chosen(values: Array, is_chosen: Array) -> Array:
 def box_normals(
     hits: Array, low: Array, high: Array, axis_shift: int = 0, forced_sign: float | None = None
 ) -> Array:
-    """Return the outward unit normals (3, n) of boxes at hits; two arguments make mistakes.
+    """Return the outward unit normals (3, n) of boxes at hits, optionally with a mistake.
+
+    The last two arguments simulate common mistakes.
 
     Parameters
     ----------
@@ -280,9 +291,9 @@ def box_normals(
     low, high : (3, n) arrays
         Opposite corners of the box of each hit.
     axis_shift : int
-        A mistake unless it is 0: the number, modulo 3, that is added to the axis of each normal.
+        Number added, modulo 3, to the axis of each normal.  Any value but 0 simulates a mistake.
     forced_sign : float, optional
-        A mistake: the sign that all normals have.
+        If given, the sign of all normals, 1 or -1, which simulates a mistake.
     """
     from_center, half_size = hits - (low + high) / 2, (high - low) / 2
     face_axis = np.abs(np.abs(from_center) - half_size).argmin(axis=0)
@@ -304,8 +315,8 @@ def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
     Returns
     -------
     (3, n) array
-        Three equal rows.  A tiny number is added, so that rounding does not bring a mean of equal
-        whole numbers below that number.
+        Three equal rows.  A tiny number is added to each mean, so that rounding does not make the
+        mean of three equal whole numbers less than they are.
     """
     return np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
 
@@ -313,7 +324,7 @@ def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
 def _select_typical_values(
     handin: Array, is_hit: Array, expected: Array, min_expected: float
 ) -> tuple[Array, Array]:
-    """Select the values of a hand-in that show a factor, a gamma or an ambient term best.
+    """Select the values of a hand-in from which a factor, gamma or ambient term can be estimated.
 
     Values whose codes may be clipped (near 255) or are imprecise (near 0) are not selected.
 
@@ -324,14 +335,14 @@ def _select_typical_values(
     is_hit : (n,) or (3, n) bool array
         Where values may be selected, such as the pixels that show a surface.
     expected : (3, n) float array
-        Values of the right picture.
+        Values of the reference picture.
     min_expected : float
-        Only values whose `expected` is greater are selected.
+        Values where `expected` is not greater than this are not selected.
 
     Returns
     -------
     is_selected : (3, n) bool array
-        The selected values, k in number.
+        True for the k selected values.
     radiance : (k,) float array
         The hand-in's radiance at the selected values, decoded with gamma 2.2.
     """
@@ -345,12 +356,12 @@ def _median(values: Array, default: float) -> float:
 
 
 def median_factor(radiance: Array, is_hit: Array, handin: Array) -> float:
-    """Estimate the factor by which a hand-in is brighter than the right picture.
+    """Estimate the factor by which a hand-in is brighter than the reference picture.
 
     Parameters
     ----------
     radiance : (3, n) array
-        Radiance of the right picture.
+        Radiance of the reference picture.
     is_hit : (n,) bool array
         Which pixels show a surface.
     handin : (3, n) uint8 array
@@ -361,17 +372,17 @@ def median_factor(radiance: Array, is_hit: Array, handin: Array) -> float:
     factor : float
         The median over all typical values; 1 if no value is typical.
     """
-    is_selected, light = _select_typical_values(handin, is_hit, radiance, 1e-3)
-    return _median(light / radiance[is_selected], 1.0)
+    is_selected, measured = _select_typical_values(handin, is_hit, radiance, 1e-3)
+    return _median(measured / radiance[is_selected], 1.0)
 
 
 def median_ambient(radiance: Array, kd: Array, is_hit: Array, handin: Array) -> float:
-    """Estimate the multiple of the diffuse colour that a hand-in adds to the right picture.
+    """Estimate the multiple of the diffuse colour that a hand-in adds to the reference picture.
 
     Parameters
     ----------
     radiance, kd : (3, n) arrays
-        Radiance of the right picture, and the diffuse colour of the surface at each pixel.
+        Radiance of the reference picture, and the diffuse colour of the surface at each pixel.
     is_hit : (n,) bool array
         Which pixels show a surface.
     handin : (3, n) uint8 array
@@ -382,8 +393,8 @@ def median_ambient(radiance: Array, kd: Array, is_hit: Array, handin: Array) -> 
     multiple : float
         The median over all typical values; 0 if no value is typical.
     """
-    is_selected, light = _select_typical_values(handin, is_hit, kd + 0 * radiance, 0.05)
-    return _median((light - radiance[is_selected]) / (kd + 0 * radiance)[is_selected], 0.0)
+    is_selected, measured = _select_typical_values(handin, is_hit, kd + 0 * radiance, 0.05)
+    return _median((measured - radiance[is_selected]) / (kd + 0 * radiance)[is_selected], 0.0)
 
 
 def median_gamma(clipped: Array, is_hit: Array, handin: Array) -> float:
@@ -392,7 +403,7 @@ def median_gamma(clipped: Array, is_hit: Array, handin: Array) -> float:
     Parameters
     ----------
     clipped : (3, n) array
-        Radiance of the right picture, clipped to 0 to 1.
+        Radiance of the reference picture, clipped to 0 to 1.
     is_hit : (n,) bool array
         Which pixels show a surface.
     handin : (3, n) uint8 array
@@ -403,13 +414,13 @@ def median_gamma(clipped: Array, is_hit: Array, handin: Array) -> float:
     gamma : float
         The median over all typical values; 2.2 if no value is typical.
     """
-    is_selected, light = _select_typical_values(handin, is_hit & (clipped < 0.95), clipped, 0.01)
-    gamma = _median(2.2 * np.log(clipped[is_selected]) / np.log(light), 2.2)
+    is_selected, measured = _select_typical_values(handin, is_hit & (clipped < 0.95), clipped, 0.01)
+    gamma = _median(2.2 * np.log(clipped[is_selected]) / np.log(measured), 2.2)
     return min(max(gamma, 0.1), 10.0)
 
 
 def commonest_color(is_hit: Array, handin: Array) -> Array:
-    """Return the commonest colour of a hand-in's background.
+    """Return the most frequent colour in the background of a hand-in.
 
     Parameters
     ----------
@@ -421,7 +432,7 @@ def commonest_color(is_hit: Array, handin: Array) -> Array:
     Returns
     -------
     color : (3, 1) uint8 array
-        Black if there is no background.
+        The colour as codes; black if there is no background.
     """
     if is_hit.all():
         return np.zeros((3, 1), dtype=np.uint8)
@@ -430,7 +441,7 @@ def commonest_color(is_hit: Array, handin: Array) -> Array:
 
 
 def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
-    """Return the light of a picture at n places, interpolated between the centres of pixels.
+    """Interpolate the light of a picture at n places, between the centres of its pixels.
 
     Parameters
     ----------
@@ -443,7 +454,8 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
     Returns
     -------
     light : (3, n) array
-        Outside the picture, the light of its nearest pixel.
+        Red, green and blue light at each place.  Outside of the picture, the light of the nearest
+        pixel is used.
     """
     height, width = picture.shape[:2]
     positions = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
@@ -452,14 +464,15 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
 
 
 def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
-    """Decide which pixels show a surface if only a right picture is known, not its scene.
+    """Guess which pixels show a surface, from a reference picture without its scene.
 
-    A pixel counts as background if the right picture is black there, but the hand-in is not.
+    A pixel is treated as background if the reference picture is black there, but the hand-in is
+    not.
 
     Parameters
     ----------
     picture : (h, w, 3) array
-        Linear light of the right picture.
+        Linear light of the reference picture.
     x, y : (n,) arrays
         Coordinates of the pixels, from -0.5 at the left and lower edges to 0.5 at the right and
         upper edges.
@@ -469,6 +482,7 @@ def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
     Returns
     -------
     is_hit : (n,) bool array
+        False for the pixels of the background.
     """
     return interpolate_light(picture, x, y).any(axis=0) | ~handin.any(axis=0)
 
@@ -490,8 +504,9 @@ _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 def compile_formula(expression: str) -> Callable[..., Any]:
     """Convert a Python expression to a function whose parameters are the names in the expression.
 
-    Names of the functions that formulas may call, those of this module and of NumPy, do not become
-    parameters.  The same expression always gives the same function.
+    The parameters are in alphabetical order.  Names of the functions of this module and of NumPy
+    that formulas can call do not become parameters.  For an equal expression, the same function
+    object is returned.
 
     Raises
     ------
@@ -507,6 +522,6 @@ def compile_formula(expression: str) -> Callable[..., Any]:
 
 @cache
 def parameter_names(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the names of the parameters of a function that `compile_formula` returned."""
+    """Return the parameter names, in order, of a function from `compile_formula`."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]

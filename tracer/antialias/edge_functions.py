@@ -85,7 +85,7 @@ class Lines(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Iterable[Lines]) -> Lines:
-        """Concatenate several sets of lines, at least one, in their order."""
+        """Concatenate one or more sets of lines, in the given order."""
         return cls._make(map(np.concatenate, zip(*parts, strict=True)))
 
     def take(self, index: Ints | slice) -> Lines:
@@ -95,13 +95,13 @@ class Lines(NamedTuple):
     def distinct(self) -> Lines:
         """Return the lines without duplicates, sorted by cell and then by coefficients.
 
-        So the result is independent of the order in which the lines were found.
+        The result does not depend on the order in which the lines were found.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
         return lines.take(indices(run_starts(*lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
-        """Return the first lines of each cell, at most `max_lines`.
+        """Return at most `max_lines` lines per cell, the first ones.
 
         The lines must be sorted by cell.
         """
@@ -183,8 +183,9 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
         A line for each edge that crosses its cell, except for edges that turn by more than
         `_MAX_TURN` radians.
     curved_cell : (k,) int array
-        Indices of cells that an edge may cross which is unknown, or is too curved for the error of
-        its line to be within the tolerance.  An index may be repeated.
+        For each edge that no line represents within the tolerance, although it may cross its cell,
+        the index of the cell.  Such an edge is too curved, or its function is unknown (NaN).  The
+        index of a cell with several such edges is repeated.
     """
     no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
     fits = (_fit_batch(cell, values, tolerance) for cell, values in chain([no_edges], edges))
@@ -226,34 +227,35 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
         A line for each edge that crosses its cell, except for edges that turn by more than
         `_MAX_TURN` radians.
     curved_cell : (k,) int array
-        Indices of cells that an edge may cross which is unknown, or is too curved for the error of
-        its line to be within the tolerance.  An index may be repeated.
+        For each edge that no line represents within the tolerance, although it may cross its cell,
+        the index of the cell.  Such an edge is too curved, or its function is unknown (NaN).  The
+        index of a cell with several such edges is repeated.
     """
-    # So powers of the derivatives are finite, whatever the scene's unit of length.
+    # Scale the values, so that powers of the derivatives are finite in any unit of length.
     center, right, left, below, above, corner = values / bound_variation(values)
-    # The components (a, b) of g, and the elements of H.
+    # The components (a, b) of the gradient g, and the elements of the matrix H.
     a, b = right - left, below - above
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (below + above - 2 * center)
     h_xy = 4 * (corner - right - below + center)
-    slope2 = a * a + b * b
+    slope_squared = a * a + b * b
     # Second derivative in the direction of g: g . H g / g^2
-    second_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope2
-    root = np.sqrt(np.abs(slope2 * (slope2 - 2 * center * second_across)))
-    s = -2 * center / (slope2 + root)
+    second_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope_squared
+    sqrt_term = np.sqrt(np.abs(slope_squared * (slope_squared - 2 * center * second_across)))
+    s = -2 * center / (slope_squared + sqrt_term)
     max_s = 0.5 / np.maximum(np.abs(a), np.abs(b))
     s = np.clip(s, -max_s, max_s)
     x, y = s * a, s * b
     c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
     c -= a * x + b * y
-    slope2 = a * a + b * b
+    slope_squared = a * a + b * b
     # Second derivative in the direction of t: t . H t
-    second_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope2
-    maximum = 0.5 * (np.abs(a) + np.abs(b))
+    second_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope_squared
+    max_linear = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale3((a, b, c + second_along / 24), sign / maximum))
+    lines = Lines(cell, *scale3((a, b, c + second_along / 24), sign / max_linear))
     # If the slope changes much across the edge, the far side of a small object may be in the cell.
-    turn = np.maximum(np.abs(second_along), np.abs(second_across)) / np.sqrt(slope2)
+    turn = np.maximum(np.abs(second_along), np.abs(second_across)) / np.sqrt(slope_squared)
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  NaN counts as an edge in the cell.
     may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))
@@ -289,6 +291,9 @@ class InverseDepth(NamedTuple):
     def from_hits(cls, hits: Hits) -> InverseDepth:
         """Describe the surface at each hit, so that `evaluate` can intersect it with other rays.
 
+        A ray d from the eye meets the surface at t d, with 1 / t = k . d + sqrt((k . d)^2 - w d^2).
+        This method computes the vector k and the number w of each surface.
+
         Parameters
         ----------
         hits : Hits
@@ -297,20 +302,20 @@ class InverseDepth(NamedTuple):
         Returns
         -------
         surfaces : InverseDepth
-            For a hit on a box, the plane of the face; for a hit on a sphere, the sphere, or its
-            tangent plane at the hit if the eye is on the sphere.
+            For a hit on a box, the plane of the face.  For a hit on a sphere, the sphere, or its
+            tangent plane at the hit if the eye is on the sphere.  Planes have w = 0.
         """
         spheres = hits.prepared.spheres
         k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             interval = group.interval
-            # If the eye is on a sphere (P = 0), the tangent plane at the hit replaces the sphere.
+            # Planes.  If the eye is on a sphere, the tangent plane at the hit replaces the sphere.
             k[:, interval] = [group.per_hit(normal / -group.eye_height) for normal in group.normal]
             if not group.shape.is_planar:
-                power = group.object_values(spheres.power)
+                power_of_eye = group.object_values(spheres.power)
                 center = np.array([*map(group.object_values, spheres.from_eye)])
-                w[interval] = np.where(power != 0, 1 / power, 0)
-                k[:, interval] = np.where(power != 0, center / power, k[:, interval])
+                w[interval] = np.where(power_of_eye != 0, 1 / power_of_eye, 0)
+                k[:, interval] = np.where(power_of_eye != 0, center / power_of_eye, k[:, interval])
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> InverseDepth:
@@ -319,6 +324,9 @@ class InverseDepth(NamedTuple):
 
     def evaluate(self, ray: Triple) -> Floats:
         """Compute 1 / t for each of six rays per surface, where t times the ray is on the surface.
+
+        The formula is 1 / t = k . d + sqrt((k . d)^2 - w d^2), for the ray d.  If the ray misses
+        the sphere, the radicand is negative, and 0 replaces it.
 
         Parameters
         ----------
@@ -332,9 +340,9 @@ class InverseDepth(NamedTuple):
             1 / t of each ray.
         """
         inverse_t = dot(self.k, ray)
-        sphere = indices(self.w)
-        if sphere.size:
-            sphere_ray = map3(lambda component: component[:, sphere], ray)
-            square = inverse_t[:, sphere] ** 2 - self.w[sphere] * dot(sphere_ray, sphere_ray)
-            inverse_t[:, sphere] += np.sqrt(np.maximum(square, 0))
+        sphere_index = indices(self.w)
+        if sphere_index.size:
+            d = map3(lambda component: component[:, sphere_index], ray)
+            radicand = inverse_t[:, sphere_index] ** 2 - self.w[sphere_index] * dot(d, d)
+            inverse_t[:, sphere_index] += np.sqrt(np.maximum(radicand, 0))
         return inverse_t

@@ -140,9 +140,10 @@ class CameraFrame(NamedTuple):
         return dot(vector, (u, v, w))
 
     def ray_s(self, x: Floats) -> Floats:
-        """Compute the first direction component of rays at given columns of the picture.
+        """Compute the rightward direction component of rays at given columns of the picture.
 
-        The ray through a position in the picture has the direction (s, g, depth), in camera axes.
+        The ray through a position in the picture has the direction (s, g, depth) in camera axes,
+        which point to the right, down and ahead.
 
         Parameters
         ----------
@@ -152,14 +153,15 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         s : float array
-            Direction component to the right of the ray at each distance; same shape as `x`.
+            Rightward component of the ray's direction at each distance; same shape as `x`.
         """
         return self.shift_u + (x - self.width / 2) * self.step_u
 
     def ray_g(self, y: Floats) -> Floats:
-        """Compute the second direction component of rays at given rows of the picture.
+        """Compute the downward direction component of rays at given rows of the picture.
 
-        The ray through a position in the picture has the direction (s, g, depth), in camera axes.
+        The ray through a position in the picture has the direction (s, g, depth) in camera axes,
+        which point to the right, down and ahead.
 
         Parameters
         ----------
@@ -169,46 +171,46 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         g : float array
-            Downward direction component of the ray at each distance; same shape as `y`.
+            Downward component of the ray's direction at each distance; same shape as `y`.
         """
         return self.shift_v + (y - self.height / 2) * self.step_v
 
     def column_of(self, s: Floats) -> Floats:
-        """Compute the columns of the picture at which rays pass, from a direction component.
+        """Compute the column at which each ray passes through the picture.
 
         This is the inverse of `ray_s`.
 
         Parameters
         ----------
         s : float array
-            First component, to the right, of the rays' directions (s, g, depth), in camera axes.
+            Rightward component of each ray's direction (s, g, depth), in camera axes.
 
         Returns
         -------
         x : float array
-            Distance of each ray from the left border of the picture, in pixels.
+            Distance of each ray from the left border of the picture, in pixels; same shape as `s`.
         """
         return (s - self.shift_u) / self.step_u + self.width / 2
 
     def row_of(self, g: Floats) -> Floats:
-        """Compute the rows of the picture at which rays pass, from a direction component.
+        """Compute the row at which each ray passes through the picture.
 
         This is the inverse of `ray_g`.
 
         Parameters
         ----------
         g : float array
-            Second component, downward, of the rays' directions (s, g, depth), in camera axes.
+            Downward component of each ray's direction (s, g, depth), in camera axes.
 
         Returns
         -------
         y : float array
-            Distance of each ray from the upper border of the picture, in pixels.
+            Distance of each ray from the upper border of the picture, in pixels; same shape as `g`.
         """
         return (g - self.shift_v) / self.step_v + self.height / 2
 
     def depth_layer(self, depth: Floats, packet_width: float) -> Ints:
-        """Assign points to layers of depth, which become thicker with the distance from the eye.
+        """Assign points to depth layers, which become thicker with the distance from the eye.
 
         Towards a horizon, points that are neighbours in the picture are far apart in the scene.
         Packets (groups of neighbouring hits) are therefore confined to one layer.  The thickness of
@@ -217,14 +219,14 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         depth : (n,) float array
-            Depth of each point: the component ahead of the vector from the eye; positive.
+            Depth of each point: the forward component of the vector from the eye; positive.
         packet_width : float
             Width of a packet, in pixels.
 
         Returns
         -------
         layer : (n,) int array
-            Number of each point's layer.  Points in the same layer have the same number.
+            A number that identifies each point's layer; larger for layers farther from the eye.
         """
         relative_thickness = min(_LAYER_ASPECT * packet_width * self.step_u / self.depth, 1.0)
         # The bits of a float, read as an integer, are nearly proportional to its logarithm: they
@@ -233,7 +235,7 @@ class CameraFrame(NamedTuple):
 
     @property
     def max_ray_size(self) -> float:
-        """Upper bound on |s| + |g| + depth, where (s, g, depth) is the direction of any ray."""
+        """Upper bound on |s| + |g| + depth for the direction (s, g, depth) of every camera ray."""
         shift = abs(self.shift_u) + abs(self.shift_v) + self.depth
         return shift + self.width * self.step_u + self.height * self.step_v
 
@@ -267,14 +269,14 @@ def camera_frame(
         w = -w
     u = normalize(np.cross(normalize(camera.view_up), w))
     v = np.cross(w, u)
-    center = camera.proj_distance * view_direction
+    window_center = camera.proj_distance * view_direction
     step_u, step_v = camera.view_width / width, camera.view_height / height
     return CameraFrame(
         eye=np.array(camera.view_point),
         axes=np.array([u, -v, -w]),
-        shift_u=float(center @ u) + offset[0] * step_u,
-        shift_v=-float(center @ v) + offset[1] * step_v,
-        depth=-float(center @ w),
+        shift_u=float(window_center @ u) + offset[0] * step_u,
+        shift_v=-float(window_center @ v) + offset[1] * step_v,
+        depth=-float(window_center @ w),
         step_u=step_u,
         step_v=step_v,
         width=width,
@@ -308,8 +310,8 @@ class ScreenBounds(NamedTuple):
         frame : CameraFrame
             The rays of the camera.
         down, right : pairs of (n,) float arrays
-            Minimum and maximum, over all rays that meet each object, of the ray's component down
-            (for `right`, to the right) divided by its component ahead.
+            Minimum and maximum slope of the rays that meet each object.  The slope is the ray's
+            downward component (for `right`, the rightward one) divided by its forward component.
 
         Returns
         -------
@@ -348,7 +350,7 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         is_in_picture : (n,) bool array
-            False if the object is certainly not visible.
+            False only for objects that are certainly not visible.
         """
         is_in_rows = (self.top <= frame.height + 1) & (self.bottom >= -1)
         is_in_columns = (self.left <= frame.width + 1) & (self.right >= -1)
@@ -356,7 +358,7 @@ class ScreenBounds(NamedTuple):
         return is_in_picture
 
     def window(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Compute the part of the picture that contains all visible objects.
+        """Compute a rectangle of pixels, with a margin, that contains all visible objects.
 
         Parameters
         ----------
@@ -366,17 +368,18 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         rows, columns : slices
-            Rows and columns of pixels.  No object is visible in any other pixel.
+            Rows and columns of pixels; empty if no object is visible.  No object is visible outside
+            of the rectangle.
         """
         visible = self.take(self.in_picture(frame))
 
-        def covered_pixels(low: Floats, high: Floats, pixel_count: int) -> slice:
-            """Return the pixels, from 0 to `pixel_count` - 1, that the intervals [low, high] cover.
+        def covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
+            """Return a slice of the pixels, from 0 to `pixel_count` - 1, that n intervals cover.
 
-            Each interval (n,) is in pixels.  The result is one slice from the smallest `low` to the
-            largest `high`, enlarged by one pixel at both ends.
+            Interval i is from starts[i] to stops[i], in pixels.  The slice reaches from the
+            smallest start to the largest stop, and is enlarged by one pixel at both ends.
             """
-            start, stop = low.min(initial=np.inf) - 1, high.max(initial=-np.inf) + 1
+            start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
 
         return (
@@ -385,7 +388,7 @@ class ScreenBounds(NamedTuple):
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Compute an upper bound on the mean number of objects that the rays of a row meet.
+        """Bound the mean number of objects that a ray meets, for the worst row of the picture.
 
         Parameters
         ----------
@@ -395,8 +398,8 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         depth_complexity : float
-            Number of objects on a ray: the mean over the pixels of a row, and the maximum of this
-            mean over all rows of the picture.
+            Upper bound on the number of objects that a ray meets, hidden ones included: the maximum
+            over all rows of the mean over the pixels of the row.
         """
         visible, width = self.take(self.in_picture(frame)), frame.width
         covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)

@@ -6,7 +6,7 @@ from those of the tiles.
 
 Codes are those of exact arithmetic.  The power function in float64 has an error of a few units in
 the last place, so it may give a wrong code near a threshold between two codes.  Tables of exact
-thresholds give the right code in half the time.
+thresholds give the correct code in half the time.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
     ----------
     file : str, bytes, path-like or binary file
         Path of the file, or a file open for writing.  A PNG file that exists at the path is
-        replaced when the new one is complete.
+        replaced once the new one is complete.
     image : (height, width, 3) array_like
         Linear RGB radiance, as `render` returns it.
 
@@ -175,7 +175,7 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     write_chunk(b"IEND", b"")
 
 
-def _combine_adler(first: int, second: int, second_size: int) -> int:
+def _combine_adler(first_checksum: int, second_checksum: int, second_size: int) -> int:
     """Compute the Adler-32 checksum of two joined byte strings from the checksums of both.
 
     The lower 16 bits of an Adler-32 checksum are a, which is 1 plus the sum of all bytes; the upper
@@ -183,25 +183,25 @@ def _combine_adler(first: int, second: int, second_size: int) -> int:
 
     Parameters
     ----------
-    first, second : int
-        Checksums of the two byte strings.
+    first_checksum, second_checksum : int
+        Adler-32 checksums of the two byte strings.
     second_size : int
         Number of bytes in the second string.
 
     Returns
     -------
     checksum : int
-        The checksum of the first string followed by the second.
+        Adler-32 checksum of the first string followed by the second.
     """
-    a1, b1 = first & 0xFFFF, first >> 16
-    a2, b2 = second & 0xFFFF, second >> 16
+    a1, b1 = first_checksum & 0xFFFF, first_checksum >> 16
+    a2, b2 = second_checksum & 0xFFFF, second_checksum >> 16
     a = (a1 + a2 - 1) % _ADLER_MODULUS
     b = (b1 + b2 + second_size * (a1 - 1)) % _ADLER_MODULUS
     return b << 16 | a
 
 
 def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
-    """Encode linear RGB radiance in 8 bits: round(255 clip(x, 0, 1)^(1/2.2)).
+    """Encode linear RGB radiance x as 8-bit codes: round(255 clip(x, 0, 1)^(1/2.2)).
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The codes, equal to those of exact arithmetic.
+        The codes, as exact arithmetic would give them.
 
     Raises
     ------
@@ -227,10 +227,10 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
         clipped = np.clip(flat_radiance[batch], min_value, 1.0)
-        # A cell is a range of float64 values with common leading bits; at most one threshold of a
-        # code is in it.  So the code of a value is that of its cell's minimum, or one more.
-        code = cell_code.take((clipped.view(np.int64) >> _CELL_BITS) - first_cell)
-        np.add(code, clipped >= next_threshold.take(code), out=flat_codes[batch])
+        # A cell is a range of float64 values with common leading bits.  At most one code begins
+        # in a cell, so the code of a value is that of its cell's minimum, or one more.
+        min_code = cell_code.take((clipped.view(np.int64) >> _CELL_BITS) - first_cell)
+        np.add(min_code, clipped >= next_threshold.take(min_code), out=flat_codes[batch])
     return codes
 
 
@@ -245,7 +245,7 @@ def _validate_radiance(image: ArrayLike) -> Floats:
     Returns
     -------
     radiance : (height, width, 3) float64 array
-        The same values in C order: `image` itself, if it is such an array.
+        The same values in C order; `image` itself if it is already such an array.
 
     Raises
     ------
@@ -280,15 +280,16 @@ def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
     """Compute tables to look up the 8-bit code of any radiance from `min_value` to 1.
 
     The values from `min_value` to 1 are divided into cells: a cell is a range of float64 values
-    with the same leading bits, that is, all but the last `_CELL_BITS` bits.
+    with the same leading bits, that is, all but the last `_CELL_BITS` bits.  The tables are
+    computed at the first call, and then cached.
 
     Returns
     -------
     min_value : float
-        A power of two that is so small that it and all smaller values have code 0.
+        The largest power of two with code 0.  All smaller values have code 0, too.
     first_cell : int
-        The leading bits of `min_value`.  Subtract them from those of a value to get the index of
-        the cell of the value.
+        The leading bits of `min_value`, as an integer.  The index of a value's cell is the value's
+        leading bits minus this number.
     cell_code : (cells,) uint8 array
         The code of the smallest value in each cell.
     next_threshold : (_MAX_CODE + 1,) float array
@@ -306,7 +307,7 @@ def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
 def _exponent_below_thresholds() -> int:
     """Return e such that 2^e is the largest power of two with code 0.
 
-    That is the largest power of two below the first threshold, (0.5 / 255)^gamma.
+    It is the largest power of two below (0.5 / 255)^gamma, the smallest value with code 1.
     """
     p, q = _GAMMA
     return math.frexp((0.5 / _MAX_CODE) ** (p / q))[1] - 1
@@ -315,25 +316,26 @@ def _exponent_below_thresholds() -> int:
 def _threshold(code: int) -> float:
     """Compute the smallest float64 whose code is at least `code`.
 
-    A value x has at least this code if 255 x^(q/p) >= code - 1/2, where p / q is gamma.  Both sides
-    times 2, raised to the power p, are compared exactly: x is a multiple of 2^(e - 52), where 2^e
-    is a power of two that is not larger than x, so the comparison is one of integers.
+    A value x has at least this code if 255 x^(q/p) >= code - 1/2, where p / q is gamma.  To avoid
+    rounding, both sides are doubled and raised to the power p: 510^p x^q >= (2 code - 1)^p.
+    Scaling x by a sufficient power of two makes both sides integers, so the comparison is exact.
 
     Parameters
     ----------
     code : int
-        From 1 to 255.
+        An 8-bit code, from 1 to 255.
 
     Returns
     -------
     threshold : float
-        The smallest x.
+        The smallest x with this code or a larger one.
     """
     p, q = _GAMMA
     base = (code - 0.5) / _MAX_CODE
     # An approximation of the threshold.  It is closer than base**(p / q), because the fractional
     # exponent is small, and so is the error of its rounding.
     estimate: float = base ** (p // q) * base ** (p % q / q)
+    # Every candidate is a multiple of 2^-bits.
     bits = 52 - _exponent_below_thresholds()
     limit = (2 * code - 1) ** p << q * bits
     candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))

@@ -40,7 +40,7 @@ _SCENE_TAGS = "camera", "image", "light", "shader", "surface"
 
 
 class SceneFileError(SceneError):
-    """The error that a scene file is invalid or cannot be read.
+    """Raised if a scene file is invalid or cannot be read.
 
     The message has a line for each error in the file, in the order of the file:
     ``FILE:LINE: element: what is wrong; suggested fix``, or ``FILE: what is wrong; suggested fix``
@@ -105,8 +105,8 @@ class _Reader:
         The elements that a file contains only once: the key is "scene" (the root), "camera" or
         "image".
     intended_tags : set of (str or None)
-        Tags for which unknown children of the scene probably stand.  An element with such a tag is
-        not reported as missing.
+        Tags that were probably meant by unknown children of the scene.  An element with such a tag
+        is not reported as missing.
     empty : Scene
         A scene with the size of the picture, but without content.
     cameras, lights : Table
@@ -198,18 +198,19 @@ class _Reader:
         self.report_undefined_shaders()
 
     def read_child(self, element: Element) -> None:
-        """Read the root of the file, or a child of the root.
+        """Check the root of the file, or add the content of a child of the root to the tables.
 
         Parameters
         ----------
         element : Element
-            At the first call the root, without children; later each child of the root, with all its
-            descendants.
+            At the first call, the root without its children; at each later call, the next child of
+            the root, with all its descendants.
 
         Raises
         ------
         FatalError
-            If the root is not that of a scene file.
+            If the root is not that of a scene file, or if there are too many errors.  Other errors
+            are added to the list of errors.
         """
         tag = element.tag
         if tag == "surface" and self.unique:
@@ -242,7 +243,7 @@ class _Reader:
         Raises
         ------
         FatalError
-            If it is another element, or has a version, which scene files of Mitsuba have.
+            If the tag is not "scene", or if there is an attribute `version`, as in Mitsuba files.
         """
         if element.tag != "scene":
             raise FatalError(element.line, f"{shortened(element.tag)}: the root must be <scene>")
@@ -255,7 +256,7 @@ class _Reader:
     def read_image(self, element: Element) -> None:
         """Read the size of the picture from the element <image>, and store it in `empty`.
 
-        Errors are reported: they are added to the list of errors.
+        Errors are added to the list of errors, and then the size is not stored.
         """
         self.report_parts(element)
         number = r"\s*([-+]?\d{1,18})"
@@ -273,9 +274,10 @@ class _Reader:
                 self.report(element, line)
 
     def read_surface(self, element: Element) -> None:
-        """Add a surface to the table of its type, and its shader to that of the shader's type.
+        """Add a surface to the table of its type, and its shader to the table of the shader's type.
 
-        A reference to a shader that is not defined yet is stored, to be checked at the end.
+        A reference to a shader that is not defined yet is stored, and checked at the end.  Errors
+        are added to the list of errors.
 
         Parameters
         ----------
@@ -300,7 +302,7 @@ class _Reader:
             self.reference_shaders.append(shader_index)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table of its type.
+        """Add a shader to the table of its type, and report errors in its definition.
 
         Parameters
         ----------
@@ -353,7 +355,7 @@ class _Reader:
         return self.find_shader(name)
 
     def find_shader(self, name: str | None) -> int:
-        """Return the index of the shader with a name; reserve a new index if it has none yet.
+        """Return the index of the shader with the given name; reserve a new index if it has none.
 
         Parameters
         ----------
@@ -386,8 +388,8 @@ class _Reader:
         Returns
         -------
         children : dict of Element
-            The known children of the element.  The key is the name of the field to which the child
-            belongs.
+            The known children of the element.  The key is the name of the dataclass field that the
+            child gives.
         """
         intended: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -420,12 +422,12 @@ class _Reader:
         element : Element
             The element.
         count : int
-            Required count of numbers.
+            Required number of numbers.
 
         Returns
         -------
         numbers : sequence of float
-            The numbers; after an error, `count` times NaN.
+            The numbers; after an error, NaN repeated `count` times.
         """
         if element or element.attrib:
             self.report_parts(element)
@@ -452,7 +454,7 @@ class _Reader:
         element : Element
             The shader or surface.
         tables : mapping of Table
-            The keys are the types that are known.
+            The keys are the known types.
         *attributes : str
             Names of the attributes that are allowed in the element, in addition to `type`.
         """
@@ -482,7 +484,7 @@ class _Reader:
         Returns
         -------
         intended : str or None
-            The tag for which the unknown one probably stands; None if that is not clear.
+            The tag that was probably meant; None if this is unclear.
         """
         if element.tag in _SCENE_TAGS:
             remedy, intended = f"close the {parent.tag} of line {parent.line} first", None
@@ -493,7 +495,7 @@ class _Reader:
         return intended
 
     def report_duplicate(self, element: Element, earlier: Element) -> None:
-        """Report that an element gives a value that an earlier element has already given.
+        """Report that an element repeats what an earlier element has already given.
 
         Parameters
         ----------
@@ -506,7 +508,7 @@ class _Reader:
         self.report(element, f"{given} already, in line {earlier.line}; keep one of the two")
 
     def report_attributes(
-        self, element: Element, known: Sequence[str] = (), child_tags: Collection[str] = ()
+        self, element: Element, allowed: Sequence[str] = (), child_tags: Collection[str] = ()
     ) -> set[str | None]:
         """Report all unknown attributes of an element.
 
@@ -514,47 +516,47 @@ class _Reader:
         ----------
         element : Element
             The element.
-        known : sequence of str
+        allowed : sequence of str
             Names of the attributes that are allowed in the element.
         child_tags : collection of str
-            Tags of the children that are allowed in the element.  An attribute with a similar name
-            is probably such a child, written as an attribute by mistake.
+            Tags of the children that are allowed in the element.  An unknown attribute with a
+            similar name is probably such a child, written as an attribute by mistake.
 
         Returns
         -------
         intended : set of (str or None)
-            The names of attributes or tags of children for which the unknown attributes probably
-            stand.  None stands for unclear ones.
+            The attribute names or child tags that were probably meant by the unknown attributes;
+            contains None if this is unclear for some of them.
         """
         intended: set[str | None] = set()
         for name, value in element.attrib.items():
-            if name in known:
+            if name in allowed:
                 continue
-            match = closest_name(name, known)
-            remedy = name_remedy(known, match)
+            meant = closest_name(name, allowed)
+            remedy = name_remedy(allowed, meant)
             if child_tags:
-                element_remedy, match = tag_remedy(name, child_tags)
-                if match == "shader":
+                element_remedy, meant = tag_remedy(name, child_tags)
+                if meant == "shader":
                     remedy = f'write <shader ref="{shortened(value)}"/> in it'
-                elif match in child_tags:
-                    remedy = f"write <{match}>{shortened(value)}</{match}> in it"
-                elif match is not None:
+                elif meant in child_tags:
+                    remedy = f"write <{meant}>{shortened(value)}</{meant}> in it"
+                elif meant is not None:
                     remedy = element_remedy
-            intended.add(match)
+            intended.add(meant)
             self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
         return intended
 
-    def report_parts(self, element: Element, *known: str) -> None:
+    def report_parts(self, element: Element, *allowed: str) -> None:
         """Report all children and all unknown attributes of an element that must have no children.
 
         Parameters
         ----------
         element : Element
             The element.
-        *known : str
+        *allowed : str
             Names of the attributes that are allowed in the element.
         """
-        self.report_attributes(element, known)
+        self.report_attributes(element, allowed)
         for child in element:
             message = f"no element may stand in it; remove <{shortened(child.tag)}>"
             self.report_at(child.line, element.tag, message)
@@ -584,15 +586,15 @@ class _Reader:
             if k not in remedies:
                 match = closest_name(name, line_of_name) if len(remedies) < _MAX_SEARCHES else None
                 remedies[k] = name_remedy(line_of_name, match) if line_of_name else "define it"
-                if twin := name_of_normalized.get(normalize("NFC", name)):
+                if lookalike := name_of_normalized.get(normalize("NFC", name)):
                     remedies[k] = (
-                        f"the name in line {line_of_name[twin]} looks the same, but has other"
+                        f"the name in line {line_of_name[lookalike]} looks the same, but has other"
                         " Unicode characters (one is composed, one decomposed); copy it from there"
                     )
             self.report_at(line, "shader", f"no shader is named {quoted(name)}; {remedies[k]}")
 
     def make_scene(self) -> Scene:
-        """Create the scene from the tables.  Call this after `read`, and only without errors."""
+        """Create the scene from the tables.  Call this only after `read` has found no errors."""
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shaders.values():
             for index, shader in zip(table.index, table.objects(), strict=True):

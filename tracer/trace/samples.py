@@ -36,9 +36,9 @@ def object_spans(
     height: float = 0.0,
     pad: float = 0.0,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Compute which part of each row is covered by each object of one shape.
+    """Compute which part of each row of the picture is covered by each object of one shape.
 
-    A span is the part of one row that one object covers, without regard to other objects.
+    A span is the part of one row that one object covers, whether or not other objects hide it.
 
     Parameters
     ----------
@@ -60,18 +60,18 @@ def object_spans(
     Returns
     -------
     object_index : (n,) int array
-        Index of each span's object, among all objects of the scene.
+        Index of each span's object in the list of all objects of the scene.
     row : (n,) int array
         Index of each span's row in `rows`.
     left, right : (n,) float arrays
         Ends of each span, in pixels from the left border of the picture; left <= right.
     """
     bounds = prepared.bounds.take(shape.objects.slice)
-    in_columns = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
-    start = rows.searchsorted(bounds.top[in_columns] - pad - height)
-    stop = rows.searchsorted(bounds.bottom[in_columns] + pad, side="right")
-    owner, row = segment_indices(np.maximum(stop - start, 0), start)
-    position = in_columns[owner]
+    candidates = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
+    first_row = rows.searchsorted(bounds.top[candidates] - pad - height)
+    end_row = rows.searchsorted(bounds.bottom[candidates] + pad, side="right")
+    span_candidate, row = segment_indices(np.maximum(end_row - first_row, 0), first_row)
+    position = candidates[span_candidate]
     object_index = position + shape.objects.start
     left, right = shape.row_extent(object_index, rows[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
@@ -117,7 +117,7 @@ class Rows(NamedTuple):
         return float(columns**0.75 * rows**0.25)
 
     def ray_s(self, frame: CameraFrame) -> Floats:
-        """Compute the first direction component of the ray through each sample.
+        """Compute the rightward direction component of the ray through each sample.
 
         Parameters
         ----------
@@ -127,12 +127,12 @@ class Rows(NamedTuple):
         Returns
         -------
         s : (n,) float array
-            Direction component to the right of each sample's ray.
+            Rightward component of each sample's ray direction.
         """
         return np.add.outer(self.shift * frame.step_u, frame.ray_s(self.x)).ravel()
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return the positions of samples in the picture.
+        """Return the positions of the given samples in the picture.
 
         Parameters
         ----------
@@ -142,13 +142,13 @@ class Rows(NamedTuple):
         Returns
         -------
         x, y : (k,) float arrays
-            Pixels from the left border and from the upper border of the picture.
+            Distances from the left and upper borders of the picture, in pixels.
         """
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
     def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
-        """Return the positions of samples in the grid of rows and columns.
+        """Return the row and the column of the given samples in the grid of samples.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Rows(NamedTuple):
         Returns
         -------
         object_index : (spans,) int array
-            Index of each span's object, among all objects of the scene.
+            Index of each span's object in the list of all objects of the scene.
         row : (spans,) int array
             Index of each span's row in `y`.
         first_sample : (spans,) int array
@@ -208,7 +208,7 @@ def pixel_centers(rows: slice, columns: slice) -> Rows:
     Returns
     -------
     samples : Rows
-        The samples, in the order of the pixels.
+        The samples, row by row, in the order of the pixels.
     """
     y, x = (np.arange(interval.start, interval.stop) + 0.5 for interval in (rows, columns))
     return Rows(y, x, np.zeros(y.size))
@@ -253,15 +253,15 @@ class Scattered(NamedTuple):
             Sample i is at the position (x[order[i]], y[order[i]]).
         """
         row = np.floor(y)
-        # Sorting by a single number is faster.  Large numbers would be rounded too much.
+        # Sorting by a single number is faster, but large numbers would be rounded too much.
         single_key = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
         if np.abs(single_key).max(initial=0) < _MAX_SINGLE_KEY:
             order = single_key.argsort(kind="stable")
         else:
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
-        is_start = run_starts(np.floor(y))
-        return cls(y, x, indices(is_start), _sort_key(is_start.cumsum(), x)), order
+        is_row_start = run_starts(np.floor(y))
+        return cls(y, x, indices(is_row_start), _sort_key(is_row_start.cumsum(), x)), order
 
     @property
     def size(self) -> int:
@@ -270,11 +270,11 @@ class Scattered(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Number of samples in the width of a pixel: 1, because the real number is unknown."""
+        """Assumed number of samples in the width of a pixel: 1, since the real one is unknown."""
         return 1.0
 
     def ray_s(self, frame: CameraFrame) -> Floats:
-        """Compute the first direction component of the ray through each sample.
+        """Compute the rightward direction component of the ray through each sample.
 
         Parameters
         ----------
@@ -284,12 +284,12 @@ class Scattered(NamedTuple):
         Returns
         -------
         s : (n,) float array
-            Direction component to the right of each sample's ray.
+            Rightward component of each sample's ray direction.
         """
         return frame.ray_s(self.x)
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return the positions of samples in the picture.
+        """Return the positions of the given samples in the picture.
 
         Parameters
         ----------
@@ -299,12 +299,12 @@ class Scattered(NamedTuple):
         Returns
         -------
         x, y : (k,) float arrays
-            Pixels from the left border and from the upper border of the picture.
+            Distances from the left and upper borders of the picture, in pixels.
         """
         return self.x[index], self.y[index]
 
     def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
-        """Return the row and the column of the pixels that contain samples.
+        """Return the row and the column of the pixels that contain the given samples.
 
         Parameters
         ----------
@@ -321,7 +321,8 @@ class Scattered(NamedTuple):
     def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
-        The results have the form of spans, as from `Rows.sample_spans`, with one sample each.
+        The result has the same form as that of `Rows.sample_spans`: each (object, sample) pair is
+        given as a span of one sample.
 
         Parameters
         ----------
@@ -333,13 +334,12 @@ class Scattered(NamedTuple):
         Returns
         -------
         object_index : (n,) int array
-            Index of the object of each pair of an object and a sample, among all objects of the
-            scene.
+            For each (object, sample) pair, the index of its object in the list of all objects.
         row, first_sample : (n,) int arrays
-            Index of each pair's sample.  Both are the same array: the vertical position of the span
-            is `y[row]`, and its only sample is `first_sample`.
+            For each pair, the index of its sample.  Both are the same array: the vertical position
+            of the span is `y[row]`, and its only sample is `first_sample`.
         count : None
-            Stands for spans of one sample.
+            None means that each span has one sample.
         """
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)
@@ -348,12 +348,12 @@ class Scattered(NamedTuple):
         )
         start = self.key.searchsorted(_sort_key(row + 1, left))
         stop = self.key.searchsorted(_sort_key(row + 1, right), side="right")
-        span, sample = segment_indices(np.maximum(stop - start, 0), start)
-        return object_index[span], sample, sample, None
+        span_index, sample_index = segment_indices(np.maximum(stop - start, 0), start)
+        return object_index[span_index], sample_index, sample_index, None
 
 
 def _sort_key(row: Ints, x: Floats) -> Floats:
-    """Encode positions as numbers, ordered by row and, within each row, by x.
+    """Encode each position as one number; the numbers are ordered by row, then by x.
 
     Parameters
     ----------
@@ -365,8 +365,8 @@ def _sort_key(row: Ints, x: Floats) -> Floats:
     Returns
     -------
     key : (n,) float array
-        A number for each position.  Positions that differ by very little, or are farther from the
-        left border than `_MAX_SORTED_X`, may have equal numbers.
+        A number for each position.  Two positions can have equal numbers if they differ by very
+        little, or are farther from the left border than `_MAX_SORTED_X`.
     """
     # Rounding never changes the order, because the product is exact.
     key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)
