@@ -40,17 +40,18 @@ _MIN_SQUARE = 1e-300
 
 
 class Contributions(NamedTuple):
-    """Radiance that n lights add to pairs where they reach the face, sorted by pair and light.
+    """Radiance that n (pair, light) combinations add where the face is lit, sorted in this order.
 
-    A pair consists of a cell of the picture, and a face (a sphere, or a side of a box) that may be
-    visible in the cell.
+    A pair is one face (a sphere, or a side of a box) in one cell (a square part of the picture).
 
     Attributes
     ----------
     pair, light : (n,) int arrays
-        The pair and the light of each contribution.
+        Indices of the pair and of the light of each contribution.
     radiance : Form
-        Enclosures (8, 3, n) of the light that each lit face reflects to the eye, in three channels.
+        Enclosures (8, 3, n) of the radiance that the face reflects to the eye at points that the
+        light reaches.  The first axis holds the eight coefficients of a form (a polynomial with an
+        error bound), the second the three channels.
     """
 
     pair: Ints
@@ -58,22 +59,24 @@ class Contributions(NamedTuple):
     radiance: Form
 
     def take(self, kept: Bools) -> Contributions:
-        """Select contributions by a mask (n,), and copy them."""
+        """Copy the contributions that a mask (n,) selects."""
         return Contributions(self.pair[kept], self.light[kept], self.radiance[kept])
 
 
 class _Condition(NamedTuple):
-    """A condition for n questions about pairs: it is true where a function u + v s is positive.
+    """One condition for each of n questions: the function u + v s of the question is positive.
 
-    The root s is the part of the inverse distance 1 / t = k.d + s that is not linear in the
-    direction d of the ray.
+    A question is about one pair (one face in one cell), for example whether the face fills the
+    cell.  A camera ray with direction d meets the face at the distance t, where 1 / t = k.d + s.
+    Here s is the square-root term, which is 0 for planes.
 
     Attributes
     ----------
     question : (n,) int array
-        The question that each function helps to answer.
+        Indices of the questions.
     u, v : Form, and Form or (n,) float array
-        The coefficients of the function.
+        The coefficients u and v of each function.  A Form encloses them by polynomials; an array
+        holds values that are constant in the cell.
     is_edge : bool, or (n,) bool array
         Whether the picture may have an edge where the function is zero.
     """
@@ -85,18 +88,20 @@ class _Condition(NamedTuple):
 
 
 class _Edges(NamedTuple):
-    """Edge functions u + v s (n,): the picture may have an edge where one of them is zero.
+    """n edge functions u + v s: the picture may have an edge where one of them is zero.
 
-    The root s is the part of the inverse distance 1 / t = k.d + s that is not linear in the
-    direction d of the ray.
+    Each function belongs to a pair (one face in one cell).  A camera ray with direction d meets the
+    face at the distance t, where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for
+    planes.
 
     Attributes
     ----------
-    pair, light : (n,) int arrays
-        The pair of a cell and a face in which the edge lies; the light whose radiance changes at
-        the edge, or -1 if all radiance changes.
+    pair : (n,) int array
+        Index of each function's pair.
+    light : (n,) int array
+        Index of the light whose radiance changes at the edge, or -1 if all radiance changes.
     u, v : Form
-        The coefficients of the functions.
+        Enclosures (8, n) of the coefficients u and v.
     """
 
     pair: Ints
@@ -105,42 +110,44 @@ class _Edges(NamedTuple):
     v: Form
 
     def take(self, index: Ints) -> _Edges:
-        """Select edge functions by indices (k,), and copy them."""
+        """Copy the edge functions that have the given indices (k,)."""
         return _Edges(self.pair[index], self.light[index], self.u[index], self.v[index])
 
 
 def _squared_length(vector: Floats) -> Floats:
-    """Compute the squared lengths of vectors whose components are linear functions of X and Y.
+    """Compute the squared lengths of n vectors that depend linearly on the coordinates X and Y.
 
     Parameters
     ----------
     vector : (3, 3, n) float array
-        Along the first axis the components, along the second the coefficients of 1, X and Y.
+        The first axis holds the vector's components, the second each component's coefficients of
+        1, X and Y.
 
     Returns
     -------
     square : (6, n) float array
-        Coefficients of 1, X, Y, X^2, X Y and Y^2 of the squared length.
+        The squared length as a polynomial: coefficients of 1, X, Y, X^2, X Y and Y^2.
     """
-    c, x, y = vector.swapaxes(0, 1)
-    products = ((c, c), (c, x), (c, y), (x, x), (x, y), (y, y))
+    constant, x, y = vector.swapaxes(0, 1)
+    products = ((constant, constant), (constant, x), (constant, y), (x, x), (x, y), (y, y))
     return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in products])
 
 
 def _cross_product(c: Floats, vector: Floats) -> Floats:
-    """Compute cross products c x q of constant vectors c and linear or constant vectors q.
+    """Compute n cross products c x q, where q is a linear function of coordinates, or constant.
 
     Parameters
     ----------
     c : (3, n) float array
-        The constant vectors.
+        The constant vectors c.
     vector : (3, k, n) float array
-        The vectors q.  Each component has k coefficients, for example of 1, X and Y.
+        The vectors q.  The first axis holds the components, the second the k coefficients of each
+        component, for example those of 1, X and Y.
 
     Returns
     -------
     product : (3, k, n) float array
-        The cross products, in the same k coefficients.
+        The cross products, with the axes of `vector`.
     """
     return np.array([c[i - 2] * vector[i - 1] - c[i - 1] * vector[i - 2] for i in range(3)])
 
@@ -148,45 +155,56 @@ def _cross_product(c: Floats, vector: Floats) -> Floats:
 def _cone_function(
     c: Floats, r: Floats, q: Floats, q_size: Floats, w: Floats, w_size: Floats
 ) -> tuple[Form, Floats]:
-    """Compute r^2 |q|^2 - |c x q|^2, which is positive inside the double cone around a sphere.
+    """Enclose r^2 |q|^2 - |c x q|^2, which is positive at points inside the cone of a sphere.
 
-    The cone consists of all lines through an apex that meet the sphere.
+    The (double) cone consists of all lines through an apex that meet the sphere.  The vectors q
+    and w depend linearly on the position (X, Y) in a cell of the picture.
 
     Parameters
     ----------
     c, r : (3, n) and (n,) float arrays
-        Vectors from the apex of the cone to the sphere's centre, and the sphere's radius.
+        c: vectors from the apex to the sphere's centre.  r: the sphere's radius.
     q : (3, 3, n) float array
-        Vectors from the apex to a point: along the first axis the components, along the second the
-        coefficients of 1, X and Y.
+        Vectors from the apex to the tested point.  The first axis holds the components, the second
+        each component's coefficients of 1, X and Y.
     q_size : (n,) float array
-        Bound on the size of the terms that were added up to compute q, for the rounding error.
-    w, w_size : (3, 3, n) and (n,) float arrays
-        Vectors, and bounds like `q_size`.  The cross product is computed as c x w.  So w is q plus
-        any multiple of c, chosen such that the rounding error is small.
+        Upper bound on the absolute values of the terms whose sum is q.  It bounds the rounding
+        error of q.
+    w : (3, 3, n) float array
+        The vectors q plus multiples of c, so that c x w = c x q.  The cross product is computed
+        from w.  The caller chooses the multiples such that the rounding error is small.
+    w_size : (n,) float array
+        For w, the same bound as `q_size` for q.
 
     Returns
     -------
     cone : Form
-        Enclosures (8, n) of the function by polynomials in X and Y.  The radius is a bound on the
-        rounding errors.
-    across : (3, 3, n) float array
-        The cross product c x w, with the axes of w.
+        Enclosures (8, n) of the function: in rows 0 to 5 the coefficients of 1, X, Y, X^2, X Y and
+        Y^2, in row 6 zeros, in row 7 (R) a bound on the rounding errors.
+    cross_product : (3, 3, n) float array
+        c x w, with the axes of w.
     """
-    across, coef = _cross_product(c, w), np.zeros((8, c.shape[1]))
-    coef[:Z] = r * r * _squared_length(q) - _squared_length(across)
-    c2 = (c * c).sum(axis=0)
-    q_term = r * r * q_size * np.abs(q).sum(axis=(0, 1))
-    coef[R] = q_term + c2 * w_size * np.abs(w).sum(axis=(0, 1))
+    cross_product, coef = _cross_product(c, w), np.zeros((8, c.shape[1]))
+    coef[:Z] = r * r * _squared_length(q) - _squared_length(cross_product)
+    c_squared = (c * c).sum(axis=0)
+    q_error = r * r * q_size * np.abs(q).sum(axis=(0, 1))
+    coef[R] = q_error + c_squared * w_size * np.abs(w).sum(axis=(0, 1))
     coef[R] *= 8 * ROUNDING
-    return Form(coef), across
+    return Form(coef), cross_product
 
 
 class CellForms:
     """Inverse distances, edge functions, and radiance in cells of the picture, enclosed by forms.
 
-    A form encloses a quantity in a cell by a quadratic polynomial with an error bound.  A pair
-    consists of a cell and a face (a sphere, or a side of a box) that may be visible in the cell.
+    A pair is one face (a sphere, or a side of a box) that may be visible in one cell (a square part
+    of the picture).  A camera ray with direction d meets the face at the distance t, where
+    1 / t = k.d + s.  Here k is a constant vector of the face, and s is the square-root term, which
+    is 0 for planes.
+
+    A form encloses a quantity everywhere in a cell by a quadratic polynomial in the coordinates X
+    and Y, which run from -1 to 1 in the cell.  Its array (8, n) holds in rows 0 to 5 the
+    coefficients of 1, X, Y, X^2, X Y and Y^2, in row 6 the coefficient of an unknown Z from -1 to
+    1, and in row 7 (the radius R) an error bound.
 
     Attributes
     ----------
@@ -195,16 +213,20 @@ class CellForms:
     cells : Cells
         The cells, without pairs and triples that proved to be irrelevant.
     square : Form
-        Squared length d^2 of the direction of the camera rays through each cell (8, c).
+        Enclosures (8, c) of d^2, the squared length of the ray directions, one for each cell.
     inverse : Form
-        Inverse distance 1 / t = k.d + s of each pair (8, p).  The visible point is eye + t d.
+        Enclosures (8, p) of the inverse distance 1 / t, one for each pair.
     root2, root : Form
-        s^2 and s of each pair (8, p).  Both are 0 for sides of boxes.  The unknown part Z of s is
+        Enclosures (8, p) of s^2 and of s, one for each pair.  The unknown Z of s is the same as
         that of 1 / t.
     """
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
-        """Find out what is visible in each cell, which lights reach it, and where edges may be.
+        """Find the visible faces of each cell, the lights that reach them, and possible edges.
+
+        A pair is one face in one cell.  A triple is a pair, a light, and an object that may shade
+        the face from the light.  A light is settled for a pair if it is known to reach all of the
+        face in the cell, or nothing of it.
 
         Parameters
         ----------
@@ -230,18 +252,18 @@ class CellForms:
             self._find_intersections()
 
     def _ray_directions(self, cell: Ints) -> Floats:
-        """Return the directions of the camera rays through cells, as linear functions of X and Y.
+        """Express the directions of camera rays as linear functions of the position in a cell.
 
         Parameters
         ----------
         cell : (n,) int array
-            Indices of cells, in which X and Y run from -1 to 1.
+            Indices of cells.  The coordinates X and Y run from -1 to 1 in each cell.
 
         Returns
         -------
         rays : (3, 3, n) float array
-            Along the first axis the components of the directions in the camera's axes, along the
-            second the coefficients of 1, X and Y.
+            The first axis holds the components of the direction (to the right, down, ahead), the
+            second each component's coefficients of 1, X and Y.
         """
         rays = np.zeros((3, 3, cell.size))
         rays[:, 0] = self._right[cell], self._down[cell], np.full(cell.size, self.faces.frame.depth)
@@ -249,64 +271,68 @@ class CellForms:
         return rays
 
     def _dot_with_rays(self, k: Floats, cell: Ints) -> Form:
-        """Enclose the dot products k.d of vectors k with the directions d of camera rays.
+        """Enclose k.d, where k is a constant vector and d the direction of any ray through a cell.
 
         Parameters
         ----------
         k : (3, n) float array
-            The vectors, in the camera's axes.
+            The vectors k, in the camera's axes (to the right, down, ahead).
         cell : (n,) int array
-            For each vector, the cell through which the rays pass.
+            For each vector, the index of the cell.
 
         Returns
         -------
         product : Form
-            Enclosures (8, n) of the dot products.  They are linear in the position in the cell.
-            The radius is a bound on the rounding errors.
+            Enclosures (8, n) of the dot products, which are linear in the position (X, Y) in the
+            cell.  Rows 0 to 2 (C, X, Y) hold the coefficients of 1, X and Y, and row 7 (R) bounds
+            the rounding errors.  The other rows are zero.
         """
-        coef, (u, v, w) = np.zeros((8, cell.size)), k
-        coef[C] = u * self._right[cell] + v * self._down[cell] + w * self.faces.frame.depth
-        coef[X], coef[Y] = u * self._half_right, v * self._half_down
-        coef[R] = ROUNDING * self.faces.frame.max_ray_size * np.abs(k).sum(axis=0)
+        coef, (right, down, ahead), frame = np.zeros((8, cell.size)), k, self.faces.frame
+        coef[C] = right * self._right[cell] + down * self._down[cell] + ahead * frame.depth
+        coef[X], coef[Y] = right * self._half_right, down * self._half_down
+        coef[R] = ROUNDING * frame.max_ray_size * np.abs(k).sum(axis=0)
         return Form(coef)
 
     def _side_function(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
-        """Express by a function's sign whether the visible point of a face is in a half-space.
+        """Return a function u + v s that is positive if the visible point is in a half-space.
 
-        Let n.x + b >= 0 be the half-space, and x = t d the point where the ray with direction d
-        meets the face.  Then n.d + b / t is positive if the point is inside.  As 1 / t = k.d + s,
-        this function has the form u + v s, where s is the root in the inverse distance of the face.
+        Let n.x + b >= 0 be the half-space.  The ray with direction d meets the face at x = t d,
+        where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.  The point is
+        in the half-space if n.d + b / t >= 0, and n.d + b / t = (n.d + b k.d) + b s.
 
         Parameters
         ----------
         pair : (n,) int array
-            Pairs of a cell and a face.
+            Indices of pairs.  A pair is one face in one cell.
         half_space : (5, n) float array
-            For each pair a half-space.  Rows 0 to 2 contain the components of n, row 3 contains b,
-            and row 4 a bound on the size of the terms that were added up to compute b.
+            For each pair a half-space.  Rows 0 to 2 contain the components of n, and row 3 contains
+            b.  Row 4 bounds the absolute values of the terms whose sum is b, for rounding errors.
 
         Returns
         -------
         u : Form
-            Enclosures (8, n) of u = n.d + b k.d.
+            Enclosures (8, n) of u = n.d + b k.d in the cells of the pairs.
         v : (n,) float array
-            The numbers v = b.
+            The coefficients v = b.
         """
-        *normal, b, size = half_space
+        *normal, b, b_size = half_space
         u = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
         u += self._linear_inverse[pair] * b
-        u.coef[R] += ROUNDING * size * self._inverse_max_abs[pair]
+        u.coef[R] += ROUNDING * b_size * self._inverse_max_abs[pair]
         return u, b
 
     def _enclose(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
-        """Enclose functions u + v s, where s is the root in the inverse distance of a face.
+        """Enclose n functions u + v s, where s is the square-root term of a face's distance.
+
+        The ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  For
+        planes, s is 0.
 
         Parameters
         ----------
         pair : (n,) int array
-            Pairs of a cell and a face.
+            For each function, the index of its pair.  A pair is one face in one cell.
         u, v : Form, and Form or (n,) float array
-            The coefficients of the functions.  On sides of boxes, s is 0, and v is ignored.
+            The coefficients u and v.  If the face is a side of a box, v is ignored.
 
         Returns
         -------
@@ -314,36 +340,41 @@ class CellForms:
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
         coef = u.coef.copy()
-        index = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
-        coef[:, index] += (self.root[pair[index]] * v[index]).coef
+        # Indices of the functions whose face is a sphere.
+        on_sphere = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
+        coef[:, on_sphere] += (self.root[pair[on_sphere]] * v[on_sphere]).coef
         return Form(coef)
 
     def _decide(
         self, pair: Ints, light: Ints | int, is_never: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Decide questions about cells: are all conditions true everywhere, or is one true nowhere?
+        """Decide n questions: are all conditions true everywhere in the cell, or is one nowhere?
 
-        A question is about a pair of a cell and a face, and has several conditions.  A condition is
-        true where its function u + v s is positive.  If a question stays undecided, those of its
-        functions that may change their signs in the cell are added to `self._edges`.
+        A question is about one pair (one face in one cell), and has several conditions.  A
+        condition is true where its function u + v s is positive.  Here s is the square-root term of
+        1 / t = k.d + s, where t is the distance of the face along the ray with direction d.
+
+        If a question stays undecided, each of its functions that may have both signs in the cell is
+        added to `self._edges`, unless its condition says that it is no edge.
 
         Parameters
         ----------
         pair : (n,) int array
-            The pair of each question.
+            For each question, the index of its pair.
         light : (n,) int array, or int
-            The light whose radiance depends on the question, or -1 if all radiance does.
+            For each question, the light whose radiance depends on the answer, or -1 if all radiance
+            depends on it.
         is_never : (n,) bool array
-            Changed in place: set to True where a condition is false everywhere in the cell.  This
-            happens after each item of `conditions`, so an iterator can skip questions that are
-            already decided.
+            Changed in place: set to True for each question with a condition that is false
+            everywhere in the cell.  This happens after each item of `conditions`, so an iterator
+            can skip the questions that are already decided.
         conditions : iterable of _Condition
-            All conditions of all questions.
+            Each item holds one condition for some of the questions.
 
         Returns
         -------
         is_always : (n,) bool array
-            Whether all conditions of the question are true everywhere in the cell.
+            Whether all conditions of each question are true everywhere in the cell.
         """
         is_always, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
         edges = []
@@ -361,34 +392,42 @@ class CellForms:
         return is_always & ~is_never
 
     def _find_surfaces(self) -> None:
-        """Enclose the inverse distance of each pair's face, and remove pairs that are not visible.
+        """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
-        The inverse distance is 1 / t = k.d + s, where the camera ray t d meets the face.  A pair is
-        removed if its face is outside the cell, or hidden by another face everywhere in the cell.
-        The silhouettes of the other faces are added to `self._edges`.
+        A pair is one face in one cell.  A camera ray with direction d meets the face at the
+        distance t, where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.
 
-        The attributes `inverse`, `root` and `root2` are set.  In `cells`, `covers_cell` is updated.
+        A pair is removed if its face is outside the cell, or hidden by another face everywhere in
+        the cell.  For each other pair, the outline of the face is added to `self._edges` if it may
+        cross the cell.
+
+        The attributes `inverse` (1 / t), `root` (s) and `root2` (s^2) are set.  In `cells`,
+        `covers_cell` is updated.
         """
         faces, cells, frame = self.faces, self.cells, self.faces.frame
         face, cell, is_planar = cells.pair_face, cells.pair_cell, faces.is_planar[cells.pair_face]
-        ball, cone, root = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
-        rays, size = self._ray_directions(cell[ball]), np.full(ball.size, frame.max_ray_size)
-        center, radius = faces.center[:, face[ball]], faces.radius[face[ball]]
-        cone[:, ball] = _cone_function(center, radius, rays, size, rays, size)[0].coef
-        self.root2, self.root = Form(cone * faces.w[face] ** 2), Form(root)
+        # Indices of the pairs with a sphere; coefficients of r^2 d^2 - |c x d|^2, and of s.
+        curved, cones, root_coef = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
+        rays, size = self._ray_directions(cell[curved]), np.full(curved.size, frame.max_ray_size)
+        center, radius = faces.center[:, face[curved]], faces.radius[face[curved]]
+        cones[:, curved] = _cone_function(center, radius, rays, size, rays, size)[0].coef
+        # For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x d|^2).
+        self.root2, self.root = Form(cones * faces.w[face] ** 2), Form(root_coef)
         self._linear_inverse = self.inverse = self._dot_with_rays(faces.k[:, face], cell)
         self._inverse_max_abs = self.inverse.max_abs
         is_outside = np.zeros(face.size, np.bool_)
         covers_cell = self._decide(
-            np.arange(face.size), -1, is_outside, self._visibility_conditions(ball, Form(cone))
+            np.arange(face.size), -1, is_outside, self._visibility_conditions(curved, Form(cones))
         )
-        self.inverse, index = Form(self._linear_inverse.coef.copy()), ball[~is_outside[ball]]
-        coef, rounding = self.root2[index].power(0.5).coef, self.inverse.coef[R, index]
-        # The radius of s becomes its Z, which it shares with 1 / t, except for rounding errors.
+        # `seen` holds the spheres that may be visible in their cell.
+        self.inverse, seen = Form(self._linear_inverse.coef.copy()), curved[~is_outside[curved]]
+        coef, rounding = self.root2[seen].power(0.5).coef, self.inverse.coef[R, seen]
+        # The error bound (row R) of s becomes the coefficient of the unknown Z, which s shares with
+        # 1 / t.  Only rounding errors remain in row R.
         coef[Z], coef[R] = coef[R] + rounding, rounding
-        root[:, index] = coef
-        self.inverse.coef[:, index] += coef
-        self.inverse.coef[R, index] = 0
+        root_coef[:, seen] = coef
+        self.inverse.coef[:, seen] += coef
+        self.inverse.coef[R, seen] = 0
         kept = ~(is_outside | self._is_hidden(covers_cell))
         self.cells, new_index = cells._replace(covers_cell=covers_cell).select_pairs(kept)
         remaining = [edges.take(np.flatnonzero(kept[edges.pair])) for edges in self._edges]
@@ -397,62 +436,66 @@ class CellForms:
         self._linear_inverse = self._linear_inverse[kept]
         self._inverse_max_abs = self.inverse.max_abs
 
-    def _visibility_conditions(self, ball: Ints, cone: Form) -> Iterator[_Condition]:
-        """Yield the conditions under which camera rays meet the face of a pair.
+    def _visibility_conditions(self, curved: Ints, cone: Form) -> Iterator[_Condition]:
+        """Yield, for each pair, the conditions under which a camera ray meets the pair's face.
 
-        The question of each condition is a pair.
+        A pair is one face in one cell.  A condition is true where its function u + v s is positive.
+        Pairs whose face is known to cover the cell are skipped.
 
         Parameters
         ----------
-        ball : (n,) int array
-            The pairs whose face is a sphere.
+        curved : (n,) int array
+            Indices of the pairs whose face is a sphere.
         cone : Form
-            For each pair (8, p) whose face is a sphere with centre c and radius r: r^2 d^2 - |c x
-            d|^2.  This is at least 0 if the line through the eye with direction d meets the sphere.
+            Enclosures (8, p), one for each pair.  If the pair's face is a sphere with centre c
+            (relative to the eye) and radius r, the enclosed function is r^2 d^2 - |c x d|^2, where
+            d is the direction of a ray.  It is at least 0 if the line along the ray meets the
+            sphere.
 
         Yields
         ------
         condition : _Condition
-            First, the four half-spaces of the rims of all sides of boxes, one after the other.
-            Then two conditions for all spheres that are not around the eye: the centre is ahead,
-            and the line meets the sphere.  Pairs whose face is known to cover the cell are skipped.
+            Its `question` holds indices of pairs.  The first four conditions are about sides of
+            boxes: the visible point is in each of the four half-spaces that bound the side.  The
+            last two are about spheres that do not contain the eye: the centre is ahead, and the
+            line along the ray meets the sphere.
         """
         faces, cells = self.faces, self.cells
         pair = np.flatnonzero(~cells.covers_cell & faces.is_planar[cells.pair_face])
         for half_spaces in faces.rim.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
             yield _Condition(pair, *self._side_function(pair, half_space), is_edge=True)
-        # A sphere around the eye is in every direction.
-        pair = ball[~cells.covers_cell[ball] & (faces.power[cells.pair_face[ball]] > 0)]
-        center, no_root = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
+        # A sphere that contains the eye is in every direction.
+        pair = curved[~cells.covers_cell[curved] & (faces.power[cells.pair_face[curved]] > 0)]
+        center, zeros = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
         # The cone extends in the opposite direction as well, where c.d is negative.
         ahead = self._dot_with_rays(center, cells.pair_cell[pair])
-        yield _Condition(pair, ahead, no_root, is_edge=False)
-        yield _Condition(pair, cone[pair], no_root, is_edge=True)
+        yield _Condition(pair, ahead, zeros, is_edge=False)
+        yield _Condition(pair, cone[pair], zeros, is_edge=True)
 
     def _is_hidden(self, covers_cell: Bools) -> Bools:
-        """Find pairs of a cell and a face whose face is hidden everywhere in the cell.
+        """Find the pairs whose face is certainly hidden everywhere in the cell.
 
-        Only one occluder is tried in each cell: among the faces that cover the cell, the one with
-        the largest lower bound on its inverse distance.
+        A pair is one face in one cell.  Only one occluder is tried in each cell: among the faces
+        that cover the cell, the one with the largest lower bound on its inverse distance.
 
         Parameters
         ----------
         covers_cell : (p,) bool array
-            Whether the face of each pair covers all of the cell.
+            For each pair, whether its face covers all of its cell.
 
         Returns
         -------
         is_hidden : (p,) bool array
-            Whether the face is certainly behind the occluder.  If both are in the same plane, the
-            object that comes first in the scene file hides the other one.
+            For each pair, whether its face is certainly behind the occluder.  If both are in the
+            same plane, the object that comes first in the scene file hides the other one.
         """
         faces, inverse = self.faces, self.inverse
         cell, face = self.cells.pair_cell, self.cells.pair_face
         file_index = faces.prepared.surfaces.file_index[faces.object_index[face]]
         covering = np.flatnonzero(covers_cell)
-        lower_bound = inverse[covering].bounds()[0]
-        covering = covering[np.lexsort((-file_index[covering], lower_bound, cell[covering]))]
+        min_inverse = inverse[covering].bounds()[0]
+        covering = covering[np.lexsort((-file_index[covering], min_inverse, cell[covering]))]
         occluder_of_cell = np.full(self.cells.x.size, -1)
         occluder_of_cell[cell[covering]] = covering  # the last one in each cell
         occluder = occluder_of_cell[cell]
@@ -466,34 +509,36 @@ class CellForms:
         return is_hidden
 
     def _height_function(self, pair: Ints, light: Ints) -> tuple[Form, Floats]:
-        """Express the heights of lights above the tangent planes of faces, by functions u + v s.
+        """Express the height of a light above a face as a function u + v s of the ray's direction.
 
-        The height is divided by the distance t of the visible point from the eye.  It is positive
-        if the light is in front of the face.  Here s is the root in the inverse distance of the
-        face.
+        A ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  Here s is
+        the square-root term, which is 0 for planes.  The function is h / t, where h is the height
+        of the light above the tangent plane at this point.  It is positive if the light is in front
+        of the face.
 
         Parameters
         ----------
         pair : (n,) int array
-            Pairs of a cell and a face.
+            Indices of pairs.  A pair is one face in one cell.
         light : (n,) int array
-            The light of each pair, or -1 for the height of the eye.
+            For each pair the index of a light, or -1 for the height of the eye.
 
         Returns
         -------
         u : Form
-            Enclosures (8, n) of the part of the functions without s.
+            Enclosures (8, n) of u in the cells of the pairs.
         v : (n,) float array
-            The factors of s.
+            The coefficients v.
         """
         return self._side_function(pair, self.faces.height[:, light, self.cells.pair_face[pair]])
 
     def _find_terminators(self) -> None:
-        """Find the lights below the horizon of the sphere, for each pair of a cell and a sphere.
+        """Find which lights are below the horizon at the points of a sphere that a cell shows.
 
-        A light that is below the horizon everywhere in the cell becomes settled without adding
-        radiance.  If it is below the horizon in a part of the cell, the terminator between the lit
-        and the dark side is added to `self._edges`.
+        All pairs of a cell and a sphere are examined.  A light that is below the horizon everywhere
+        in the cell is marked in `cells.is_settled`, and adds no radiance.  If it may be below the
+        horizon in a part of the cell only, the terminator (the curve between the lit and the dark
+        side) is added to `self._edges`.
         """
         # Lights behind the plane of a rectangle are settled from the start.
         is_curved = ~self.faces.is_planar[self.cells.pair_face]
@@ -505,13 +550,16 @@ class CellForms:
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Bound the part of each pair's face that may be visible in the pair's cell.
+        """Compute bounding boxes of the visible part of each pair's face.
+
+        A pair is one face in one cell.
 
         Returns
         -------
         center, half_size : (3, p) float arrays
-            Centres and half sizes of bounding boxes in the scene's axes.  The boxes are widened by
-            the rounding errors of hits.
+            For each pair, the centre and half the size of a box along the scene's axes.  It
+            contains all points of the face that may be visible in the cell, and is widened by the
+            rounding errors of such points.
         """
         faces, cells, frame = self.faces, self.cells, self.faces.frame
         center = frame.axes.T @ self._ray_directions(cells.pair_cell)[:, 0]
@@ -526,14 +574,17 @@ class CellForms:
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + error
 
     def _find_shadows(self) -> None:
-        """Find out which triples of a pair, a light and an occluder shade the face.
+        """Find which occluders shade all or nothing of a face in a cell, and add shadow edges.
 
-        A light becomes settled without adding radiance if a single occluder shades all of the face
-        in the cell.  A triple is removed if (1) its occluder shades nothing of the face in the
-        cell, or (2) its light is settled for the pair.  For the other triples, the edge of the
-        shadow is added to `self._edges`.
+        A pair is one face in one cell.  A triple is a pair, a light, and an occluder (an object
+        that may shade the face from the light).  If the occluder shades all of the face in the
+        cell, the light is marked in `cells.is_settled`, and adds no radiance.
 
-        If the cells have the width `MAX_WIDTH`, all triples are searched for first.
+        A triple is removed if (1) its occluder shades nothing of the face in the cell, or (2) its
+        light is settled for the pair.  For each remaining triple, the edges of the shadow that may
+        cross the cell are added to `self._edges`.
+
+        If the cells have the width `MAX_WIDTH`, the list of triples is created first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -549,38 +600,41 @@ class CellForms:
         self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
     def _sphere_shadow_conditions(self, triple: Ints) -> Iterator[_Condition]:
-        """Yield the two conditions for the visible point of a face to be in a sphere's shadow.
+        """Yield the two conditions under which the visible point of a face is in a sphere's shadow.
 
-        Let L be the light, C the sphere's centre, both relative to the eye, c = C - L, and r the
-        radius.  The point p is in the shadow if it satisfies two conditions:
+        Let L be the light and C the sphere's centre, both relative to the eye.  Let c = C - L, and
+        let r be the radius.  The point p is in the shadow if two conditions are true:
 
         1. It is inside the cone: |c x (p - L)| <= r |p - L|.
         2.  It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.  The
            part of this plane inside the cone is inside the sphere.  So it is never an edge.
 
-        The camera ray with direction d meets the face at p = t d, and 1 / t = k.d + s.  Divided by
-        t, p - L is q - L s with q = d - L k.d.  The cross product c x (p - L) equals c x (p - C),
-        in which nothing cancels however distant the light is.  Divided by t, p - C is w - C s with
-        w = d - C k.d.  So the first condition is u + v s >= 0 with
+        The camera ray with direction d meets the face at p = t d, where 1 / t = k.d + s.  Here s is
+        the square-root term, which is 0 for planes.  So (p - L) / t = q - L s with q = d - L k.d.
+        The cross product c x (p - L) equals c x (p - C), in which nothing cancels however distant
+        the light is, and (p - C) / t = w - C s with w = d - C k.d.  Divided by t^2, the first
+        condition is u + v s >= 0 with
 
             u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
             v = 2 ((c x C).(c x w) - r^2 L.q),
 
-        and the second is c.d - (c.C - r^2) / t >= 0.
+        and, divided by t, the second is c.d - (c.C - r^2) / t >= 0.
 
         Parameters
         ----------
         triple : (n,) int array
-            The triples (a pair, a light and an occluder) whose occluders are spheres.
+            Indices of the triples whose occluder is a sphere.  A triple is a pair (one face in one
+            cell), a light and an occluder.
 
         Yields
         ------
         condition : _Condition
-            The first condition for all triples, then the second.
+            First condition 1 for all triples, then condition 2.  `question` is `triple`.
         """
-        faces, cells, (pair, light, ball) = self.faces, self.cells, self.cells.triples[:, triple]
-        c, r2 = faces.to_center[:, light, ball], faces.radius[ball] ** 2
-        position, center = faces.light_position[light].T, faces.center[:, ball]
+        faces, cells, (pair, light, sphere) = self.faces, self.cells, self.cells.triples[:, triple]
+        c, r2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
+        # The light L and the sphere's centre C.
+        position, center = faces.light_position[light].T, faces.center[:, sphere]
         rays = self._ray_directions(cells.pair_cell[pair])
         inverse = self._linear_inverse.coef[:XX, pair]
         q, w = (rays - end[:, None] * inverse for end in (position, center))
@@ -590,7 +644,7 @@ class CellForms:
             faces.frame.max_ray_size * (1 + np.sqrt(square) * k_size * 2)
             for square in (position2, center2)
         )
-        u, across = _cone_function(c, faces.radius[ball], q, q_size, w, w_size)
+        u, across = _cone_function(c, faces.radius[sphere], q, q_size, w, w_size)
         c_center, v = _cross_product(c, center[:, None]), np.zeros((8, triple.size))
         dot = (c_center * across).sum(axis=0)
         v[:XX] = 2 * (dot - r2 * (position[:, None] * q).sum(axis=0))
@@ -601,27 +655,29 @@ class CellForms:
         root2_size = np.abs(root2).sum(axis=0)
         u.coef[R] += 16 * ROUNDING * (c2 * center2 + r2 * position2) * root2_size
         yield _Condition(triple, u, Form(v), is_edge=True)
-        terms = c * center
-        beyond = np.array([*c, r2 - terms.sum(axis=0), r2 + np.abs(terms).sum(axis=0)])
-        yield _Condition(triple, *self._side_function(pair, beyond), is_edge=False)
+        products = c * center
+        behind_plane = np.array([*c, r2 - products.sum(axis=0), r2 + np.abs(products).sum(axis=0)])
+        yield _Condition(triple, *self._side_function(pair, behind_plane), is_edge=False)
 
     def _box_shadow_conditions(self, triple: Ints, is_lit: Bools) -> Iterator[_Condition]:
         """Yield the conditions under which the visible point of a face is in the shadow of a box.
 
-        The shadow volume is the intersection of at most nine half-spaces.
+        The shadow is the intersection of at most nine half-spaces.
 
         Parameters
         ----------
         triple : (n,) int array
-            The triples (a pair, a light and an occluder) whose occluders are boxes.
+            Indices of the triples whose occluder is a box.  A triple is a pair (one face in one
+            cell), a light and an occluder.
         is_lit : (q,) bool array
-            For all triples of the cells, whether an earlier condition is false everywhere in the
-            cell.  Such triples are skipped.  The array may change between two conditions.
+            For each triple of the cells, whether an earlier condition is false everywhere in the
+            cell.  Such triples are skipped.  The caller may change this array after each condition.
 
         Yields
         ------
         condition : _Condition
-            One half-space of all triples that are not skipped.
+            The visible point is in one of the half-spaces of the triple's shadow.  `question` holds
+            the triples that are not skipped.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         for half_spaces, has_edge in zip(
@@ -636,26 +692,29 @@ class CellForms:
             yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
 
     def _find_intersections(self) -> None:
-        """Add lines to `self._edges` where the faces of two pairs of a cell may intersect.
+        """Add an edge to `self._edges` wherever two faces of a cell may intersect.
 
-        A point p on one face is on a plane if k.p - 1 = 0.  It is on a second sphere if it is on
-        the plane that is the difference of both spheres' equations, p^2 - 2 c.p + power = 0.
+        A plane has a linear equation n.p + b = 0 for its points p.  A sphere with centre c has the
+        equation p^2 - 2 c.p + b = 0.  If both faces are spheres, the difference of their equations
+        is linear.  So each intersection lies in a plane, and the edge is where the visible point of
+        one face is on this plane.
         """
         faces, cells = self.faces, self.cells
         order = np.argsort(cells.pair_cell, kind="stable")
         cell_start = cells.pair_cell[order].searchsorted(cells.pair_cell[order])
-        # Each pair of a cell with all earlier pairs of the cell.
+        # Combine each pair (one face in one cell) with all earlier pairs of the same cell.
         segments = list_segment_elements(np.arange(order.size) - cell_start, cell_start)
         pair, other = (order[index] for index in segments)
         is_planar = faces.is_planar[cells.pair_face[pair]]
-        pair, other = np.where(is_planar, (other, pair), (pair, other))  # spheres first
+        pair, other = np.where(is_planar, (other, pair), (pair, other))  # a sphere comes first
         face, other_face = cells.pair_face[pair], cells.pair_face[other]
         differs_in_object = faces.object_index[face] != faces.object_index[other_face]
         differs_in_plane = (faces.plane[:, face] != faces.plane[:, other_face]).any(axis=0)
         index = np.flatnonzero(differs_in_object & differs_in_plane)
         pair, face, other_face = pair[index], face[index], other_face[index]
-        plane, ball = faces.equation[:, other_face], np.flatnonzero(~faces.is_planar[other_face])
-        plane[:, ball] += faces.equation[:, face[ball]] * [[-1], [-1], [-1], [-1], [1]]
+        # `spheres` holds the indices at which both faces are spheres.
+        plane, spheres = faces.equation[:, other_face], np.flatnonzero(~faces.is_planar[other_face])
+        plane[:, spheres] += faces.equation[:, face[spheres]] * [[-1], [-1], [-1], [-1], [1]]
         function = self._side_function(pair, plane)
         crossing = _Condition(np.arange(pair.size), *function, is_edge=True)
         self._decide(pair, -1, np.zeros(pair.size, np.bool_), [crossing])
@@ -663,18 +722,21 @@ class CellForms:
     def edge_functions(self) -> tuple[Ints, Ints, Form]:
         """Return all edge functions: the picture may have an edge only where one of them is zero.
 
-        Each function is enclosed as u + v s, where s is the root in the inverse distance of a face.
-        Near a silhouette, where s is steep, u^2 - v^2 s^2 has the same zeros, and is used if its
-        unknown part is smaller relative to its slope.
+        Each function is u + v s and belongs to a pair (one face in one cell).  Here s is the
+        square-root term of 1 / t = k.d + s, where t is the distance of the face along the ray with
+        direction d.  Near a silhouette, s is steep, and its enclosure is wide.  The function
+        u^2 - v^2 s^2 is zero wherever u + v s is.  It replaces u + v s if its enclosure is narrower
+        in proportion to its slope.
 
         Returns
         -------
         pair : (n,) int array
-            The pair of a cell and a face to which each function belongs.
+            For each function, the index of its pair.
         light : (n,) int array
-            The light whose radiance changes at the edge, or -1 if all radiance changes.
+            For each function, the light whose radiance changes at the edge, or -1 if all radiance
+            changes.
         form : Form
-            Enclosures (8, n) of the functions in the cells.
+            Enclosures (8, n) of the functions in the cells of the pairs.
         """
         pair, light = (np.concatenate([edges[i] for edges in self._edges]) for i in (0, 1))
         u = Form(np.concatenate([edges.u.coef for edges in self._edges], axis=1))
@@ -682,7 +744,7 @@ class CellForms:
         form = self._enclose(pair, u, v)
 
         def relative_width(form: Form) -> Floats:
-            """Estimate the width of the strip around the zero of each function (8, n)."""
+            """Estimate for each function (8, n) how wide the strip around its zero is."""
             size = np.abs(form.coef)
             return np.asarray(size[XX:].sum(axis=0) / np.maximum(size[X], size[Y]))
 
@@ -694,23 +756,27 @@ class CellForms:
         return pair, light, form
 
     def shade(self, is_requested: Bools, error: float) -> Contributions:
-        """Compute the radiance that unsettled lights add to pairs, and settle lights if possible.
+        """Compute the radiance of unsettled lights, and settle those that have no edge in a cell.
 
-        A light becomes settled for a pair of a cell and a face if (1) it has no edge there, so that
-        it reaches all of the face in the cell, and (2) the error of its radiance is at most `error`
-        divided by the number of lights.  The radiance of such a light is added to `cells.radiance`.
+        A pair is one face in one cell.  A light is settled for a pair if `cells.radiance` already
+        contains all that the light adds to it.  A light becomes settled if (1) it has no edge in
+        the cell, so that it reaches all of the face there, and (2) the error of its radiance is at
+        most `error` divided by the number of lights.  Its radiance is then added to
+        `cells.radiance`, and the light is marked in `cells.is_settled`.
 
         Parameters
         ----------
         is_requested : (p,) bool array
-            The pairs to shade.
+            For each pair, whether to shade it.
         error : float
-            Maximum error of the radiance that all settled lights add to a pair, in any channel.
+            Maximum error of the radiance that all settled lights together add to a pair, in any
+            channel.
 
         Returns
         -------
         contributions : Contributions
-            The radiance of the lights that remain unsettled on the requested pairs.
+            For each requested pair and each light that remains unsettled: the indices of both, and
+            an enclosure of the reflected radiance.
         """
         contributions, cells = self._enclose_contributions(is_requested), self.cells
         has_edge = np.zeros_like(cells.is_settled)
@@ -726,47 +792,55 @@ class CellForms:
         return contributions.take(~is_certain)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that each unsettled light adds to pairs, where it reaches the face.
+        """Enclose the radiance that a face reflects at lit points, for each unsettled light.
 
-        Distances are divided by the distance t of the visible point p = t d from the eye.  For a
-        light at q relative to the eye, |p - q|^2 / t^2 is d^2 - 2 q.d / t + q^2 / t^2, and (q -
-        p).(-p) / t^2 is d^2 - q.d / t.  Let n, l and v be the unit normal and the unit vectors to
-        the light and to the eye.  Then the Blinn-Phong term n.h is (n.l + n.v) / |l + v|, and |l +
-        v|^2 = 2 + 2 l.v.
+        A pair is one face in one cell.  A light is unsettled for a pair unless it is known to reach
+        all or nothing of the face in the cell.
+
+        The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
+        divided by t.  For a light at q,
+
+            |q - p|^2 / t^2 = d^2 - 2 q.d / t + q^2 / t^2,
+            (q - p).(-p) / t^2 = d^2 - q.d / t.
+
+        Let n be the unit normal, and let l and v be the unit vectors from p to the light and to the
+        eye.  The Blinn-Phong term is n.h = (n.l + n.v) / |l + v|, where |l + v|^2 = 2 + 2 l.v.
 
         Parameters
         ----------
         is_requested : (p,) bool array
-            The pairs to shade.
+            For each pair, whether to shade it.
 
         Returns
         -------
         contributions : Contributions
-            The radiance for all unsettled lights of the requested pairs, sorted by pair and light.
+            For each requested pair and each light that is unsettled for it: the indices of both,
+            and an enclosure (8, 3, n) of the radiance.  Sorted by pair and light.
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
         height = self._enclose(pair, *self._height_function(pair, light))
         cell, obj = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         q = faces.light_position[light].T
-        square, along = self.square[cell], self.inverse[pair] * self._dot_with_rays(q, cell)
-        inverse2 = (self.inverse * self.inverse)[pair]
-        distance2 = square - along * 2.0 + inverse2 * (q * q).sum(axis=0)
+        # d^2 and q.d / t.
+        d_square, dot_over_t = self.square[cell], self.inverse[pair] * self._dot_with_rays(q, cell)
+        inverse_squared = (self.inverse * self.inverse)[pair]
+        distance2 = d_square - dot_over_t * 2.0 + inverse_squared * (q * q).sum(axis=0)
         inverse_distance = distance2.power(-0.5, _MIN_SQUARE)
         n_dot_l = (height * inverse_distance).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
         radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, obj])
         glossy = np.flatnonzero(prepared.is_glossy[obj])
-        glossy_pair, position = np.unique(pair[glossy], return_inverse=True)
+        glossy_pair, unique_index = np.unique(pair[glossy], return_inverse=True)
         inverse_length = self.square.power(-0.5)
         eye_function = self._height_function(glossy_pair, 0 * glossy_pair - 1)
         eye_height = self._enclose(glossy_pair, *eye_function)
         n_dot_v = eye_height * inverse_length[cells.pair_cell[glossy_pair]]
-        l_dot_v = (square[glossy] - along[glossy]) * (
+        l_dot_v = (d_square[glossy] - dot_over_t[glossy]) * (
             inverse_distance[glossy] * inverse_length[cell[glossy]]
         )
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)
-        n_dot_h = ((n_dot_l[glossy] + n_dot_v[position]) * inverse_sum).clamp_to_unit_interval()
+        n_dot_h = ((n_dot_l[glossy] + n_dot_v[unique_index]) * inverse_sum).clamp_to_unit_interval()
         lobe = n_dot_h.power(prepared.exponent[obj[glossy]], 0.0, 1.0).clamp_to_unit_interval()
         specular = intensity[:, glossy] * prepared.specular[:, obj[glossy]]
         radiance[..., glossy] += lobe.coef[:, None] * specular

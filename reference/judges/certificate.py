@@ -242,19 +242,22 @@ def enclose(
 
 
 def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
-    """Bound the radiance of all points in each cell, by its brightest face under all lights.
+    """Compute an upper bound on the radiance in each cell, from its faces under all lights.
+
+    A light is settled for a face in a cell if it is known to reach all or nothing of the face in
+    the cell.
 
     Parameters
     ----------
     cells : Cells
-        The c cells, and the radiance that settled lights add to faces in them.
+        The c cells, with the radiance that settled lights add to each face.
     contributions : Contributions
-        The radiance that each other light adds to a face where it reaches it.
+        The radiance that each light that is not settled adds to a face at lit points.
 
     Returns
     -------
     max_radiance : (3, c) float array
-        Upper bounds in each channel; 0 in cells without a face.
+        Upper bounds in each channel: the maximum over the faces of the cell, or 0 without a face.
     """
     bound_of_pair, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
     add_at_sorted_index(bound_of_pair, contributions.pair, contributions.radiance.max_abs)
@@ -266,26 +269,27 @@ def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
 def _strips_of_edges(
     forms: CellForms, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
 ) -> Strips:
-    """Enclose all edges in strips, with bounds on the jump of radiance across each edge.
+    """Enclose each edge in a strip, and bound the jump (change of radiance) across the edge.
 
-    A strip is the part of a cell between two parallel lines.
+    A strip is the part of a cell between two parallel lines.  An edge lies where an edge function
+    is zero.
 
     Parameters
     ----------
     forms : CellForms
-        The c cells, with their edge functions, which are zero on edges.
+        The c cells, with their edge functions.
     contributions : Contributions
-        Radiance of all lights that are not settled, which bounds the jumps at the edges of shadows.
+        Radiance of all lights that are not settled (not known to reach all or nothing of a face in
+        a cell).  It bounds the jumps at the edges of shadows.
     max_radiance : (3, c) float array
-        Bound on the radiance in each cell, which bounds the jumps where another face becomes
-        visible.
+        Upper bound on the radiance in each cell.  It bounds the jumps at the outlines of faces.
     is_skipped : (c,) bool array
         Cells whose edges are omitted.
 
     Returns
     -------
     strips : Strips
-        The strips, sorted by cell.  Edges without a jump have none.
+        The strips, sorted by cell.  Edges without a jump are omitted.
     """
     light_count = forms.cells.is_settled.shape[1]
     pair, light, form = forms.edge_functions()
@@ -322,15 +326,16 @@ def _is_loose(edges: Strips) -> Bools:
 
 
 def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the error of the radiance in regions whose centroid lies in strips.
+    """Bound the error that a sample in a strip may cause in the radiance of its region.
 
-    A strip contains an edge.  If the centroid is in the strip, the sample at the centroid may be on
-    the wrong side of the edge, and then the whole region may be wrong by the jump of radiance.
+    A strip is the part of a cell between two parallel lines that enclose an edge.  Each region is
+    shaded by one sample at its centroid.  If the centroid is in a strip, the sample may be on the
+    wrong side of the edge.  Then the whole region may be wrong by the jump of radiance there.
 
     Parameters
     ----------
     lines : Strips
-        The edges that divide cells into regions, sorted by cell.
+        The strips whose centre lines divide cells into regions, sorted by cell.
     regions : Regions
         The n regions.
     cell_count : int
@@ -339,8 +344,8 @@ def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
     Returns
     -------
     doubt : (n,) float array
-        Sum of the jumps of all strips that contain the centroid.  Infinite if the region is so
-        small that its centroid is unknown because of rounding errors.
+        For each region, the sum of the jumps of all strips that contain its centroid.  Infinite if
+        the region is so small that rounding errors make its centroid unknown.
     """
     _, x, y, *_ = regions.mean
     first_line = lines.cell.searchsorted(np.arange(cell_count + 1))
@@ -356,7 +361,8 @@ def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
 def _region_radiance(forms: CellForms, contributions: Contributions, regions: Regions) -> Form:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
-    The sample shows which face is visible in the region, and which lights reach it.
+    The sample shows which face is visible in the region, and which lights reach it.  A light is
+    settled for a face in a cell if it is known to reach all or nothing of the face there.
 
     Parameters
     ----------
@@ -391,12 +397,15 @@ def _region_radiance(forms: CellForms, contributions: Contributions, regions: Re
 
 
 def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace one sample in each region, and find which face it shows and which lights reach it.
+    """Trace n samples, and find which face each one shows and which lights reach the visible point.
+
+    A pair is one face that may be visible in one cell.  A light is settled for a pair if it is
+    known to reach all or nothing of the face in the cell.
 
     Parameters
     ----------
     forms : CellForms
-        The cells, with the pairs of a cell and a face that may be visible in it.
+        The cells and their pairs.
     cell : (n,) int array
         The cell of each sample.
     x, y : (n,) float arrays
@@ -405,9 +414,10 @@ def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tupl
     Returns
     -------
     pair : (n,) int array
-        The pair whose face is visible, or -1 for the background.
+        For each sample, the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether the light reaches the visible face at the sample; False for lights that are settled.
+        Whether the light reaches the visible point of the sample; False for settled lights and for
+        the background.
 
     Raises
     ------

@@ -34,7 +34,7 @@ import numpy as np
 from reference.judges.arrays import Floats, Index
 
 C, X, Y, XX, XY, YY, Z, R = range(8)
-"""Indices of a form's coefficients; R is the radius."""
+"""Rows of a form's array: coefficients of 1, X, Y, X^2, X Y, Y^2 and Z; R is the error bound."""
 
 ROUNDING = 1e-13
 """Bound on the rounding error of each term, relative to the term: about 900 roundings."""
@@ -51,8 +51,9 @@ _MIN_CHORD_WIDTH = 1e-6
 class Form:
     """Forms: n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
 
-    A cell has coordinates X and Y from -1 to 1.  For some Z between -1 and 1, which is the same for
-    all forms about one surface, a quantity differs by at most coef[R] from
+    X and Y are the coordinates in the cell, from -1 to 1.  Z stands for the unknown part of the
+    distance of a surface.  It lies between -1 and 1, and is the same for all forms about one
+    surface.  A quantity differs by at most coef[R] from
 
         coef[C] + coef[X] X + coef[Y] Y
             + coef[XX] X^2 + coef[XY] X Y + coef[YY] Y^2 + coef[Z] Z.
@@ -60,7 +61,8 @@ class Form:
     Attributes
     ----------
     coef : (8, n) float array, or (8, 3, n) for the three channels of radiance
-        The coefficients, in the order C, X, Y, XX, XY, YY, Z, R; coef[R] is at least 0.
+        Rows 0 to 6 (C, X, Y, XX, XY, YY, Z) hold the coefficients of 1, X, Y, X^2, X Y, Y^2 and Z.
+        Row 7 (R, the radius) holds the error bound, which is at least 0.
     """
 
     __slots__ = ("coef",)
@@ -70,7 +72,7 @@ class Form:
         self.coef = coef
 
     def __getitem__(self, index: Index) -> Form:
-        """Select forms along the last axis by indices (k,) or a mask (n,), and copy them."""
+        """Copy the forms that indices (k,) or a mask (n,) select along the last axis."""
         # `take` needs half the time of indexing.
         index = np.flatnonzero(index) if index.dtype == np.bool_ else index
         return Form(self.coef.take(index, axis=-1))
@@ -88,7 +90,7 @@ class Form:
         return max_abs
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Bound each quantity everywhere in its cell.
+        """Bound each quantity by two numbers that are valid everywhere in its cell.
 
         Returns
         -------
@@ -103,10 +105,11 @@ class Form:
         return low, high
 
     def __add__(self, other: Form | Floats | float) -> Form:
-        """Add quantities of the same surfaces, or numbers.
+        """Add other quantities of the same surfaces, or numbers.
 
-        The unknown parts Z of both forms are treated as equal.  For quantities of different
-        surfaces, whose unknown parts are independent, see `difference_form`.
+        Each form contains an unknown Z from -1 to 1, which is the same for all quantities of one
+        surface.  So the coefficients of Z are added.  Quantities of different surfaces have
+        independent unknowns: see `difference_form`.
 
         Parameters
         ----------
@@ -126,15 +129,16 @@ class Form:
         return Form(coef)
 
     def __sub__(self, other: Form) -> Form:
-        """Subtract quantities of the same surfaces; their equal unknown parts Z cancel."""
+        """Subtract other quantities of the same surfaces, which share the unknown Z."""
         return self + other * -1.0
 
     def __mul__(self, other: Form | Floats | float) -> Form:
-        """Multiply by quantities of the same surfaces, or by numbers.
+        """Multiply by other quantities of the same surfaces, or by numbers.
 
-        A product of two forms has terms of degree three and four, and products with Z.  The largest
-        absolute value of each such term is added to the radius, and so is a bound on the rounding
-        errors.
+        The product of two polynomials also has terms of degree three and four in X and Y, and
+        products with the unknown Z, which a form cannot represent.  The largest absolute value of
+        each such term is added to the radius (row R, the error bound).  A bound on the rounding
+        errors is added, too.
 
         Parameters
         ----------
@@ -202,8 +206,8 @@ class Form:
         second = 0.5 * (exponent - 1) * first / center
         third = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
         remainder = third * np.maximum(f_low / low**3, f_high / high**3) * w**3
-        d = self + -center
-        result = d * d * second + d * first + f
+        offset = self + -center
+        result = offset * offset * second + offset * first + f
         result.coef[R] += remainder + ROUNDING * (np.maximum(f_low, f_high) + np.abs(first) * high)
         is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
         is_coarse = is_coarse & (w > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
@@ -221,8 +225,9 @@ class Form:
     ) -> Form:
         """Enclose powers z^exponent by a line parallel to the chord of the power function.
 
-        The chord joins the powers at both ends of the interval of z.  The line is at two thirds of
-        the way from the chord to the tangent with the same slope.
+        The chord joins the powers at both ends of the interval [low, high] of z.  The line lies
+        between the chord and the tangent with the same slope, at two thirds of the way from the
+        chord.
 
         Parameters
         ----------
@@ -236,7 +241,7 @@ class Form:
         Returns
         -------
         line : Form
-            Enclosures (8, n) of the powers, linear in the quantities.
+            Enclosures (8, n) of the powers, which are linear functions of the forms of z.
         """
         slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
         z = (slope / exponent) ** (1 / (exponent - 1))  # there the tangent has this slope
@@ -249,7 +254,7 @@ class Form:
         return line
 
     def clamp_to_unit_interval(self) -> Form:
-        """Replace each form that allows much more than [0, 1] by this interval.
+        """Replace each form that is much wider than the interval [0, 1] by this interval.
 
         Call this only for quantities that are certainly from 0 to 1, such as the cosines of angles
         below 90 degrees.
@@ -257,8 +262,8 @@ class Form:
         Returns
         -------
         clamped : Form
-            The form itself if the sum of its absolute coefficients is below 2.  Otherwise, or if
-            the sum is NaN, the constant 0.5 with a radius of 0.5.
+            For each form, the form itself if the sum of its absolute coefficients is below 2.
+            Otherwise, or if the sum is NaN, the constant 0.5 with an error bound of 0.5.
         """
         is_too_wide = ~(self.max_abs < 2)
         coef = np.where(is_too_wide, 0, self.coef)
@@ -266,16 +271,18 @@ class Form:
         return Form(coef)
 
     def split_into_quarters(self) -> Form:
-        """Express each quantity by the coordinates of each of the four quarters of its cell.
+        """Convert each form of a cell to four forms, one for each quarter of the cell.
+
+        In each quarter, the coordinates X and Y run from -1 to 1.  The absolute coefficient of the
+        unknown Z is added to the radius (row R, the error bound).  Each new coefficient is a sum of
+        at most six terms, so its rounding error is at most 6 * 2^-53 times the sum of their
+        absolute values.  The radius includes this error.
 
         Returns
         -------
         quarters : Form
-            Forms (8, ..., 4 n): for each form, its four quarters in the order upper left, upper
-            right, lower left, lower right.  In each quarter, X and Y run from -1 to 1.  The unknown
-            part Z is added to the radius.  Each coefficient is a sum of at most six terms, and its
-            rounding error is at most 6 * 2^-53 times the sum of their absolute values.  The radius
-            includes this error.
+            Enclosures (8, ..., 4 n).  Each form is replaced by those of its four quarters in the
+            order upper left, upper right, lower left, lower right.
         """
         c, x, y, xx, xy, yy, _, _ = self.coef.repeat(4, axis=-1)
         quarter = np.arange(c.shape[-1]) % 4
@@ -295,7 +302,7 @@ def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
 
 
 def constant_form(value: Floats, radius: Floats | float = 0.0) -> Form:
-    """Make forms (enclosures by polynomials) of quantities that are nearly constant in a cell.
+    """Enclose quantities that are nearly constant in a cell.
 
     Parameters
     ----------
@@ -307,7 +314,7 @@ def constant_form(value: Floats, radius: Floats | float = 0.0) -> Form:
     Returns
     -------
     constant : Form
-        Enclosures (8, ..., n) without terms in X, Y and Z.
+        Enclosures (8, ..., n): in row C the constants, in row R the radius, and zeros elsewhere.
     """
     coef = np.zeros((8, *value.shape))
     coef[C], coef[R] = value, radius
@@ -315,11 +322,11 @@ def constant_form(value: Floats, radius: Floats | float = 0.0) -> Form:
 
 
 def difference_form(form: Form, other: Form) -> Form:
-    """Subtract quantities of different surfaces.
+    """Enclose differences between quantities of two different surfaces.
 
-    A form encloses a quantity by a polynomial with an unknown part Z.  The unknown parts of
-    different surfaces are independent, so they do not cancel: both are added to the radius of the
-    difference.
+    A form encloses a quantity by a polynomial that contains an unknown Z from -1 to 1.  The
+    unknowns of different surfaces are independent and do not cancel.  So the absolute coefficients
+    of both are added to the radius of the difference (row R, the error bound).
 
     Parameters
     ----------
