@@ -136,7 +136,7 @@ def choose_normalisation(scene: Scene) -> Normalisation:
 
 
 def _stock_normalisation(scene: Scene) -> Normalisation:
-    """Choose the normalisation of a stock scene: none, if float32 is accurate enough without.
+    """Choose how to shift and scale a scene so that stock Mitsuba, in float32, is accurate enough.
 
     The scene keeps the file's coordinates if its visible part is neither too small nor too large
     nor too far from the origin.  A scene with very large spheres is scaled down.

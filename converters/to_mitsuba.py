@@ -281,7 +281,7 @@ def _render_file(path: Path, target: Path, options: argparse.Namespace) -> None:
     path : Path
         The scene file.
     target : Path
-        Path of either picture: see `_picture_paths`.
+        Path of the PNG or of the EXR; the other picture is written beside it.
     options : argparse.Namespace
         The parsed command line; `flavour`, `samples` and `variant` are used.
 

@@ -51,7 +51,7 @@ def make_pair(result: Result, handin: Codes, right: Codes) -> Pair:
 
 
 def _make_cell(result: Result, pair: Pair | None, pair_index: int | None) -> Cell:
-    """Return the cell of the table by student and scene that shows one result.
+    """Return the table cell for one result; rows are students, and columns are scenes.
 
     Its text is the verdict, or, for a picture that differs, the sentences of the first cause.
 
@@ -62,7 +62,7 @@ def _make_cell(result: Result, pair: Pair | None, pair_index: int | None) -> Cel
     pair : Pair or None
         The pair of pictures on the page, if there is one; the cell shows its thumbnail.
     pair_index : int or None
-        Number of the pair on the page, to which the cell links.
+        Index of the pair on the page; the cell links to this pair.
     """
     text = result.verdict
     if result.diagnosis and text == "differs":

@@ -92,10 +92,10 @@ def match_hand_ins(pictures: Iterable[Path], folder: Path, rights: Path) -> list
     Returns
     -------
     list of HandIn
-        First, one for each of `pictures`.  If `rights` is a folder, then one for each student and
-        each scene of which others, but not the student, have handed in a picture; a student without
-        any picture needs an empty folder to be known.  Last, one for each scene of which nobody has
-        handed in a picture.
+        First, one for each of `pictures`.  The following are added only if `rights` is a folder.
+        Second, one for each scene that a student has not handed in although another student has.  A
+        student who has handed in nothing is recognised only by an empty folder.  Last, one for each
+        scene that nobody has handed in.
     """
     right_of = _find_rights(rights)
     matched = [_match(picture, folder, rights, right_of) for picture in pictures]

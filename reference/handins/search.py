@@ -472,7 +472,7 @@ class Search:
         return self._remaining[cause]
 
     def _count_remaining_everywhere(self, cause: Cause) -> int:
-        """Return the exact number of pixels of the complete picture that a cause leaves wrong."""
+        """Count the pixels of the complete picture that a cause does not explain."""
         every_pixel = np.arange(self.known.pixel_count)
         if len(self._final_pixels) == len(every_pixel):
             return self._count_remaining(cause)
@@ -634,8 +634,9 @@ class Search:
     def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that may be reported.
 
-        A reportable cause leaves few pixels wrong, and nearly as few as the best cause.  A cause
-        with fitted numbers, such as a gamma, is reported only if there is no other.
+        A reportable cause explains almost all wrong pixels, nearly as many as the best cause does,
+        and nearly as many of them exactly.  A cause with fitted numbers, such as a gamma, is
+        reported only if there is no other.
 
         Parameters
         ----------
