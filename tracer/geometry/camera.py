@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot
+from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, normalize
 
 # Depth of a layer, as a multiple of the width of a packet at this depth: see
@@ -267,8 +267,9 @@ def camera_frame(
     w = normalize(camera.normal)
     if w @ view_direction > 0:
         w = -w
-    u = normalize(np.cross(normalize(camera.view_up), w))
-    v = np.cross(w, u)
+    # For single vectors, `np.cross` takes ten times as long as `cross`.
+    u = normalize(np.array(cross(normalize(camera.view_up).tolist(), w.tolist())))
+    v = np.array(cross(w.tolist(), u.tolist()))
     window_center = camera.proj_distance * view_direction
     step_u, step_v = camera.view_width / width, camera.view_height / height
     return CameraFrame(

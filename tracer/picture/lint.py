@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import BATCH_SIZE, Floats, Ints, batches, indices
-from tracer.geometry.rounding import LIGHT_TOLERANCE
+from tracer.arrays import BATCH_SIZE, Floats, Ints, indices
+from tracer.geometry.rounding import INSIDE, LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
 from tracer.scene.schema import number_text
 from tracer.trace.samples import pixel_centers
@@ -159,22 +159,20 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     for light_index in dark_lights[:1]:
         yield f"{_light_name(scene, light_index)} has intensity 0 0 0: it has no effect; remove it"
     if len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
-        for light_index, enclosing in islice(_enclosed_lights(scene, prepared), 1):
+        for light_index, enclosing in islice(_enclosed_lights(prepared), 1):
             light, surface = _light_name(scene, light_index), _surface_name(scene, enclosing)
             yield f"{light} is inside {surface}: it has no effect; move it out"
 
 
-def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[int, Ints]]:
+def _enclosed_lights(prepared: PreparedScene) -> Iterator[tuple[int, Ints]]:
     """Find the lights that are inside an object while the eye is outside that object.
 
     Such a light illuminates nothing that is visible.  Lights of intensity 0 are skipped.
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
     prepared : PreparedScene
-        The same scene, prepared for its camera.
+        The scene, prepared for its camera.
 
     Yields
     ------
@@ -183,21 +181,20 @@ def _enclosed_lights(scene: Scene, prepared: PreparedScene) -> Iterator[tuple[in
     enclosing : (k,) int array
         Indices of the objects that contain the light, but not the eye; k is at least 1.
     """
-    if not prepared.shapes:
-        return
-    for batch in batches(np.full(len(scene.lights), prepared.is_eye_inside.size)):
-        position = np.array([light.position for light in scene.lights[batch]])
-        x, y, z = position.T[:, :, None]
-        # A light that is inside by less than the tolerance is treated as on the surface.
-        is_inside = [
-            shape.signed_distance(shape.objects.indices(), (x, y, z))
-            < -LIGHT_TOLERANCE * shape.coordinate_size
-            for shape in prepared.shapes
-        ]
-        encloses = np.concatenate(is_inside, axis=1) & ~prepared.is_eye_inside
-        for row in np.flatnonzero(encloses.any(axis=1)).tolist():
-            if any(scene.lights[batch.start + row].intensity):
-                yield batch.start + row, indices(encloses[row])
+    start = 0
+    for lights in prepared.light_batches:
+        encloses = (lights.side == INSIDE) & ~prepared.is_eye_inside
+        for row in np.flatnonzero(encloses.any(axis=1) & lights.intensity.any(axis=1)).tolist():
+            # A light that is inside by less than the tolerance is treated as on the surface.
+            is_deep = [
+                shape.signed_distance(shape.objects.indices(), (*lights.position[row],))
+                < -LIGHT_TOLERANCE * shape.coordinate_size
+                for shape in prepared.shapes
+            ]
+            enclosing = indices(encloses[row] & np.concatenate(is_deep))
+            if enclosing.size:
+                yield start + row, enclosing
+        start += len(lights.position)
 
 
 @np.errstate(all="ignore")
@@ -237,7 +234,7 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     if around_eye.size:
         name = _surface_name(scene, around_eye)
         return unlit, f"viewPoint is inside {name}: move it out, or a light in"
-    enclosed = [*_enclosed_lights(scene, prepared)]
+    enclosed = [*_enclosed_lights(prepared)]
     if len(enclosed) < np.count_nonzero(is_emitted.any(axis=1)):
         return unlit, "see the lights' positions"
     light_index, enclosing = enclosed[0]

@@ -9,7 +9,6 @@ and to the eye.  Light does not fall off with distance, and the highlight has no
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -117,9 +116,10 @@ class Shading:
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
         self._is_glossy = [group.object_values(hits.prepared.is_glossy) for group in hits.groups]
-        # Sums over lights of intensity times n.l, and of intensity times (n.h)^exponent, without
-        # the colours of the surfaces.
-        self._diffuse, self._specular = np.zeros((2, *hits.from_eye.shape))
+        # For each group of hits, the sum over lights of intensity times n.l, and of intensity times
+        # (n.h)^exponent, without the colours of the surfaces; None before the first light.
+        self._diffuse: list[Floats | None] = [None] * len(hits.groups)
+        self._specular: list[Floats | None] = [None] * len(hits.groups)
         faces = [g.repeat_runs(4 * g.run_object + g.face) for g in hits.groups if with_ids]
         self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
 
@@ -136,25 +136,27 @@ class Shading:
         for light_is_lit in is_lit if self._with_ids else ():
             # The factor is odd: with more lights than bits, the first lights still count.
             self.ids = self.ids * 3 + light_is_lit
-        for group, is_glossy in zip(self._hits.groups, self._is_glossy, strict=True):
+        for number, (group, is_glossy) in enumerate(
+            zip(self._hits.groups, self._is_glossy, strict=True)
+        ):
             interval, any_glossy = group.interval, is_glossy.any()
             for light_index, is_hit_lit in enumerate(is_lit[:, interval]):
                 if not is_hit_lit.any():
                     continue
-                intensity = geometry.lights.intensity[light_index].tolist()
+                intensity = geometry.lights.intensity[light_index]
                 length = np.sqrt(geometry.length2[light_index, interval])
                 n_dot_l, cosine = geometry.n_dot_l[light_index, interval], np.zeros(length.size)
                 np.divide(n_dot_l, length, out=cosine, where=is_hit_lit)
-                for total, factor in zip(self._diffuse, intensity, strict=True):
-                    total[interval] += factor * cosine
+                self._diffuse[number] = _add_light(self._diffuse[number], intensity, cosine)
                 if any_glossy:
                     strength, index = np.zeros(length.size), indices(is_hit_lit & is_glossy)
                     strength[index] = geometry.highlight_strength(light_index, group, index)
-                    for total, factor in zip(self._specular, intensity, strict=True):
-                        total[interval] += factor * strength
+                    self._specular[number] = _add_light(self._specular[number], intensity, strength)
 
     def reflection_terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
         """Yield the diffuse and the specular radiance, for each shape and each colour channel.
+
+        Nothing is yielded for a shape that no light reaches.
 
         Yields
         ------
@@ -167,19 +169,21 @@ class Shading:
             diffuse colour, n the normal, and l the direction to the light.
         specular : (k,) float array or None
             Sum over visible lights of I ks (n.h)^exponent, where ks is the object's specular
-            colour, and h the half vector; None if none of the hit objects has highlights.
+            colour, and h the half vector; None if none of the lit objects has highlights.
         """
         prepared = self._hits.prepared
-        for (group, is_glossy), channel in product(
-            zip(self._hits.groups, self._is_glossy, strict=True), range(3)
+        for group, diffuse_sum, specular_sum in zip(
+            self._hits.groups, self._diffuse, self._specular, strict=True
         ):
-            interval, specular = group.interval, None
-            kd = group.object_values(prepared.diffuse[channel])
-            diffuse = self._diffuse[channel, interval] * kd
-            if is_glossy.any():
-                ks = group.object_values(prepared.specular[channel])
-                specular = self._specular[channel, interval] * ks
-            yield group.sample, channel, diffuse, specular
+            if diffuse_sum is None:
+                continue
+            for channel in range(3):
+                diffuse, specular = group.object_values(prepared.diffuse[channel]), None
+                diffuse *= diffuse_sum[channel]
+                if specular_sum is not None:
+                    specular = group.object_values(prepared.specular[channel])
+                    specular *= specular_sum[channel]
+                yield group.sample, channel, diffuse, specular
 
     def radiance(self, out: Floats | None = None) -> Floats:
         """Compute the radiance towards the eye, at each sample.
@@ -200,6 +204,31 @@ class Shading:
                 diffuse += specular
             out[channel][sample] = diffuse
         return out
+
+
+def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Floats:
+    """Add the light of one source to the sum over lights.
+
+    Parameters
+    ----------
+    total : (3, n) float array or None
+        The sum for each colour channel and each of n hits, which is overwritten; None if this is
+        the first light.
+    intensity : (3,) float array
+        The light's RGB intensity.
+    factor : (n,) float array
+        What the intensity is multiplied by at each hit: a cosine, or the strength of a highlight.
+
+    Returns
+    -------
+    total : (3, n) float array
+        The new sum.
+    """
+    if total is None:  # to create zeros and to add to them would take longer
+        return np.multiply.outer(intensity, factor)
+    for channel, strength in zip(total, intensity.tolist(), strict=True):
+        channel += strength * factor
+    return total
 
 
 def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
