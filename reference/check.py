@@ -347,7 +347,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
         If a radiance is not finite.
     """
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
-    matte = replace(with_square_pixels(scene), surfaces=Surfaces.of(surfaces))
+    matte = replace(with_square_pixels(scene), surfaces=Surfaces.from_objects(surfaces))
     image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
     for light in matte.lights:
         image += _render_diffuse_light(matte, light, variant)
@@ -585,7 +585,7 @@ def _indistinguishable_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
             replace(s, radius=s.radius * factor) if isinstance(s, Sphere) else s
             for s in scene.surfaces
         )
-        yield replace(scene, surfaces=Surfaces.of(surfaces)), 0.0
+        yield replace(scene, surfaces=Surfaces.from_objects(surfaces)), 0.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

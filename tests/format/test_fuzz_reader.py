@@ -8,19 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_reader import EVERYTHING
 
-from tracer import (
-    Box,
-    Camera,
-    Phong,
-    PointLight,
-    Scene,
-    SceneError,
-    SceneFileError,
-    Sphere,
-    load_scene,
-    render,
-    save_scene,
-)
+import tracer
+from tracer import Box, Camera, Phong, PointLight, Scene, Sphere, load_scene, render, save_scene
 
 VALID = EVERYTHING.encode()
 
@@ -57,7 +46,7 @@ def check_reader(content: bytes) -> None:
     """Check that a file is refused with readable lines, or that its scene survives saving."""
     try:
         scene = load_scene(io.BytesIO(content))
-    except SceneFileError as error:
+    except tracer.SceneFileError as error:
         lines = str(error).split("\n")
         assert all(line.startswith("<stream>:") and line.isprintable() for line in lines)
         assert content != VALID
@@ -91,7 +80,7 @@ def construct(dataclass: type, values: dict[str, Any], **required: Any) -> Any:
     """Construct an object from these values; from the required ones alone if others are invalid."""
     try:
         return dataclass(**values, **required)
-    except SceneError:
+    except tracer.SceneError:
         return dataclass(**required)
 
 

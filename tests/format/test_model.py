@@ -5,25 +5,12 @@ import io
 import pickle
 from collections.abc import Callable
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from tracer import (
-    Box,
-    Camera,
-    Lambertian,
-    Phong,
-    PointLight,
-    Scene,
-    SceneError,
-    SceneFileError,
-    Sphere,
-    Surfaces,
-    load_scene,
-    save_scene,
-)
+import tracer
+from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, load_scene
 
 # Two spheres around a box, in this order.
 MATTE, SHINY = Lambertian(diffuse=(0.5, 0.5, 0.5)), Phong(specular=(1, 1, 1), exponent=9)
@@ -41,7 +28,7 @@ ARRAYS: dict[str, Any] = {
 
 def error_of(construct: Callable[[], object]) -> ValueError:
     """Return the error that a function raises."""
-    with pytest.raises((SceneError, SceneFileError)) as caught:
+    with pytest.raises((tracer.SceneError, tracer.SceneFileError)) as caught:
         construct()
     return caught.value
 
@@ -85,7 +72,7 @@ def test_surfaces_are_equal_as_sequences_are():
     ]
     white = Lambertian()
     for same in (
-        Surfaces.of(list(surfaces)),
+        Surfaces.from_objects(list(surfaces)),
         Surfaces(**ARRAYS | {"shaders": (white, SHINY, MATTE), "shader_index": [2, 1, 2]}),
         Surfaces(**ARRAYS | {"center": ARRAYS["center"][::-1], "radius": [2, 1],
                              "shader_index": [1, 0, 0], "file_index": [2, 0, 1]}),
@@ -100,16 +87,9 @@ def test_surfaces_are_equal_as_sequences_are():
         "shaders": (MATTE, white),
     }.items():
         assert Surfaces(**ARRAYS | {name: value}) != surfaces
-    assert Surfaces.of(list(surfaces)[:2]) != surfaces
+    assert Surfaces.from_objects(list(surfaces)[:2]) != surfaces
     assert surfaces != list(surfaces)
     assert Surfaces() == Surfaces()
-
-
-def test_surfaces_are_sorted_once(monkeypatch):
-    surfaces, argsort = Surfaces(**ARRAYS), Mock(wraps=np.argsort)
-    monkeypatch.setattr("numpy.argsort", argsort)
-    assert [surfaces[k] for k in (0, 1, -1)] == list(surfaces)
-    assert argsort.call_count == 1
 
 
 # Files
@@ -131,7 +111,7 @@ def test_all_digits_are_saved(tmp_path):
     )
     path = tmp_path / "a.xml"
     for target in (bytes(path), str(path), path):
-        save_scene(scene, target)
+        tracer.save_scene(scene, target)
         same = load_scene(target)
         assert same == scene
         assert repr(same) == repr(scene)
@@ -152,12 +132,12 @@ def test_only_scenes_are_replaced(tmp_path):
         b"<!-- %b --><scene/>" % (b"long " * 100_000),
     ):
         path.write_bytes(there)
-        save_scene(scene, path)
+        tracer.save_scene(scene, path)
         assert load_scene(path) == scene
     for there in ('<scene version="3.0.0">', "<scenes>", "my notes", "<!-- <scene> --> text"):
         path.write_text(there)
         with pytest.raises(FileExistsError):
-            save_scene(scene, path)
+            tracer.save_scene(scene, path)
         assert path.read_text() == there
 
 
@@ -172,11 +152,11 @@ LINED = """<scene><image>4 3</image><camera/>
 def test_objects_know_their_lines():
     scene = load_scene(io.BytesIO(LINED.encode()))
     read = scene.surfaces
-    for surfaces in read, pickle.loads(pickle.dumps(read)), Surfaces.of(list(read)):
+    for surfaces in read, pickle.loads(pickle.dumps(read)), Surfaces.from_objects(list(read)):
         assert [surface.line for surface in surfaces] == [2, surfaces[1].line] == [2, 4]
     assert [light.line for light in scene.lights] == [3, 5]
     ball, lights = Sphere(), [PointLight(position=(1, 2, 3))] * 2
-    assert ball.line is lights[0].line is Surfaces.of([ball])[0].line is None
+    assert ball.line is lights[0].line is Surfaces.from_objects([ball])[0].line is None
     # Lines are ignored by ==, hash and repr.
     assert (read[1], scene.lights) == (ball, tuple(lights))
     assert (hash(read[1]), repr(read[1])) == (hash(ball), repr(ball))
@@ -197,5 +177,5 @@ def test_directions_are_refused_if_the_camera_would_be_inaccurate(vectors, messa
     for x in (1.01e-10, -1.01e-10):
         Camera(**vectors(x))
     for x in (0.99e-10, -0.99e-10):
-        with pytest.raises(SceneError, match=message):
+        with pytest.raises(tracer.SceneError, match=message):
             Camera(**vectors(x))

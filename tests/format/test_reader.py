@@ -24,15 +24,9 @@ def test_defaults():
       <surface type="Box"><minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt></surface>
       <surface type="Sphere"><shader type="Phong"/></surface>""")
     assert (scene.width, scene.height) == (4, 3)
-    assert scene.camera == Camera(
-        view_point=(0, 0, 0),
-        view_dir=(0, 0, -1),
-        view_up=(0, 1, 0),
-        proj_normal=None,
-        proj_distance=1,
-        view_width=1,
-        view_height=1,
-    )
+    vectors = {"view_point": (0, 0, 0), "view_dir": (0, 0, -1), "view_up": (0, 1, 0)}
+    sizes = {"proj_distance": 1, "view_width": 1, "view_height": 1}
+    assert scene.camera == Camera(**vectors, proj_normal=None, **sizes)
     assert scene.lights == (PointLight(position=(1, 2, 3), intensity=(1, 1, 1)),)
     white = Lambertian(diffuse=(1, 1, 1))
     plain = Phong(diffuse=(1, 1, 1), specular=(0, 0, 0), exponent=1)
@@ -69,15 +63,9 @@ EVERYTHING = """<?xml version="1.0" encoding="utf-8"?>
 
 
 def test_all_elements():
-    camera = Camera(
-        view_point=(1, 2, 3),
-        view_dir=(4, 5, 6),
-        view_up=(0, 0, 1),
-        proj_normal=(1, 1, 1),
-        proj_distance=7,
-        view_width=0.75,
-        view_height=0.76,
-    )
+    vectors = {"view_point": (1, 2, 3), "view_dir": (4, 5, 6), "view_up": (0, 0, 1)}
+    sizes = {"proj_distance": 7, "view_width": 0.75, "view_height": 0.76}
+    camera = Camera(**vectors, proj_normal=(1, 1, 1), **sizes)
     light = PointLight(position=(-1, -2, -3), intensity=(0.7, 0.8, 0.9))
     shader = Phong(diffuse=(0.4, 0.5, 0.6), specular=(0.1, 0.2, 0.3), exponent=20)
     ball = Sphere(center=(1, 2, 3), radius=0.5, shader=shader)

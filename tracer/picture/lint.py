@@ -15,7 +15,7 @@ import numpy as np
 from tracer.arrays import BATCH_SIZE, Floats, Ints, indices
 from tracer.geometry.rounding import INSIDE, LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
-from tracer.scene.schema import number_text
+from tracer.scene.schema import format_number
 from tracer.trace.samples import pixel_centers
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
@@ -347,7 +347,7 @@ def _aspect_warnings(scene: Scene) -> Iterator[str]:
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
     if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
-        window = f"{number_text(view_width)} x {number_text(view_height)}"
+        window = f"{format_number(view_width)} x {format_number(view_height)}"
         picture = f"{width} x {height} pixels show a window of {window}, stretched"
         columns = max(1, round(height * view_width / view_height))
         remedy = f"viewWidth {view_height * width / height:.6g}, or {columns} columns,"
@@ -409,6 +409,6 @@ def _code_warnings(scene: Scene) -> Iterator[str]:
                 colors.append((tag, color, _indexed_name("surface", user, surfaces[user].line)))
     for tag, color, owner in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
-            codes = " ".join(map(number_text, color))
+            codes = " ".join(map(format_number, color))
             fractions = " ".join(f"{value / 255:.3g}" for value in color)
             yield f"{tag} {codes} of {owner} looks like 0 to 255; for 0 to 1, write {fractions}"

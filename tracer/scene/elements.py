@@ -11,11 +11,14 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 from xml.parsers import expat
 
 from tracer.messages import quoted, shortened
-from tracer.scene.hints import SCENE_REMEDY, syntax_remedy
+from tracer.scene.hints import SCENE_REMEDY, suggest_syntax_fix
+
+FileOrPath: TypeAlias = str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO[bytes]
+"""A binary file object, or the path of a file."""
 
 MAX_BYTES = 1 << 28
 """Maximum size of a scene file: 256 MiB, about two million objects."""
@@ -36,10 +39,10 @@ _CONTAINERS = frozenset(("scene", "camera", "light", "shader", "surface"))
 
 
 class FatalError(Exception):
-    """An error in an input file after which the rest of the file is not read.
+    """An error after which the rest of a scene file is not read.
 
-    ``error.args`` is a pair: the line number in the file, or 0 if the error concerns the whole
-    file; and the message, which contains a suggested fix.
+    ``error.args`` is a pair of (1) the line number in the file, or 0 if the error concerns the
+    whole file, and (2) the message with a suggested fix.
     """
 
 
@@ -55,7 +58,8 @@ class Element(list["Element"]):
     line : int
         Line of the file where the element begins.
     text : str
-        The text inside the element; "" for an element that contains other elements.
+        The text inside the element.  In an element that must not contain text, the first piece of
+        text that was reported as an error.
     """
 
     # The parser sets the slots one by one, which takes less time than a call of `__init__`.
@@ -67,9 +71,9 @@ class Element(list["Element"]):
 
 
 def open_scene(path: str) -> IO[bytes]:
-    """Open a scene file for reading, if it is a regular file of at most `MAX_BYTES` (256 MiB).
+    """Open a scene file for reading, but only a regular file of at most 256 MiB (`MAX_BYTES`).
 
-    Other files, such as pipes and devices, are refused, because they may block or never end.
+    Pipes, devices and other special files are refused, because reading them may never end.
 
     Parameters
     ----------
@@ -79,13 +83,12 @@ def open_scene(path: str) -> IO[bytes]:
     Returns
     -------
     file : binary file
-        The file; the caller must close it.
+        The open file, which the caller must close.
 
     Raises
     ------
     FatalError
-        If the path names a folder or another file that is not regular, the file is too large, or
-        the path is invalid.
+        If the path is invalid, or names a folder, a special file, or a file that is too large.
     OSError
         If the file does not exist or cannot be opened.
     """
@@ -94,11 +97,10 @@ def open_scene(path: str) -> IO[bytes]:
     except ValueError:
         message = "a path cannot hold a NUL or half of a surrogate pair; check the path"
         raise FatalError(0, message) from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FatalError(0, "is a folder; name a scene file in it")
     if not stat.S_ISREG(status.st_mode):
-        message = "is not a regular file; save the scene to one"
-        if stat.S_ISDIR(status.st_mode):
-            message = "is a folder; name a scene file in it"
-        raise FatalError(0, message)
+        raise FatalError(0, "is not a regular file; save the scene to one")
     if status.st_size > MAX_BYTES:
         raise FatalError(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
     return open(path, "rb")
@@ -110,12 +112,11 @@ class Parser:
     Parameters
     ----------
     read_child : callable
-        Called first with the root, when its start tag is parsed, so without children.  Then called
-        with each child of the root when its end tag is parsed.  The child contains all its
-        descendants.
+        Called with one `Element`: first with the root after its start tag, when it has no children
+        yet; then with each child of the root after the child's end tag, with all its descendants.
     report_at : callable
-        Called for each text where text is not allowed, with (1) the line of the text, (2) the tag
-        of the element around it and (3) the error message.
+        Called for an element with text although text is not allowed in it.  The arguments are the
+        line of the text, the tag of the element, and the error message.
 
     Attributes
     ----------
@@ -123,11 +124,8 @@ class Parser:
         Elements whose end tags have not been parsed yet, the root first.
     descendant_count : int
         Number of elements so far inside the current child of the root.
-    stray_element : Element or None
-        The last element in which text was reported although it is not allowed.  Expat divides long
-        texts into several events, of which only the first is reported.
     encoding : str
-        Encoding that the XML declaration names; "" if it names none.
+        Encoding given by the XML declaration, or "".
     byte_count : int
         Number of bytes passed to expat.
     recent_bytes : bytes
@@ -139,7 +137,6 @@ class Parser:
     ) -> None:
         self.read_child, self.report_at = read_child, report_at
         self.open_elements: list[Element] = []
-        self.stray_element: Element | None = None
         self.descendant_count, self.encoding = 0, ""
         self.byte_count, self.recent_bytes = 0, b""
         self.expat: Any = expat.ParserCreate()
@@ -151,7 +148,9 @@ class Parser:
         self.expat.StartDoctypeDeclHandler = self._refuse_declarations
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a file to its end, and pass its elements on.  Call this only once.
+        """Parse a whole scene file, and pass each complete element to `read_child`.
+
+        A parser can parse only one file.
 
         Parameters
         ----------
@@ -161,10 +160,10 @@ class Parser:
         Raises
         ------
         FatalError
-            If the file is not XML up to its end, or exceeds a limit.  Elements that were complete
-            before have been passed on.
+            If the file is not well-formed XML, or exceeds a limit.  The elements before the error
+            have been passed on.
         TypeError
-            If the file is opened as text.
+            If `file` returns text instead of bytes.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
@@ -181,19 +180,20 @@ class Parser:
             self.expat = None
 
     def _parse_chunk(self, chunk: bytes, file: IO[bytes]) -> None:
-        """Parse the next part of the file.
+        """Parse the next bytes of a scene file.
 
         Parameters
         ----------
         chunk : bytes
-            The part; empty at the end of the file.
+            The bytes; empty at the end of the file.
         file : binary file
-            The file, from which the bytes after the chunk are read to diagnose a syntax error.
+            The file, positioned after the chunk.  After a syntax error, some of the following bytes
+            are read to diagnose the error.
 
         Raises
         ------
         FatalError
-            If the file is not XML, or exceeds a limit.
+            If the XML is not well-formed, or exceeds a limit.
         """
         self.recent_bytes = self.recent_bytes[-_KEPT_BYTES:] + chunk
         self.byte_count += len(chunk)
@@ -214,60 +214,57 @@ class Parser:
             raise FatalError(0, f"has more than {MAX_BYTES} bytes, which are allowed")
 
     def _diagnose(self, error: expat.ExpatError, following: bytes) -> FatalError:
-        """Find a suggested fix for a syntax error.
+        """Convert a syntax error that expat reports to a `FatalError` with a suggested fix.
 
         Parameters
         ----------
         error : ExpatError
-            The error that expat reports.
+            The error from expat, the XML parser.
         following : bytes
             The bytes of the file after the current chunk.
 
         Returns
         -------
-        fatal : FatalError
+        fatal_error : FatalError
             The error to raise, with the line, the column and the suggested fix.
 
         Raises
         ------
         MemoryError
-            If expat reports that there is not enough memory.
+            If expat ran out of memory.
         """
         message = expat.ErrorString(error.code)
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
         before, after = self.recent_bytes[:position], self.recent_bytes[position:] + following
-        remedy = syntax_remedy(
-            message, error.lineno, before, after, self.open_elements, self.encoding
-        )
-        column = error.offset + 1
-        return FatalError(error.lineno, f"not XML: {message} at column {column}; {remedy}")
+        context = before, after, self.open_elements, self.encoding
+        remedy = suggest_syntax_fix(message, error.lineno, *context)
+        place = f"at column {error.offset + 1}"
+        return FatalError(error.lineno, f"not XML: {message} {place}; {remedy}")
 
     def _start_element(self, tag: str, attrib: dict[str, str]) -> None:
         """Handle a start tag: create an element, and add it to its parent.
 
-        The root is passed on immediately.  A child of the root is not added to the root, so that it
-        can be forgotten when it is complete.
+        The root of the file is passed to `read_child` immediately.  The root's children are not
+        added to the root, so that their memory can be freed when they are complete.
 
         Parameters
         ----------
         tag : str
-            Name of the element.
-        attrib : dict of str
-            Values of the element's attributes by their names.
+            Tag of the element.
+        attrib : dict of str to str
+            Names and values of the element's attributes.
 
         Raises
         ------
         FatalError
-            If there are more than `MAX_DESCENDANTS` elements inside the same child of the root, or
-            attributes of this element.
+            If the element has more than `MAX_DESCENDANTS` attributes, or a child of the root
+            contains more than `MAX_DESCENDANTS` elements.
         """
         element = Element()
-        element.tag = tag
-        element.attrib = attrib
-        element.line = self.expat.CurrentLineNumber
-        element.text = ""
+        element.tag, element.attrib = tag, attrib
+        element.line, element.text = self.expat.CurrentLineNumber, ""
         open_elements = self.open_elements
         open_elements.append(element)
         if len(open_elements) > 2:
@@ -284,27 +281,29 @@ class Parser:
             raise FatalError(element.line, f"{shortened(child.tag)}: {message}")
 
     def _end_element(self, _tag: str) -> None:
-        """Handle an end tag: close the innermost element, and pass on a child of the root."""
-        open_elements = self.open_elements
-        element = open_elements.pop()
-        if len(open_elements) == 1:
+        """Handle an end tag: close the innermost open element.
+
+        If the element is a child of the root, it is passed to `read_child`.
+        """
+        element = self.open_elements.pop()
+        if len(self.open_elements) == 1:
             self.read_child(element)
 
     def _add_text(self, text: str) -> None:
-        """Handle text between two tags: add it to the innermost element.
+        """Handle text between two tags: add it to the innermost open element.
 
-        Text in an element that must contain only elements is reported as an error, but white space
-        there is ignored.
+        White space between elements is ignored.  The first text in an element that must contain
+        only elements, such as <camera>, is reported as an error.
 
         Parameters
         ----------
         text : str
-            The text, or a part of it: expat divides long texts.
+            The text, or a piece of it: expat divides long texts.
 
         Raises
         ------
         FatalError
-            If the element's text exceeds `MAX_TOKEN_BYTES`.
+            If the whole text of the element exceeds `MAX_TOKEN_BYTES`.
         """
         element = self.open_elements[-1]
         if text.isspace() and not element.text:
@@ -314,36 +313,38 @@ class Parser:
             if len(element.text) > MAX_TOKEN_BYTES:
                 message = f"more than {MAX_TOKEN_BYTES} characters; make it shorter"
                 raise FatalError(element.line, f"{shortened(element.tag)}: {message}")
-        elif self.stray_element is not element:
+        elif not element.text:
+            element.text = text.lstrip()
             # The event occurs at the end of the text, but the error is at its beginning.
-            self.stray_element, stray_text = element, text.lstrip()
-            line = self.expat.CurrentLineNumber - stray_text.count("\n")
-            message = f"stray text {quoted(stray_text.rstrip())}; remove it"
+            line = self.expat.CurrentLineNumber - element.text.count("\n")
+            message = f"stray text {quoted(element.text.rstrip())}; remove it"
             self.report_at(line, element.tag, message)
 
     def _store_encoding(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Handle the XML declaration: store its encoding, or "" if it names no encoding."""
+        """Handle the XML declaration: store its encoding, or "" if it gives none."""
         self.encoding = encoding or ""
 
-    def _refuse_declarations(self, _name: str, system_id: str | None, *others: object) -> None:
-        """Handle a DOCTYPE: refuse it if it declares anything, or refers to another file.
+    def _refuse_declarations(
+        self, _name: str, system_id: str | None, _public_id: str | None, has_declarations: int
+    ) -> None:
+        """Handle a DOCTYPE: refuse it if it contains declarations, or refers to another file.
 
-        Such declarations define entities: names for text.  Entities that contain other entities can
-        grow exponentially, and those that another file declares would be skipped silently.
+        Declarations can define entities, which are names for pieces of text.  Entities that contain
+        other entities can grow exponentially.  Entities from another file would be skipped
+        silently.
 
         Parameters
         ----------
         system_id : str or None
-            Name of the other file, if the DOCTYPE refers to one.
-        *others : object
-            The last one is true if the DOCTYPE itself contains declarations.
+            Name of the other file; None if the DOCTYPE refers to no file.
+        has_declarations : int
+            Nonzero if the DOCTYPE contains declarations.
 
         Raises
         ------
         FatalError
             If the DOCTYPE is refused.
         """
-        has_declarations = others[-1]
         if has_declarations or system_id is not None:
             remedy = "remove the DOCTYPE, and write out what entities stand for"
             message = f"DOCTYPE: declarations are not allowed; {remedy}"

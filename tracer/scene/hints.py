@@ -1,7 +1,7 @@
 """Suggest fixes for errors in scene files: XML syntax errors, unknown names, and invalid numbers.
 
 Expat's messages show where a syntax error is, but not which mistake caused it.  The table
-`_SYNTAX_REMEDIES` recognises common mistakes by the text before and after that place.
+`_SYNTAX_REMEDIES` recognises common mistakes by the text before and after the error.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <sha
 
 # A row contains (1) expat's message, or "" for any message; (2) a pattern that the text before the
 # error must end with; (3) a pattern that the text from the error on must begin with; (4) the
-# suggested fix, in which `line` is the line where the match of (2) begins, `odd` is the character
-# at the error, and `code` is its code point.  The first row that matches is used.
+# suggested fix, in which `line` is the line where the match of (2) begins, and `character` is the
+# character at the error.  The first row that matches is used.
 _SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
     (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # it may be a picture
@@ -42,7 +42,7 @@ _SYNTAX_REMEDIES = (
     ("", rb"=\s*", rb"\w", _QUOTED),
     ("", rb"", rb"\xe2\x80[\x98\x99\x9c\x9d]", 'write straight quotes, as in type="Sphere"'),
     ("", rb"", rb"[\x01-\x08\x0e-\x1f]", "remove the control character"),
-    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {odd!r} (U+{code:04X})"),
+    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {character}"),
     ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag of line {line} with >"),
     ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes of line {line}"),
     ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes of line {line}"),
@@ -78,16 +78,14 @@ _EQUIVALENTS: dict[str, Sequence[str]] = {
     "up": ("viewUp",),
     "imageplane": ("projDistance, viewWidth and viewHeight", ""),
     **dict.fromkeys(("lookat", "target", "to"), ("viewDir, the target minus viewPoint", "")),
-    **dict.fromkeys(
-        ("fov", "fovy"), ("viewHeight, 2 tan(fov / 2) projDistance, and viewWidth", "")
-    ),
+    **dict.fromkeys(("fov", "fovy"), ("viewHeight, 2 tan(fov/2) projDistance, and viewWidth", "")),
     **dict.fromkeys(("exposure", "samples", "background", "ambient", "integrator"), ("",)),
     **{name.lower(): (f'<surface type="{name}">',) for name in ("Sphere", "Box")},
     **{name.lower(): (f'<shader type="{name}">',) for name in ("Lambertian", "Phong")},
 }
 
 
-def syntax_remedy(
+def suggest_syntax_fix(
     message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
     """Suggest a fix for an XML syntax error.
@@ -99,9 +97,9 @@ def syntax_remedy(
     line : int
         Line of the error.
     before, after : bytes
-        Text of the file that ends just before the error, and text that begins at the error.
+        Text of the file just before the error, and text from the error on.
     elements : sequence of Element
-        Elements whose end tags have not been parsed yet, the root first.
+        Elements that are open at the error, the root first.
     encoding : str
         Encoding that the file declares; "" if it declares none.
 
@@ -117,8 +115,9 @@ def syntax_remedy(
         if expected_message in ("", message):
             match = re.search(rb"(?s:%b)\Z" % end_of_before, before)
             if match and re.match(start_of_after, after):
-                odd = after.decode(errors="replace")[:1] or " "
-                return remedy.format(line=line - match[0].count(b"\n"), odd=odd, code=ord(odd))
+                character = after.decode(errors="replace")[:1] or " "
+                described = f"{character!r} (U+{ord(character):04X})"
+                return remedy.format(line=line - match[0].count(b"\n"), character=described)
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
     innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
@@ -129,101 +128,82 @@ def syntax_remedy(
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
 
-def closest_name(name: str, known: Iterable[str]) -> str | None:
-    """Find the known name that is most similar to an unknown one.
+def suggest_name(name: str, allowed: Iterable[str]) -> tuple[str, str | None]:
+    """Suggest an allowed name to write in place of an unknown one.
 
-    Case is ignored.  At most `_MAX_COMPARED` known names are compared, and 40 characters of each.
+    Only the first `_MAX_COMPARED` allowed names are compared with the unknown name, ignoring case,
+    and only the first 37 characters of long names.
 
     Parameters
     ----------
     name : str
-        The unknown name.
-    known : iterable of str
-        The known names.
-
-    Returns
-    -------
-    match : str or None
-        The most similar known name; None if no known name is similar.
-    """
-    from difflib import get_close_matches  # only after an error: importing takes milliseconds
-
-    name_of_key = {shortened(word).lower(): word for word in islice(known, _MAX_COMPARED)}
-    matches = get_close_matches(shortened(name).lower(), name_of_key, n=1)
-    return name_of_key[matches[0]] if matches else None
-
-
-def name_remedy(known: Iterable[str], match: str | None) -> str:
-    """Suggest a fix for an unknown name.
-
-    Parameters
-    ----------
-    known : iterable of str
-        Names that are allowed in place of the unknown one.
-    match : str or None
-        The known name that is most similar to the unknown one; None if no name is similar.
+        The unknown name, which may be misspelt.
+    allowed : iterable of str
+        The allowed names.
 
     Returns
     -------
     remedy : str
-        With a match, the question whether it was meant.  Otherwise a list of at most `_MAX_LISTED`
-        known names, or "remove it" if there are none.
+        "did you mean ...?" with the most similar allowed name.  If no allowed name is similar, a
+        list of at most `_MAX_LISTED` allowed names.  If no name is allowed, "remove it".
+    match : str or None
+        The most similar allowed name; None if no allowed name is similar.
     """
-    names = sorted(islice(known, _MAX_COMPARED))
-    if match is not None:
-        return f"did you mean {quoted(match)}?"
-    if not names:
-        return "remove it"
-    more = ", ..." if len(names) > _MAX_LISTED else ""
-    return f"known: {', '.join(map(shortened, names[:_MAX_LISTED]))}{more}"
+    from difflib import get_close_matches  # only after an error: importing takes milliseconds
+
+    name_of_key = {shortened(word).lower(): word for word in islice(allowed, _MAX_COMPARED)}
+    for key in get_close_matches(shortened(name).lower(), name_of_key, n=1):
+        return f"did you mean {quoted(name_of_key[key])}?", name_of_key[key]
+    names = [shortened(word) for word in sorted(name_of_key.values())]
+    more = ["..."] * (len(names) > _MAX_LISTED)
+    return f"known: {', '.join(names[:_MAX_LISTED] + more)}" if names else "remove it", None
 
 
-def tag_remedy(tag: str, known: Collection[str]) -> tuple[str, str | None]:
-    """Suggest a fix for an unknown element.
+def suggest_tag(tag: str, allowed: Collection[str]) -> tuple[str, str | None]:
+    """Suggest what to write in place of an unknown tag.
 
     Parameters
     ----------
     tag : str
-        Tag of the unknown element.
-    known : collection of str
-        Tags of the elements that are allowed in its place.
+        The unknown tag, which may be that of another scene format.
+    allowed : collection of str
+        The tags that are allowed there.
 
     Returns
     -------
     remedy : str
         The suggested fix.
     intended : str or None
-        What to write in place of the unknown tag, often one of the known tags; None if that is not
-        clear.
+        The tag, or several, that the author of the file probably meant; None if that is unclear.
     """
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:
             return "remove it", None
-        if equivalent.startswith("<") or equivalent.split(",")[0] in known:
+        if equivalent.startswith("<") or equivalent.split(",")[0] in allowed:
             return f"write {equivalent}", equivalent
-    match = closest_name(tag, known)
-    return name_remedy(known, match), match
+    return suggest_name(tag, allowed)
 
 
-def number_remedy(word: str) -> str:
-    """Explain why a word is not a number that a scene file may contain, and suggest a fix.
+def explain_invalid_number(word: str) -> str:
+    """Explain why a word in a scene file is not a valid number, and suggest a fix.
 
     Parameters
     ----------
     word : str
-        A word that is no decimal number, or a decimal number other than 0 that is so small that
-        float64 would round it to 0.
+        Either a word that is no decimal number, or a number so close to 0 that float64 would round
+        it to 0.
 
     Returns
     -------
     message : str
         The reason and the suggested fix, separated by ";".
     """
-    odd = next((character for character in word if not character.isascii()), None)
-    if odd is not None:
-        category = "Pd" if odd == "\N{MINUS SIGN}" else unicodedata.category(odd)
-        remedy = _CHARACTER_REMEDIES.get(category, "write a plain character in its place")
-        return f"{quoted(word)} contains U+{ord(odd):04X}, {unicodedata.name(odd, '?')}; {remedy}"
+    for character in word:
+        if not character.isascii():
+            category = "Pd" if character == "\N{MINUS SIGN}" else unicodedata.category(character)
+            remedy = _CHARACTER_REMEDIES.get(category, "write a plain character in its place")
+            character_name = f"U+{ord(character):04X}, {unicodedata.name(character, '?')}"
+            return f"{quoted(word)} contains {character_name}; {remedy}"
     if "," in word:
         return f"{quoted(word)} contains a comma; separate numbers by spaces, and write 1.5 for 1,5"
     if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", word, re.ASCII):

@@ -9,17 +9,16 @@ The metadata of the fields define the elements of scene files: see `schema.xml_f
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias, overload
+from typing import Any, SupportsIndex, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Columns, Floats, RowError, Validated, number_text, xml_field
+from tracer.scene.schema import Floats, Validated, format_number, xml_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
@@ -39,17 +38,17 @@ _MIN_SINE = _MIN_COSINE = 1e-10
 
 @np.errstate(under="ignore")
 def normalize(vector: ArrayLike) -> Floats:
-    """Normalise a vector, without overflow or underflow.
+    """Scale a vector to length 1, without overflow or underflow.
 
     Parameters
     ----------
     vector : (3,) array_like
-        A vector other than 0.
+        Any vector except the zero vector.
 
     Returns
     -------
     unit_vector : (3,) float array
-        The vector of length 1 with the same direction.
+        The unit vector with the same direction.
     """
     array = np.asarray(vector, dtype=np.float64)
     # Scale the vector so that the squares of its large components neither overflow nor underflow.
@@ -96,26 +95,26 @@ class Camera(Validated):
     view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
 
     @classmethod
-    def find_conflicts(cls, columns: Columns) -> Iterator[RowError]:
+    def find_conflicts(cls, columns: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
         """Find cameras whose vectors do not define a window.
 
-        `view_up` must not be parallel to the normal of the window, and `proj_normal` must not be
-        perpendicular to `view_dir`.
+        The window is the rectangle in space that the picture fills.  `view_up` must not be parallel
+        to its normal, `proj_normal`, which must not be perpendicular to `view_dir`.
 
         Parameters
         ----------
-        columns : mapping of (n, 3) float arrays
-            The vectors of n cameras, by the names of their fields.  A `proj_normal` of NaN stands
-            for `view_dir`.
+        columns : mapping of str to (n, 3) float array
+            The vectors of n cameras, one array for each field name.  The default of `proj_normal`
+            is `view_dir`; rows of NaN stand for it.
 
         Yields
         ------
         index : int
-            Index of a camera.
+            Index of a camera with an error.
         name : str
             Name of the field with the error.
         message : str
-            What is wrong.
+            What is wrong, without the name of the field.
         """
         vectors = (columns[name] for name in ("view_up", "view_dir", "proj_normal"))
         for index, (up, ahead, normal) in enumerate(zip(*vectors, strict=True)):
@@ -220,7 +219,7 @@ class Phong(Validated):
 
 Shader: TypeAlias = Lambertian | Phong
 
-_SHADER = xml_field(schema.one_of(Lambertian, Phong), "shader")
+_SHADER = xml_field(schema.type_validator(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,32 +274,32 @@ class Box(Validated):
     line: int | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def find_conflicts(cls, columns: Columns) -> Iterator[RowError]:
-        """Find boxes whose minimum exceeds their maximum.
+    def find_conflicts(cls, columns: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
+        """Find boxes with a coordinate of `min_pt` that exceeds that of `max_pt`.
 
         Parameters
         ----------
-        columns : mapping of (n, 3) float arrays
-            The corners `min_pt` and `max_pt` of n boxes.
+        columns : mapping of str to (n, 3) float array
+            The corners of n boxes, in the entries "min_pt" and "max_pt".
 
         Yields
         ------
         index : int
-            Index of a box.
+            Index of a box with an error.
         name : str
-            Name of the field with the error.
+            Name of the field with the error: "min_pt".
         message : str
             What is wrong, with the coordinates.
         """
-        low, high = columns["min_pt"], columns["max_pt"]
-        for index in np.flatnonzero((low > high).any(axis=1)).tolist():
-            corners = zip("xyz", low[index].tolist(), high[index].tolist(), strict=True)
-            excess = " and ".join(
-                f"{axis} has {number_text(minimum)} > {number_text(maximum)}"
-                for axis, minimum, maximum in corners
-                if minimum > maximum
-            )
-            yield index, "min_pt", f"must not exceed max_pt, but {excess}; swap these"
+        min_pt, max_pt = columns["min_pt"], columns["max_pt"]
+        for index in np.flatnonzero((min_pt > max_pt).any(axis=1)).tolist():
+            excesses = [
+                f"{axis} has {format_number(low)} > {format_number(high)}"
+                for axis, low, high in zip("xyz", min_pt[index], max_pt[index], strict=True)
+                if low > high
+            ]
+            message = f"must not exceed max_pt, but {' and '.join(excesses)}; swap these"
+            yield index, "min_pt", message
 
 
 class Surfaces(Sequence[Sphere | Box]):
@@ -321,14 +320,14 @@ class Surfaces(Sequence[Sphere | Box]):
     shader_index : (S + B,) array_like of int
         For each surface, the index of its shader in `shaders`.
     file_index : (S + B,) array_like of int, optional
-        For each surface, its index in the file: a permutation of 0 ... S + B - 1.  By default, that
-        of the arrays.  If two surfaces are at the same distance, the one with the lower index is
-        visible.
+        For each surface, its index in the file: a permutation of 0 ... S + B - 1.  By default, the
+        order in the file is that of the arrays.  If a ray hits two surfaces at the same distance,
+        the surface with the lower index is visible.
     shaders : tuple of Lambertian or Phong
         The shaders, each of which can belong to several surfaces.
     line : (S + B,) array_like of int, optional
-        For each surface, the line of the file where it begins; 0 if it is not from a file, which is
-        the default.
+        For each surface, the line of the file where it begins; 0 if it is not from a file.  By
+        default, all lines are 0.
 
     Raises
     ------
@@ -348,65 +347,62 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...] = (),
         line: ArrayLike | None = None,
     ) -> None:
-        self.center = schema.POINT.rows(center, "center")
-        self.radius = schema.LENGTH.rows(radius, "radius")
-        self.min_pt = schema.POINT.rows(min_pt, "min_pt")
-        self.max_pt = schema.POINT.rows(max_pt, "max_pt")
+        self.center = schema.POINT.copy_rows(center, "center")
+        self.radius = schema.LENGTH.copy_rows(radius, "radius")
+        self.min_pt = schema.POINT.copy_rows(min_pt, "min_pt")
+        self.max_pt = schema.POINT.copy_rows(max_pt, "max_pt")
+        file_index = np.arange(len(self)) if file_index is None else file_index
+        line = np.zeros(len(self)) if line is None else line
         self.shader_index = schema.copy_integers(shader_index, "shader_index")
-        array_order = np.arange(len(self))
-        self.file_index = schema.copy_integers(
-            array_order if file_index is None else file_index, "file_index"
-        )
-        self.shaders: tuple[Shader, ...] = schema.list_of(Lambertian, Phong)(shaders, "shaders")
-        lines = schema.copy_integers(0 * array_order if line is None else line, "line")
-        self.line = lines.astype(np.int32)
+        self.file_index = schema.copy_integers(file_index, "file_index")
+        self.line = schema.copy_integers(line, "line").astype(np.int32)
+        validate_shaders = schema.list_validator(Lambertian, Phong)
+        self.shaders: tuple[Shader, ...] = validate_shaders(shaders, "shaders")
         # Numbers can be validated only if the lengths of the arrays match.
-        schema.raise_if_any(self._array_errors())
-        errors = sorted(self._number_errors(), key=lambda error: error[0])
+        schema.raise_if_any(self._find_array_errors())
+        errors = sorted(self._find_number_errors(), key=lambda error: error[0])
         schema.raise_if_any(f"surface {index}: {message}" for index, message in errors)
         self.__setstate__(vars(self))
 
-    def _array_errors(self) -> Iterator[str]:
-        """Check the lengths of the arrays and the indices in them.
+    def _find_array_errors(self) -> Iterator[str]:
+        """Check that the arrays of all surfaces have matching lengths, and contain valid indices.
 
         Yields
         ------
         message : str
-            Name of an array, and what is wrong: its length, its first invalid index, or that it is
-            not a permutation.
+            Name of an array with an error, and what is wrong with the array.
         """
-        reason = "one for each surface"
-        for name, needed, why in (
-            ("radius", len(self.center), "as many as center"),
-            ("max_pt", len(self.min_pt), "as many as min_pt"),
-            *((name, len(self), reason) for name in ("shader_index", "file_index", "line")),
-        ):
-            if (length := len(getattr(self, name))) != needed:
-                yield f"{name}: needs {needed}, {why}; has {length}"
-        index, shader_count = self.shader_index, len(self.shaders)
-        for wrong_index in index[(index < 0) | (index >= shader_count)].tolist()[:1]:
-            yield f"shader_index: must be indices of {shader_count} shaders, has {wrong_index}"
+        needed = {"radius": (len(self.center), "as many as center")}
+        needed |= {"max_pt": (len(self.min_pt), "as many as min_pt")}
+        per_surface = len(self), "one for each surface"
+        needed |= dict.fromkeys(("shader_index", "file_index", "line"), per_surface)
+        for name, (needed_length, reason) in needed.items():
+            if (length := len(getattr(self, name))) != needed_length:
+                yield f"{name}: needs {needed_length}, {reason}; has {length}"
+        shader_index, shader_count = self.shader_index, len(self.shaders)
+        is_invalid = (shader_index < 0) | (shader_index >= shader_count)
+        for invalid_index in shader_index[is_invalid].tolist()[:1]:
+            yield f"shader_index: must be indices of {shader_count} shaders, has {invalid_index}"
         count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(count)):
             yield f"file_index: must be a permutation of 0 ... {count - 1}"
 
-    def _number_errors(self) -> Iterator[tuple[int, str]]:
-        """Validate the numbers of all surfaces, and yield the errors.
+    def _find_number_errors(self) -> Iterator[tuple[int, str]]:
+        """Find the invalid numbers of all surfaces.
 
         Yields
         ------
         file_index : int
-            Index in the file of a surface.
+            Index in the file of a surface with an error.
         message : str
-            Name of a field of this surface, and what is wrong.
+            Name of a field of the surface, and what is wrong with the field.
         """
-        sphere_file_index, box_file_index = np.split(self.file_index, [self.sphere_count])
-        sphere_columns = {"center": self.center, "radius": self.radius[:, None]}
-        box_columns = {"min_pt": self.min_pt, "max_pt": self.max_pt}
-        for index, name, message in schema.find_errors(Sphere, sphere_columns):
-            yield sphere_file_index.item(index), f"{name}: {message}"
-        for index, name, message in schema.find_errors(Box, box_columns):
-            yield box_file_index.item(index), f"{name}: {message}"
+        columns = {name: getattr(self, name) for name in ("center", "min_pt", "max_pt")}
+        columns["radius"] = self.radius[:, None]
+        first_index: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
+        for surface_type, first in first_index.items():
+            for index, name, message in schema.find_errors(surface_type, columns):
+                yield self.file_index.item(first + index), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
@@ -418,38 +414,44 @@ class Surfaces(Sequence[Sphere | Box]):
             setattr(self, name, value)
 
     @classmethod
-    def of(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
-        """Create an instance from Sphere and Box objects, in the same order.
+    def from_objects(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
+        """Store the numbers of Sphere and Box objects in arrays, in the same order.
 
         Parameters
         ----------
         surfaces : iterable of Sphere and Box
             The objects.  An instance of `Surfaces` is returned unchanged.
 
+        Returns
+        -------
+        packed : Surfaces
+            An equal sequence that stores its numbers in arrays.
+
         Raises
         ------
         SceneError
-            If an item is neither a Sphere nor a Box.
+            If `surfaces` is not iterable, or an item is neither a Sphere nor a Box.
         """
         if isinstance(surfaces, Surfaces):
             return surfaces
-        objects: tuple[Any, ...] = schema.list_of(Sphere, Box)(surfaces, "surfaces")
+        objects: tuple[Any, ...] = schema.list_validator(Sphere, Box)(surfaces, "surfaces")
         # Shaders are identified by id(), which is fast.  Surfaces that share a shader still share
         # it in the new instance.
         shaders = {id(surface.shader): surface.shader for surface in objects}
         shader_index = {key: index for index, key in enumerate(shaders)}
-        spheres = [index for index, item in enumerate(objects) if isinstance(item, Sphere)]
-        boxes = [index for index, item in enumerate(objects) if isinstance(item, Box)]
-        array_order = spheres + boxes
+        array_order = sorted(range(len(objects)), key=lambda index: isinstance(objects[index], Box))
+        ordered = [objects[index] for index in array_order]
+        spheres: list[Any] = [surface for surface in ordered if isinstance(surface, Sphere)]
+        boxes = ordered[len(spheres) :]
         return cls(
-            center=[objects[index].center for index in spheres],
-            radius=[objects[index].radius for index in spheres],
-            min_pt=[objects[index].min_pt for index in boxes],
-            max_pt=[objects[index].max_pt for index in boxes],
-            shader_index=[shader_index[id(objects[index].shader)] for index in array_order],
+            center=[sphere.center for sphere in spheres],
+            radius=[sphere.radius for sphere in spheres],
+            min_pt=[box.min_pt for box in boxes],
+            max_pt=[box.max_pt for box in boxes],
+            shader_index=[shader_index[id(surface.shader)] for surface in ordered],
             file_index=array_order,
             shaders=tuple(shaders.values()),
-            line=[objects[index].line or 0 for index in array_order],
+            line=[surface.line or 0 for surface in ordered],
         )
 
     def __len__(self) -> int:
@@ -462,7 +464,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def file_order(self) -> NDArray[np.intp]:
-        """Indices of the surfaces in the arrays, in the order of the file: (S + B,) int array.
+        """Indices in the arrays of all surfaces, in the order of the file: (S + B,) int array.
 
         This permutation is the inverse of `file_index`.
         """
@@ -484,38 +486,34 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _make_surface(self, index: int) -> Sphere | Box:
-        """Create an object for the surface at an index of the arrays.
+        """Create the `Sphere` or `Box` object of one surface in the arrays.
 
         Parameters
         ----------
         index : int
-            Index among all surfaces; in the arrays, the spheres come before the boxes.
+            Index of the surface in the arrays, where the spheres come before the boxes.
 
         Returns
         -------
         surface : Sphere or Box
-            The object, which is equal to the one from which the arrays were created.
+            A new object with the numbers, the shader and the line of the surface.
         """
         shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
-        if index < self.sphere_count:
+        make, box_index = schema.construct_unchecked, index - self.sphere_count
+        if box_index < 0:
             center, radius = tuple(self.center[index].tolist()), self.radius.item(index)
-            return schema.construct_unchecked(
-                Sphere, center=center, radius=radius, shader=shader, line=line
-            )
-        box_index = index - self.sphere_count
+            return make(Sphere, center=center, radius=radius, shader=shader, line=line)
         min_pt, max_pt = (tuple(pt[box_index].tolist()) for pt in (self.min_pt, self.max_pt))
-        return schema.construct_unchecked(
-            Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line
-        )
+        return make(Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
             return NotImplemented
-        return len(self) == len(other) and all(map(operator.eq, self, other))
+        return self[:] == other[:]
 
     def __hash__(self) -> int:
-        # To hash all the arrays would take too long.
-        return hash((len(self), self[0] if len(self) else None))
+        # Hashing all surfaces would take too long.
+        return hash((len(self), self[:1]))
 
     def __repr__(self) -> str:
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
@@ -545,9 +543,9 @@ class Scene(Validated):
         For a picture without pixels or with too many pixels, or values of the wrong type.
     """
 
-    camera: Camera = field(metadata=xml_field(schema.one_of(Camera)))
-    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_of(PointLight)))
-    surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.of(value)))
+    camera: Camera = field(metadata=xml_field(schema.type_validator(Camera)))
+    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_validator(PointLight)))
+    surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.from_objects(value)))
     width: int = field(metadata=xml_field(schema.validate_pixel_count))
     height: int = field(metadata=xml_field(schema.validate_pixel_count))
 
@@ -555,21 +553,21 @@ class Scene(Validated):
     def __init__(
         self,
         *,
-        width: int,
-        height: int,
+        width: SupportsIndex,
+        height: SupportsIndex,
         camera: Camera = _DEFAULT_CAMERA,
         lights: Iterable[PointLight] = (),
         surfaces: Iterable[Sphere | Box] = _NO_SURFACES,
     ) -> None:
-        view = {"width": width, "height": height, "camera": camera}
-        for name, value in (view | {"lights": lights, "surfaces": surfaces}).items():
+        content = {"camera": camera, "lights": lights, "surfaces": surfaces}
+        for name, value in (content | {"width": width, "height": height}).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
         if (count := self.width * self.height) > schema.MAX_PIXELS:
-            size = f"{self.width} x {self.height} pixels are too many: the picture would take"
-            memory = f"{count * 24 / 2**30:.3g} GiB of memory"
+            memory = f"the picture would take {count * 24 / 2**30:.3g} GiB of memory"
+            message = f"{self.width} x {self.height} pixels are too many: {memory}"
             limit = f"at most {schema.MAX_PIXELS} are allowed"
-            raise schema.SceneError([f"width, height: {size} {memory}; {limit}"])
+            raise schema.SceneError([f"width, height: {message}; {limit}"])
 
     def _repr_png_(self) -> bytes:
         """Render the scene, and return a PNG file: notebooks call this to show the scene."""

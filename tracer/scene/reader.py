@@ -13,7 +13,8 @@ import re
 from array import array
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import MISSING, replace
+from itertools import count
 from typing import IO, Any, cast
 from unicodedata import normalize
 
@@ -21,10 +22,10 @@ import numpy as np
 
 from tracer.messages import printable, quoted, shortened
 from tracer.scene import model
-from tracer.scene.elements import Element, FatalError, Parser, open_scene
-from tracer.scene.hints import closest_name, name_remedy, number_remedy, tag_remedy
+from tracer.scene.elements import Element, FatalError, FileOrPath, Parser, open_scene
+from tracer.scene.hints import explain_invalid_number, suggest_name, suggest_tag
 from tracer.scene.model import Scene, Surfaces
-from tracer.scene.schema import SceneError
+from tracer.scene.schema import Numbers, SceneError
 from tracer.scene.tables import Table, parse_numbers
 
 MAX_ERRORS = 1_000
@@ -33,8 +34,13 @@ MAX_ERRORS = 1_000
 # Maximum number of undefined shaders for which a similar name is searched: milliseconds for each.
 _MAX_SEARCHES = 32
 
-# Maximum number of words that are checked one by one in an element with a wrong number of words.
+# Maximum number of words that are checked one by one in an element with invalid numbers.
 _MAX_CHECKED_WORDS = 64
+
+_LOOKALIKE_REMEDY = (
+    "the name in line {} looks the same, but has other Unicode characters (one is composed, one"
+    " decomposed); copy it from there"
+)
 
 _SCENE_TAGS = "camera", "image", "light", "shader", "surface"
 
@@ -42,34 +48,32 @@ _SCENE_TAGS = "camera", "image", "light", "shader", "surface"
 class SceneFileError(SceneError):
     """Raised if a scene file is invalid or cannot be read.
 
-    The message has a line for each error in the file, in the order of the file:
-    ``FILE:LINE: element: what is wrong; suggested fix``, or ``FILE: what is wrong; suggested fix``
-    for errors without a line number.
+    The message has one line per error, in the order of the file: ``FILE:LINE: element: what is
+    wrong; suggested fix``, or ``FILE: what is wrong; suggested fix`` for errors that concern the
+    whole file.
     """
 
 
-def load_scene(
-    source: str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO[bytes],
-) -> Scene:
-    """Read a scene file.
+def load_scene(source: FileOrPath) -> Scene:
+    """Read a scene from a file.
 
     Parameters
     ----------
     source : str, bytes, path-like or binary file object
-        Path of the file, or an open file.  It contains XML of at most 256 MiB, in the format that
-        the README describes.
+        Path of a scene file, or a scene file that is open for reading.  A scene file contains at
+        most 256 MiB of XML, in the format that the README describes.
 
     Returns
     -------
     scene : Scene
-        The scene.
+        The surfaces, lights and camera of the file, and the size of its picture.
 
     Raises
     ------
     SceneFileError
-        If the file cannot be read, or contains errors.  The message has a line for each error.
+        If the file cannot be read, or contains errors.  The message has one line per error.
     TypeError
-        If `source` is an open file, but not a binary one.
+        If `source` is neither a path nor a binary file.
     """
     reader, source_object = _Reader(), cast(Any, source)
     is_stream = hasattr(source_object, "read")
@@ -95,35 +99,32 @@ def load_scene(
 
 
 class _Reader:
-    """A reader of one scene file: it collects XML elements in tables, and makes a scene of them.
+    """A reader of one scene file, which collects the elements in tables, then creates the scene.
 
     Attributes
     ----------
     errors : list of (int, str)
         Line and message of each error so far; line 0 if the error concerns the whole file.
-    unique : dict of Element
-        The elements that a file contains only once: the key is "scene" (the root), "camera" or
+    unique : dict of str to Element
+        The elements that a file contains only once, by their tags: "scene" (the root), "camera" and
         "image".
     intended_tags : set of (str or None)
-        Tags that were probably meant by unknown children of the scene.  An element with such a tag
-        is not reported as missing.
+        Tags that the author of the file probably meant by unknown children of the scene.  An
+        element with such a tag is not reported as missing.
     empty : Scene
-        A scene with the size of the picture, but without content.
+        A scene that has the size of the picture, but no content.
     cameras, lights : Table
         The cameras, of which a valid file has one, and the lights.
-    shaders, surfaces : dict of Table
-        The shaders and surfaces.  The key is the value of the attribute `type`, such as "Sphere".
-    surface_count : int
-        Number of surfaces so far, in all tables.
-    shader_indices : dict of int
-        For each name of a shader, the shader's index.  A shader gets its index when the name first
+    shaders, surfaces : dict of str to Table
+        The shaders and surfaces, by the value of the attribute `type`, such as "Sphere".
+    surface_indices : iterator of int
+        The indices of the surfaces that are still to be read.
+    shader_indices : dict of str to int
+        For each name of a shader, the shader's index.  A shader gets its index when its name first
         occurs, in a reference or in a definition.
     definition_lines : array of int
         For each shader, the line that defines it; 0 if no definition has been read yet.  Shader 0
         is the default shader, white.
-    reference_lines, reference_shaders : array of int
-        For each reference to a shader that was not defined before it, the line of the reference and
-        the index of the shader.
     """
 
     def __init__(self) -> None:
@@ -134,13 +135,12 @@ class _Reader:
         self.cameras, self.lights = Table(model.Camera), Table(model.PointLight)
         self.shaders = {kind.__name__: Table(kind) for kind in (model.Lambertian, model.Phong)}
         self.surfaces = {kind.__name__: Table(kind) for kind in (model.Sphere, model.Box)}
-        self.surface_count = 0
+        self.surface_indices = count()
         self.shader_indices: dict[str, int] = {}
         self.definition_lines = array("i", [1])
-        self.reference_lines, self.reference_shaders = array("i"), array("i")
 
     def report_at(self, line: int, tag: str, message: str) -> None:
-        """Add an error to the list of errors.
+        """Add an error to the list of errors in the file.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class _Reader:
         self.report_at(element.line, element.tag, message)
 
     def read(self, file: IO[bytes]) -> None:
-        """Read a scene file, fill the tables, and collect the errors.
+        """Read a scene file into tables of numbers, and collect its errors in `errors`.
 
         Parameters
         ----------
@@ -184,33 +184,35 @@ class _Reader:
         Raises
         ------
         FatalError
-            If the file is not XML, exceeds a limit, or has more than `MAX_ERRORS` errors.  Errors
-            that were found before are in `errors`.
+            If the file is not well-formed XML, exceeds a limit, or has more than `MAX_ERRORS`
+            errors.  The errors before it have been collected.
         """
         try:
             Parser(self.read_child, self.report_at).parse(file)
         finally:
-            typed_tables = (*self.shaders.values(), *self.surfaces.values())
-            for table in (self.cameras, self.lights, *typed_tables):
+            tables = self.cameras, self.lights, *self.shaders.values(), *self.surfaces.values()
+            # After too many errors, nothing more is reported, and the last row may be incomplete.
+            for table in tables if len(self.errors) < MAX_ERRORS else ():
                 for error in table.find_errors():
                     self.report_at(*error)
         self.report_missing()
         self.report_undefined_shaders()
 
     def read_child(self, element: Element) -> None:
-        """Check the root of the file, or add the content of a child of the root to the tables.
+        """Add a child of the root element to the tables; at the first call, check the root itself.
+
+        Errors are added to the list of errors.
 
         Parameters
         ----------
         element : Element
-            At the first call, the root without its children; at each later call, the next child of
-            the root, with all its descendants.
+            At the first call, the root without its children.  At each later call, the next child of
+            the root with all its descendants.
 
         Raises
         ------
         FatalError
-            If the root is not that of a scene file, or if there are too many errors.  Other errors
-            are added to the list of errors.
+            If the root is not that of a scene file, or there are more than `MAX_ERRORS` errors.
         """
         tag = element.tag
         if tag == "surface" and self.unique:
@@ -219,7 +221,7 @@ class _Reader:
             self.read_root(element)
         elif tag == "shader":
             self.read_shader(element)
-            if "name" not in element.attrib and closest_name("name", element.attrib) is None:
+            if "name" not in element.attrib and not suggest_name("name", element.attrib)[1]:
                 self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
             self.read_row(self.lights, element)
@@ -228,12 +230,10 @@ class _Reader:
                 self.report_duplicate(element, self.unique[tag])
             self.read_row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
-            remedy, intended = tag_remedy(tag, _SCENE_TAGS)
-            self.report(element, f"unknown in scene; {remedy}")
-            self.intended_tags.add(intended)
+            self.intended_tags.add(self.report_unknown(element, self.unique["scene"], _SCENE_TAGS))
 
     def read_root(self, element: Element) -> None:
-        """Check that the root element is that of a scene file, and store it.
+        """Check and store the root element of the file.
 
         Parameters
         ----------
@@ -243,7 +243,8 @@ class _Reader:
         Raises
         ------
         FatalError
-            If the tag is not "scene", or if there is an attribute `version`, as in Mitsuba files.
+            If the tag is not "scene", or if there is an attribute `version`, as in Mitsuba's scene
+            files.
         """
         if element.tag != "scene":
             raise FatalError(element.line, f"{shortened(element.tag)}: the root must be <scene>")
@@ -256,16 +257,17 @@ class _Reader:
     def read_image(self, element: Element) -> None:
         """Read the size of the picture from the element <image>, and store it in `empty`.
 
-        Errors are added to the list of errors, and then the size is not stored.
+        If the element is invalid, its errors are added to the list of errors, and the size is not
+        stored.
         """
-        self.report_parts(element)
+        self.read_children(element, {})
         number = r"\s*([-+]?\d{1,18})"
         match = re.fullmatch(rf"{number}\s{number}\s*", element.text, re.ASCII)
         if match is None:
             text = element.text.strip()
             needed = "needs two whole numbers, width and height, as in 640 480"
-            message = f"{needed}; has {quoted(text)}" if text.isascii() else number_remedy(text)
-            self.report(element, message)
+            message = f"{needed}; has {quoted(text)}"
+            self.report(element, message if text.isascii() else explain_invalid_number(text))
             return
         try:
             self.empty = Scene(width=int(match[1]), height=int(match[2]))
@@ -274,10 +276,11 @@ class _Reader:
                 self.report(element, line)
 
     def read_surface(self, element: Element) -> None:
-        """Add a surface to the table of its type, and its shader to the table of the shader's type.
+        """Add a surface to the table of its type, which has one row per surface.
 
-        A reference to a shader that is not defined yet is stored, and checked at the end.  Errors
-        are added to the list of errors.
+        The surface may contain a shader, or a reference to a shader.  References are checked when
+        the whole file has been read, because a shader can be defined after the surface.  Other
+        errors are added to the list of errors.
 
         Parameters
         ----------
@@ -286,28 +289,24 @@ class _Reader:
         """
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
-            # The children of an unknown surface are unknown, too, but they may define shaders.
+            # The children of a surface of unknown type are not checked, but may define shaders.
             self.report_type(element, self.surfaces)
             for child in element:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
             return
-        table.index.append(self.surface_count)
-        self.surface_count += 1
+        table.index.append(next(self.surface_indices))
         shader = self.read_row(table, element, "type").get("shader")
-        shader_index = 0 if shader is None else self.read_shader_or_reference(shader)
-        table.shader_index.append(shader_index)
-        if shader is not None and not self.definition_lines[shader_index]:
-            self.reference_lines.append(shader.line)
-            self.reference_shaders.append(shader_index)
+        table.shader_index.append(0 if shader is None else self.read_shader_or_reference(shader))
+        table.shader_lines.append(0 if shader is None else shader.line)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table of its type, and report errors in its definition.
+        """Add a shader to the table of its type, which has one row per shader; report its errors.
 
         Parameters
         ----------
         element : Element
-            The definition of the shader.
+            The element <shader>, which defines the shader.
 
         Returns
         -------
@@ -330,12 +329,12 @@ class _Reader:
         return index
 
     def read_shader_or_reference(self, element: Element) -> int:
-        """Read the element <shader> of a surface: a definition, or a reference by name.
+        """Read the element <shader> of a surface, which defines a shader or refers to one by name.
 
         Parameters
         ----------
         element : Element
-            The element.  It is a reference if it has the attribute `ref`.
+            The element <shader>.  It is a reference if it has the attribute `ref`.
 
         Returns
         -------
@@ -345,7 +344,7 @@ class _Reader:
         name = element.attrib.get("ref")
         if name is not None:
             if len(element.attrib) > 1 or element:
-                self.report_parts(element, "ref")
+                self.read_children(element, {}, "ref")
         elif "name" in element.attrib and "type" not in element.attrib and not element:
             name = element.attrib["name"]
             remedy = f'to refer to a shader, write ref="{shortened(name)}"'
@@ -355,12 +354,12 @@ class _Reader:
         return self.find_shader(name)
 
     def find_shader(self, name: str | None) -> int:
-        """Return the index of the shader with the given name; reserve a new index if it has none.
+        """Look up the index of a shader by its name; assign the next free index to a new name.
 
         Parameters
         ----------
         name : str or None
-            The name; None for a shader without a name, which always gets a new index.
+            Name of the shader; None for a shader without a name, which always gets a new index.
 
         Returns
         -------
@@ -374,12 +373,12 @@ class _Reader:
         return index
 
     def read_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Add a row with the numbers of an element to a table, and report errors in the element.
+        """Add the numbers of an element to a table as a new row, and report the element's errors.
 
         Parameters
         ----------
         table : Table
-            The table that gets the new row.
+            The table, whose dataclass defines which children the element may have.
         element : Element
             A camera, light, shader or surface.
         *attributes : str
@@ -387,81 +386,110 @@ class _Reader:
 
         Returns
         -------
-        children : dict of Element
-            The known children of the element.  The key is the name of the dataclass field that the
-            child gives.
+        children : dict of str to Element
+            The known children of the element, by the names of the dataclass fields that they
+            define.
         """
-        intended: set[str | None] = set()
-        if not all(map(attributes.__contains__, element.attrib)):
-            intended = self.report_attributes(element, attributes, table.field_of_tag)
-        children: dict[str, Element] = {}
-        for child in element:
-            name = table.field_of_tag.get(child.tag)
-            if name is None:
-                intended.add(self.report_unknown(child, element, table.field_of_tag))
-            elif name in children:
-                self.report_duplicate(child, children[name])
-            else:
-                children[name] = child
+        children, intended = self.read_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
         for name, column in table.columns.items():
             source = children.get(name)
             if source is not None:
-                column.append(self.read_numbers(source, column.count), source.line, source.tag)
+                column.append(self.read_numbers(source, column.validator), source.line, source.tag)
                 continue
-            column.append_default()
-            if column.is_required and (tag := column.tags[0]) not in intended:
+            tag = column.tags[0]
+            column.append(column.default_row, 0, tag)
+            if column.default is MISSING and tag not in intended:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
 
-    def read_numbers(self, element: Element, count: int) -> Sequence[float]:
-        """Parse the numbers in an element such as <center>, and report errors in the element.
+    def read_children(
+        self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
+    ) -> tuple[dict[str, Element], set[str | None]]:
+        """Sort the children of an element by dataclass fields; report what is not allowed in it.
+
+        Unknown attributes, unknown children and duplicate children are reported.
 
         Parameters
         ----------
         element : Element
             The element.
-        count : int
-            Required number of numbers.
+        field_of_tag : mapping of str to str
+            For each tag that a child may have, the name of the dataclass field that it defines.
+        *attributes : str
+            Names of the attributes that are allowed in the element.
+
+        Returns
+        -------
+        children : dict of str to Element
+            The known children, by the names of the fields that they define.
+        intended : set of (str or None)
+            The names that the author of the file probably meant by unknown attributes and tags.
+            Contains None if that is unclear for one of them.
+        """
+        intended: set[str | None] = set()
+        if not all(map(attributes.__contains__, element.attrib)):
+            intended = self.report_attributes(element, attributes, field_of_tag)
+        children: dict[str, Element] = {}
+        for child in element:
+            name = field_of_tag.get(child.tag)
+            if name is None:
+                intended.add(self.report_unknown(child, element, field_of_tag))
+            elif name in children:
+                self.report_duplicate(child, children[name])
+            else:
+                children[name] = child
+        return children, intended
+
+    def read_numbers(self, element: Element, validator: Numbers) -> Sequence[float]:
+        """Parse the numbers in an element such as <center>, and report the element's errors.
+
+        Parameters
+        ----------
+        element : Element
+            The element.
+        validator : Numbers
+            Validator of the dataclass field that the element defines.  Only the number of numbers
+            is checked here.
 
         Returns
         -------
         numbers : sequence of float
-            The numbers; after an error, NaN repeated `count` times.
+            The numbers; after an error, as many NaN.
         """
         if element or element.attrib:
-            self.report_parts(element)
-        numbers = parse_numbers(element.text, count)
+            self.read_children(element, {})
+        numbers = parse_numbers(element.text, validator.count)
         if numbers:
             return numbers
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
         invalid_words = [word for word in words[:_MAX_CHECKED_WORDS] if not parse_numbers(word, 1)]
         for word in invalid_words:
-            self.report(element, number_remedy(word))
+            self.report(element, explain_invalid_number(word))
         if not invalid_words and not element:
-            self.report(element, f"needs {count} number{'s' * (count > 1)}, has {len(words)}")
-        return (np.nan,) * count
+            self.report(element, f"{validator.needed}, has {len(words)}")
+        return (np.nan,) * validator.count
 
     # Errors in elements and attributes
 
     def report_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
         """Report that the attribute `type` of a shader or surface is missing or unknown.
 
-        Unknown attributes of the element are reported, too.
+        Other unknown attributes are reported, too.
 
         Parameters
         ----------
         element : Element
             The shader or surface.
-        tables : mapping of Table
-            The keys are the known types.
+        tables : mapping of str to Table
+            A table for each allowed type.
         *attributes : str
             Names of the attributes that are allowed in the element, in addition to `type`.
         """
         intended = self.report_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
         if unknown_type is not None:
-            remedy = name_remedy(tables, closest_name(unknown_type, tables))
+            remedy, _ = suggest_name(unknown_type, tables)
             self.report(element, f"unknown type {quoted(unknown_type)}; {remedy}")
         elif "type" not in intended:
             choice = " or ".join(f'type="{known_type}"' for known_type in tables)
@@ -470,7 +498,7 @@ class _Reader:
     def report_unknown(
         self, element: Element, parent: Element, tags: Collection[str]
     ) -> str | None:
-        """Report a child element whose tag is unknown.
+        """Report a child element with an unknown tag.
 
         Parameters
         ----------
@@ -479,30 +507,31 @@ class _Reader:
         parent : Element
             The element that contains the child.
         tags : collection of str
-            Tags of the children that are allowed there.
+            Tags of the children that are allowed in the parent.
 
         Returns
         -------
         intended : str or None
-            The tag that was probably meant; None if this is unclear.
+            The tag that the author of the file probably meant; None if that is unclear.
         """
         if element.tag in _SCENE_TAGS:
             remedy, intended = f"close the {parent.tag} of line {parent.line} first", None
         else:
-            remedy, intended = tag_remedy(element.tag, tags)
+            remedy, intended = suggest_tag(element.tag, tags)
         place = shortened(parent.attrib.get("type", parent.tag))
         self.report(element, f"unknown in {place}; {remedy}")
         return intended
 
     def report_duplicate(self, element: Element, earlier: Element) -> None:
-        """Report that an element repeats what an earlier element has already given.
+        """Report that an element defines what an earlier element has already defined.
 
         Parameters
         ----------
         element : Element
             The later element.
         earlier : Element
-            The earlier element.  Its tag can differ, because two tags have the same meaning.
+            The earlier element.  It may have another tag, because <intensity> and <color> have the
+            same meaning.
         """
         given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
         self.report(element, f"{given} already, in line {earlier.line}; keep one of the two")
@@ -520,94 +549,72 @@ class _Reader:
             Names of the attributes that are allowed in the element.
         child_tags : collection of str
             Tags of the children that are allowed in the element.  An unknown attribute with a
-            similar name is probably such a child, written as an attribute by mistake.
+            similar name is probably a child that was written as an attribute by mistake.
 
         Returns
         -------
         intended : set of (str or None)
-            The attribute names or child tags that were probably meant by the unknown attributes;
-            contains None if this is unclear for some of them.
+            The attribute names and child tags that the author of the file probably meant.  Contains
+            None if that is unclear for an attribute.
         """
         intended: set[str | None] = set()
         for name, value in element.attrib.items():
             if name in allowed:
                 continue
-            meant = closest_name(name, allowed)
-            remedy = name_remedy(allowed, meant)
-            if child_tags:
-                element_remedy, meant = tag_remedy(name, child_tags)
-                if meant == "shader":
-                    remedy = f'write <shader ref="{shortened(value)}"/> in it'
-                elif meant in child_tags:
-                    remedy = f"write <{meant}>{shortened(value)}</{meant}> in it"
-                elif meant is not None:
-                    remedy = element_remedy
+            remedy, meant = suggest_tag(name, (*allowed, *child_tags))
+            if meant == "shader":
+                remedy = f'write <shader ref="{shortened(value)}"/> in it'
+            elif meant in child_tags:
+                remedy = f"write <{meant}>{shortened(value)}</{meant}> in it"
+            elif meant is None:
+                remedy, _ = suggest_name(name, allowed)
             intended.add(meant)
             self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
         return intended
 
-    def report_parts(self, element: Element, *allowed: str) -> None:
-        """Report all children and all unknown attributes of an element that must have no children.
-
-        Parameters
-        ----------
-        element : Element
-            The element.
-        *allowed : str
-            Names of the attributes that are allowed in the element.
-        """
-        self.report_attributes(element, allowed)
-        for child in element:
-            message = f"no element may stand in it; remove <{shortened(child.tag)}>"
-            self.report_at(child.line, element.tag, message)
-
     # From tables to a scene
 
     def report_missing(self) -> None:
-        """Report that the file has no camera or no image, unless one is probably misspelt."""
+        """Report a missing camera or image element, unless it is probably one that is misspelt."""
         for tag in ("camera", "image"):
             if tag not in self.unique and tag not in self.intended_tags:
                 self.report(self.unique["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
 
     def report_undefined_shaders(self) -> None:
         """Report each reference to a shader that the file does not define, with a suggested fix."""
-        # A shader is identified by its index k.
         lines = self.definition_lines
-        undefined_name = {k: name for name, k in self.shader_indices.items() if not lines[k]}
-        if not undefined_name:
+        if 0 not in lines:
             return
-        line_of_name = {name: lines[k] for name, k in self.shader_indices.items() if lines[k]}
-        name_of_normalized = {normalize("NFC", name): name for name in line_of_name}
-        remedies: dict[int, str] = {}
-        for line, k in zip(self.reference_lines, self.reference_shaders, strict=True):
-            name = undefined_name.get(k)
-            if name is None:
-                continue
-            if k not in remedies:
-                match = closest_name(name, line_of_name) if len(remedies) < _MAX_SEARCHES else None
-                remedies[k] = name_remedy(line_of_name, match) if line_of_name else "define it"
-                if lookalike := name_of_normalized.get(normalize("NFC", name)):
-                    remedies[k] = (
-                        f"the name in line {line_of_name[lookalike]} looks the same, but has other"
-                        " Unicode characters (one is composed, one decomposed); copy it from there"
-                    )
-            self.report_at(line, "shader", f"no shader is named {quoted(name)}; {remedies[k]}")
+        name_of_index = {index: name for name, index in self.shader_indices.items()}
+        defined = {name: lines[index] for index, name in name_of_index.items() if lines[index]}
+        lookalikes = {normalize("NFC", name): line for name, line in defined.items()}
+        remedies: dict[str, str] = {}
+        for table in self.surfaces.values():
+            for line, index in zip(table.shader_lines, table.shader_index, strict=True):
+                if lines[index]:
+                    continue
+                name = name_of_index[index]
+                if name not in remedies:
+                    is_searched = defined and len(remedies) < _MAX_SEARCHES
+                    remedies[name] = suggest_name(name, defined)[0] if is_searched else "define it"
+                    if lookalike_line := lookalikes.get(normalize("NFC", name)):
+                        remedies[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
+                message = f"no shader is named {quoted(name)}; {remedies[name]}"
+                self.report_at(line, "shader", message)
 
     def make_scene(self) -> Scene:
-        """Create the scene from the tables.  Call this only after `read` has found no errors."""
+        """Create the scene from the tables, which must not contain errors."""
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shaders.values():
-            for index, shader in zip(table.index, table.objects(), strict=True):
+            for index, shader in zip(table.index, table.make_objects(), strict=True):
                 shaders[index] = shader
         tables = self.surfaces.values()
-        columns = [item for table in tables for item in table.columns.items()]
-        numbers = {name: column.array() for name, column in columns}
         surfaces = Surfaces(
-            **numbers | {"radius": numbers["radius"][:, 0]},
+            **{name: numbers for table in tables for name, numbers in table.to_arrays().items()},
             shader_index=np.concatenate([table.shader_index for table in tables]),
             file_index=np.concatenate([table.index for table in tables]),
             shaders=tuple(shaders),
             line=np.concatenate([table.lines for table in tables]),
         )
-        (camera,), lights = self.cameras.objects(), tuple(self.lights.objects())
+        (camera,), lights = self.cameras.make_objects(), tuple(self.lights.make_objects())
         return replace(self.empty, camera=camera, lights=lights, surfaces=surfaces)

@@ -1,8 +1,8 @@
 """Validate the values of a scene.
 
-The metadata of a dataclass field contain its validator, and its tags in a file (`xml_field`).  The
-same rules validate the fields of one object (`Validated`), the arrays of `Surfaces`, and the
-numbers in a file (`find_errors`).
+The metadata of a dataclass field contain its validator, and its XML tags (`xml_field`).  The same
+rules validate the fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in
+a scene file (`find_errors`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 _Instance = TypeVar("_Instance")
 Floats: TypeAlias = NDArray[np.float64]
-Columns: TypeAlias = Mapping[str, Floats]
-"""The numbers of n objects of one dataclass.  The key is the name of a field; the value is an array
-(n, count) with the numbers of this field, NaN where an object has no value."""
-RowError: TypeAlias = tuple[int, str, str]
-"""An invalid number: the index of its object, the name of its field, and the message."""
 
 MAX_PIXELS = 1 << 28
 """Maximum number of pixels in a picture: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
@@ -32,13 +27,13 @@ MAX_PIXELS = 1 << 28
 _MIN_LENGTH, _MAX_VALUE = 1e-75, 1e75
 
 
-def number_text(value: float) -> str:
-    """Return the shortest text from which Python reads this number: "3", "0.5", "1e+20"."""
+def format_number(value: float) -> str:
+    """Format a number as the shortest text that denotes it exactly: "3", "0.5", "1e+20"."""
     return f"{value}".removesuffix(".0")
 
 
 class SceneError(ValueError):
-    """The error that a scene contains invalid values; the message has one line for each of them.
+    """Raised if a scene contains invalid values; the message has one line for each of them.
 
     Parameters
     ----------
@@ -60,7 +55,7 @@ class SceneError(ValueError):
 
 
 def raise_if_any(lines: Iterable[str]) -> None:
-    """Raise a `SceneError` whose message consists of the given lines; do nothing without lines."""
+    """Raise a `SceneError` with the given lines as its message; do nothing if there are none."""
     if message_lines := tuple(lines):
         raise SceneError(message_lines)
 
@@ -69,7 +64,7 @@ _Validator: TypeAlias = Callable[[Any, str], Any]
 
 
 def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
-    """Create the metadata of a dataclass field that is stored in scene files.
+    """Create the metadata of a dataclass field: how to validate it, and how to find it in XML.
 
     Parameters
     ----------
@@ -77,8 +72,8 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
         Called with a value and the name of the field.  It returns the value to store in the field,
         or raises `SceneError`.
     *tags : str
-        Tags of the XML elements that may contain the value of the field in a file.  The first one
-        is used to write files.
+        Tags of the XML elements that can contain the value in a scene file.  Files are written with
+        the first tag.
 
     Returns
     -------
@@ -89,10 +84,10 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 
 
 class Validated:
-    """A base class of frozen dataclasses whose fields are validated, first singly, then together.
+    """A base class of frozen dataclasses that validate their fields, first singly, then together.
 
-    A subclass gives each field a validator by `xml_field`, and overrides `find_conflicts` if valid
-    values can contradict each other.  Its constructor raises `SceneError` for invalid values.
+    A subclass gives each field a validator by `xml_field`.  It overrides `find_conflicts` if valid
+    values can contradict each other.  The constructor raises `SceneError` for invalid values.
     """
 
     __slots__ = ("__weakref__",)
@@ -100,47 +95,46 @@ class Validated:
     def __post_init__(self: Any) -> None:
         lines: list[str] = []
         for field in fields(self):
-            validator, value = field.metadata.get("validator"), getattr(self, field.name)
-            if validator is not None and not (value is None and field.default is None):
+            validate, value = field.metadata.get("validator"), getattr(self, field.name)
+            if validate is not None and (value is not None or field.default is not None):
                 try:
-                    object.__setattr__(self, field.name, validator(value, field.name))
+                    object.__setattr__(self, field.name, validate(value, field.name))
                 except SceneError as error:
                     lines += error.lines
-        if not lines:
-            row = {
-                name: np.array([getattr(self, name)], np.float64)
-                for name in number_validators(self)
-            }
-            lines = [f"{name}: {message}" for _, name, message in self.find_conflicts(row)]
         raise_if_any(lines)
+        row = {name: np.array([getattr(self, name)], float) for name in number_validators(self)}
+        raise_if_any(f"{name}: {message}" for _, name, message in self.find_conflicts(row))
 
     @classmethod
-    def find_conflicts(cls, columns: Columns) -> Iterable[RowError]:
+    def find_conflicts(cls, columns: Mapping[str, Floats]) -> Iterable[tuple[int, str, str]]:
         """Find objects whose values are valid one by one, but contradict each other.
 
         Parameters
         ----------
-        columns : mapping of (n, count) float arrays
-            The numbers of n objects.  The key is the name of a field; the value contains the
-            numbers of this field, NaN where an object has no value.
+        columns : mapping of str to (n, count) float array
+            The numbers of n objects: for each field name, an array with one row per object; NaN
+            where an object has no value.
 
         Returns
         -------
         errors : iterable of (int, str, str)
-            For each error, the index of the object, the name of the field, and the message.
+            For each error, the index of the object, the name of the field, and the message.  This
+            base class finds no errors.
         """
         return ()
 
 
 def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instance:
-    """Construct an object of a frozen dataclass without validating its values.
+    """Construct an object of a frozen dataclass from values that are known to be valid.
+
+    The constructor of the dataclass, which would validate the values, is not called.
 
     Parameters
     ----------
     dataclass : type
-        The class.  Its constructor is not called.
+        The class.
     **values : object
-        The valid values of all its fields, by their names.
+        The values of all fields, by the names of the fields.
 
     Returns
     -------
@@ -153,36 +147,36 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
     return instance
 
 
-# A function that tests which of the numbers (n, count) of n objects are invalid, and the message
-# about the first invalid number of an object, in which {} stands for the number.
+# A function that tests which numbers in an array (n, count) are invalid, and the message about an
+# invalid number, in which {} stands for the number.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
-_LIMITS = f"lengths other than 0 are from {number_text(_MIN_LENGTH)} to {number_text(_MAX_VALUE)}"
+_MAX_TEXT = format_number(_MAX_VALUE)
+_LIMITS = f"lengths other than 0 are from {format_number(_MIN_LENGTH)} to {_MAX_TEXT}"
 _FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
 _NOT_LARGE: _Rule = (lambda x: abs(x) > _MAX_VALUE, f"{{}} is too large; {_LIMITS}")
-_NOT_HUGE: _Rule = (
-    lambda x: x > _MAX_VALUE,
-    f"{{}} is too large; it is at most {number_text(_MAX_VALUE)}",
-)
+_NOT_HUGE: _Rule = (lambda x: x > _MAX_VALUE, f"{{}} is too large; it is at most {_MAX_TEXT}")
 _NOT_SMALL: _Rule = (lambda x: (abs(x) < _MIN_LENGTH) & (x != 0), f"{{}} is too small; {_LIMITS}")
 _NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must not be negative, has {}")
 _POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, is {}")
-_NOT_ZERO: _Rule = (
-    lambda x: (x == 0) & ~x.any(axis=1, keepdims=True),
-    "must not be the zero vector",
-)
+_NOT_ZERO: _Rule = (lambda x: (x == 0) & ~x.any(1, keepdims=True), "must not be the zero vector")
 
 
 class Numbers:
-    """The validator of a field that consists of a fixed number of numbers, such as a point.
+    """The validator of a field that consists of one or several numbers, such as a point.
 
     Parameters
     ----------
     count : int
-        Count of numbers in the field.
+        Number of numbers in the field.
     *rules : (callable, str)
-        Each rule is a function that tests which numbers in an array are invalid, and the message
-        about an invalid number, in which {} stands for the number.
+        Each rule is a pair of a function that tests which numbers in an array are invalid, and the
+        message about an invalid number, in which {} stands for the number.
+
+    Attributes
+    ----------
+    needed : str
+        The required number of numbers, for messages: "needs 3 numbers".
     """
 
     def __init__(self, count: int, *rules: _Rule) -> None:
@@ -190,79 +184,79 @@ class Numbers:
         self.needed = f"needs {count} number{'s' * (count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
-        """Validate the value of a field in one object, and convert it to Python floats.
+        """Validate the value of a field, and convert it to Python floats.
 
         Parameters
         ----------
         value : array_like
-            The value: `count` numbers.
+            The value, which must consist of `count` numbers.
         name : str
             Name of the field, for messages.
 
         Returns
         -------
         numbers : tuple of float, or float
-            A single float if `count` is 1.
+            A tuple of `count` floats, or a single float if `count` is 1.
 
         Raises
         ------
         SceneError
-            If the value has another count of numbers, or breaks a rule.
+            If the value has more or fewer numbers, or breaks a rule.
         """
         array = _float_array(value, name)
         if array.size != self.count or array.ndim > 1:
-            has = f"shape {array.shape}" if array.ndim > 1 else array.size
-            raise SceneError([f"{name}: {self.needed}, has {has}"])
+            actual = f"shape {array.shape}" if array.ndim > 1 else array.size
+            raise SceneError([f"{name}: {self.needed}, has {actual}"])
         row = array.reshape(1, self.count)
         raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
-    def rows(self, value: ArrayLike, name: str) -> Floats:
-        """Copy the values of a field in many objects into an array, without applying the rules.
+    def copy_rows(self, values: ArrayLike, name: str) -> Floats:
+        """Copy the values that a field has in n objects into an array, without applying the rules.
 
         Parameters
         ----------
-        value : array_like
-            Numbers of n objects, in rows or in one dimension.
+        values : (n, count) array_like, or (n,) array_like if `count` is 1
+            The values of the field; `count` is the number of numbers in each.
         name : str
             Name of the field, for messages.
 
         Returns
         -------
         rows : (n, count) or (n,) float array
-            One-dimensional if `count` is 1.
+            The copy; one-dimensional if `count` is 1.
 
         Raises
         ------
         SceneError
-            If the rows have another count of numbers, or contain anything but real numbers.
+            If the shape is wrong, or the values are not real numbers.
         """
-        array = _float_array(value, name)
+        array = _float_array(values, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
             raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
     def find_errors(self, values: Floats) -> Iterator[tuple[int, str]]:
-        """Find the objects whose numbers break a rule.
+        """Find the rows of an array in which a number breaks a rule.
 
         Parameters
         ----------
         values : (n, count) float array
-            The numbers of n objects.
+            The values that a field has in n objects.
 
         Yields
         ------
         index : int
-            Index of an object.
+            Index of a row with an invalid number.
         message : str
-            The message of the first rule that the object breaks.
+            What is wrong with the row, according to the first broken rule.
         """
         messages: dict[int, str] = {}
         for find_invalid, message in self.rules:
             is_invalid = find_invalid(values)
             for index in np.flatnonzero(is_invalid.any(axis=1)).tolist():
                 first_invalid = values[index, is_invalid[index]][0]
-                messages.setdefault(index, message.format(number_text(first_invalid)))
+                messages.setdefault(index, message.format(format_number(first_invalid)))
         yield from messages.items()
 
 
@@ -274,7 +268,7 @@ EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
 def number_validators(dataclass: Any) -> dict[str, Numbers]:
-    """Return the validators of all fields of a dataclass that consist of numbers.
+    """Return the validators of those fields of a dataclass that consist of numbers.
 
     Parameters
     ----------
@@ -283,34 +277,34 @@ def number_validators(dataclass: Any) -> dict[str, Numbers]:
 
     Returns
     -------
-    validators : dict of Numbers
-        The key is the name of the field.
+    validators : dict of str to Numbers
+        For the name of each such field, its validator.
     """
     validators = {field.name: field.metadata.get("validator") for field in fields(dataclass)}
-    return {
-        name: validator for name, validator in validators.items() if isinstance(validator, Numbers)
-    }
+    return {name: value for name, value in validators.items() if isinstance(value, Numbers)}
 
 
-def find_errors(dataclass: type[Validated], columns: Columns) -> Iterator[RowError]:
-    """Find invalid numbers, and numbers that contradict each other, in many objects of a dataclass.
+def find_errors(
+    dataclass: type[Validated], columns: Mapping[str, Floats]
+) -> Iterator[tuple[int, str, str]]:
+    """Find the invalid and contradictory numbers of many objects.
 
     Parameters
     ----------
     dataclass : subclass of Validated
         The class of the objects.
-    columns : mapping of (n, count) float arrays
-        The numbers of n objects.  The key is the name of a field; the value contains the numbers of
-        this field, NaN where an object has no value.
+    columns : mapping of str to (n, count) float array
+        The numbers of n objects: for each field name, an array with one row per object; NaN where
+        an object has no value.
 
     Yields
     ------
     index : int
-        Index of an object, from 0 to n - 1.
+        Index of an object with an error, from 0 to n - 1.
     name : str
         Name of the field.
     message : str
-        What is wrong.
+        What is wrong, without the name of the field.
     """
     for name, validator in number_validators(dataclass).items():
         for index, message in validator.find_errors(columns[name]):
@@ -318,36 +312,41 @@ def find_errors(dataclass: type[Validated], columns: Columns) -> Iterator[RowErr
     yield from dataclass.find_conflicts(columns)
 
 
-def copy_integers(value: ArrayLike, name: str) -> NDArray[np.intp]:
+def copy_integers(values: ArrayLike, name: str) -> NDArray[np.intp]:
     """Copy whole numbers into a one-dimensional int array.
 
     Parameters
     ----------
-    value : array_like
-        The numbers.
+    values : array_like
+        The numbers; floats are accepted if they are whole.
     name : str
         Name of the argument, for messages.
+
+    Returns
+    -------
+    integers : (n,) int array
+        The copy.
 
     Raises
     ------
     SceneError
-        If the value contains anything but whole numbers.
+        If a value is not a whole number.
     """
-    floats = _float_array(value, name).ravel()
+    floats = _float_array(values, name).ravel()
     with np.errstate(invalid="ignore"):
-        array = floats.astype(np.intp)
-    if not np.array_equal(array, floats):
+        integers = floats.astype(np.intp)
+    if not np.array_equal(integers, floats):
         raise SceneError([f"{name}: must be whole numbers"])
-    return array
+    return integers
 
 
 def validate_pixel_count(value: int, name: str) -> int:
-    """Validate the width or height of a picture.
+    """Validate the width or height of a picture, and convert it to a Python int.
 
     Parameters
     ----------
     value : int
-        Width or height in pixels; a NumPy integer is accepted.
+        Width or height in pixels; NumPy integers are accepted.
     name : str
         Name of the field, for messages.
 
@@ -359,7 +358,7 @@ def validate_pixel_count(value: int, name: str) -> int:
     Raises
     ------
     SceneError
-        If the value is not an integer, is less than 1 or more than `MAX_PIXELS`.
+        If the value is not an integer from 1 to `MAX_PIXELS`.
     """
     try:
         count = int(operator.index(value))  # products of NumPy integers may overflow
@@ -367,13 +366,13 @@ def validate_pixel_count(value: int, name: str) -> int:
         raise SceneError([f"{name}: must be an int, is {value!r}"]) from None
     if not 1 <= count <= MAX_PIXELS:
         # float() and str() refuse numbers of many digits.
-        has = f", is {count}" if abs(count) < 1e18 else ""
-        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{has}"])
+        actual = f", is {count}" if abs(count) < 1e18 else ""
+        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{actual}"])
     return count
 
 
-def list_of(*types: type) -> _Validator:
-    """Return a function that validates the types of any number of objects.
+def list_validator(*types: type) -> _Validator:
+    """Return a function that validates the types of the objects in a list.
 
     Parameters
     ----------
@@ -383,8 +382,8 @@ def list_of(*types: type) -> _Validator:
     Returns
     -------
     validate : callable
-        Called with an iterable of objects and the name of their field, it returns the objects as a
-        tuple, or raises `SceneError` if one of them has another type.
+        Called with an iterable of objects and the name of a field, it returns the objects as a
+        tuple.  It raises `SceneError` if an object has another type.
     """
     allowed = " or ".join(each.__name__ for each in types)
 
@@ -394,15 +393,15 @@ def list_of(*types: type) -> _Validator:
         except TypeError:
             message = f"{name}: must be a list, is of type {type(values).__name__}"
             raise SceneError([message]) from None
-        others = dict.fromkeys(type(item).__name__ for item in items if not isinstance(item, types))
-        raise_if_any(f"{name}: must be of type {allowed}, is of type {other}" for other in others)
+        wrong = dict.fromkeys(type(item).__name__ for item in items if not isinstance(item, types))
+        raise_if_any(f"{name}: must be of type {allowed}, is of type {other}" for other in wrong)
         return items
 
     return validate
 
 
-def one_of(*types: type) -> _Validator:
-    """Return a function that validates the type of one object.
+def type_validator(*types: type) -> _Validator:
+    """Return a function that validates the type of an object.
 
     Parameters
     ----------
@@ -412,10 +411,10 @@ def one_of(*types: type) -> _Validator:
     Returns
     -------
     validate : callable
-        Called with an object and the name of its field, it returns the object, or raises
+        Called with an object and the name of a field, it returns the object.  It raises
         `SceneError` if the object has another type.
     """
-    validate_list = list_of(*types)
+    validate_list = list_validator(*types)
     return lambda value, name: validate_list([value], name)[0]
 
 
@@ -427,13 +426,18 @@ def _float_array(value: ArrayLike, name: str) -> Floats:
     value : array_like
         The numbers.
     name : str
-        Name of the field, for messages.
+        Name of the field or argument, for messages.
+
+    Returns
+    -------
+    array : float64 array
+        The copy.
 
     Raises
     ------
     SceneError
-        If the value contains anything but real numbers: text, None, times, complex numbers, or
-        integers beyond the range of float64.
+        If the value contains text, None, dates, complex numbers, or integers beyond the range of
+        float64.
     """
     try:
         array = np.asarray(value)

@@ -2,7 +2,7 @@
 
 Files may contain millions of objects.  Their numbers are therefore collected in arrays, validated
 together at the end, and copied into the arrays of `Surfaces`, without an object for each surface.
-Line numbers are stored beside the numbers, so that errors can name them.
+Line numbers are stored beside the numbers, so that error messages can state them.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ from typing import Any, cast
 
 import numpy as np
 
-from tracer.scene import model, schema
-from tracer.scene.schema import Floats, construct_unchecked
+from tracer.scene import schema
+from tracer.scene.schema import Floats, Numbers, construct_unchecked
 
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# Patterns of texts that contain numbers that float() may have rounded to 0, and of words for 0.
+# Match texts with numbers that float() may have rounded to 0, and words that denote 0 exactly.
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
 
 def parse_numbers(text: str, count: int) -> Sequence[float]:
-    """Parse a text that consists of decimal numbers and white space.
+    """Parse a text that must consist of decimal numbers, separated by white space.
 
     Parameters
     ----------
     text : str
         The text.
     count : int
-        Required count of numbers, at least 1.
+        Required number of numbers, at least 1.
 
     Returns
     -------
     numbers : sequence of float
-        The numbers.  Empty if the text contains anything else or another count of numbers, or if a
-        number other than 0 is so small that float64 would round it to 0.
+        The numbers.  Empty if the text is invalid: if (1) a word is no decimal number, (2) there
+        are more or fewer than `count` words, or (3) float64 would round a nonzero number to 0.
     """
     words = text.split()
     try:
@@ -49,31 +49,31 @@ def parse_numbers(text: str, count: int) -> Sequence[float]:
     except ValueError:
         return ()
     if 0 in numbers and _may_underflow(text):
-        is_exact = [x != 0 or _is_zero(word) for x, word in zip(numbers, words, strict=True)]
+        is_exact = (number or _is_zero(word) for number, word in zip(numbers, words, strict=True))
         return numbers if all(is_exact) else ()
     return numbers
 
 
 class Column:
-    """A column of a table: the numbers of one field of a dataclass, for many objects.
+    """The numbers of one field of a dataclass for many objects: a column of a table.
 
     Each row belongs to one object, and is read from one XML element inside the object's element.
 
     Parameters
     ----------
     field : dataclasses.Field
-        The field, which consists of numbers.
+        The field, which must consist of numbers.
 
     Attributes
     ----------
-    count : int
-        Count of numbers in each row.
+    validator : Numbers
+        Validator of the field, which defines how many numbers a row has.
     tags : tuple of str
-        Tags that the elements may have; nearly all fields have one.
-    is_required : bool
-        Whether each object must have such an element.
+        Allowed tags of the elements; nearly all fields have only one.
     default : object
-        Value of the field if the element is absent.
+        Value of the field if the element is absent; `dataclasses.MISSING` if it is required.
+    default_row : list of float
+        The numbers of an absent element: those of the default, or NaN if it has no numbers.
     numbers : array of double
         The numbers of all rows, one row after the other; NaN for unknown and invalid numbers.
     lines : array of int
@@ -83,54 +83,49 @@ class Column:
     """
 
     def __init__(self, field: Field[Any]) -> None:
-        self.count, self.tags = field.metadata["validator"].count, field.metadata["tags"]
+        self.validator, self.tags = field.metadata["validator"], field.metadata["tags"]
         self.default: Any = field.default
-        self.is_required = self.default is MISSING
-        has_default = not self.is_required and self.default is not None
-        default_numbers: Any = self.default if has_default else np.nan
-        self._default_row = np.broadcast_to(default_numbers, self.count).tolist()
+        default_numbers: Any = np.nan if self.default in (MISSING, None) else self.default
+        self.default_row = np.broadcast_to(default_numbers, self.validator.count).tolist()
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: Sequence[float], line: int, tag: str) -> None:
-        """Add the row of an object that has an element for this field.
+        """Append the numbers of one more object, which are those in one XML element.
 
         Parameters
         ----------
         numbers : sequence of float
-            The numbers in the element: `count` of them.
+            The numbers in the element; if the element is absent, `default_row`.
         line : int
-            Line of the element in the file.
+            Line of the element in the file; if the element is absent, 0.
         tag : str
-            Tag of the element, one of `tags`.
+            Tag of the element; if the element is absent, any tag that it may have.
         """
         self.numbers.extend(numbers)
         self.lines.append(line)
         self.tag_index.append(self.tags.index(tag))
 
-    def append_default(self) -> None:
-        """Add the row of an object without an element: the default, or NaN if there is none."""
-        self.numbers.extend(self._default_row)
-        self.lines.append(0)
-        self.tag_index.append(0)
+    def to_array(self) -> Floats:
+        """Copy the numbers of all n objects into a float array with one row per object."""
+        return np.reshape(self.numbers, (-1, self.validator.count))
 
-    def array(self) -> Floats:
-        """Return the numbers as a float array (rows, count)."""
-        return np.reshape(self.numbers, (-1, self.count))
+    def field_values(self) -> Iterable[Any]:
+        """Return the value of the field for each row, as the constructor of the dataclass takes it.
 
-    def values(self) -> Iterable[Any]:
-        """Return the value of the field in each row, as the constructor of the dataclass takes it.
-
-        If no row has an element, all values are the default of the field.  Otherwise each value is
-        a float if `count` is 1, and a tuple of floats if not.
+        Returns
+        -------
+        values : iterable
+            For each row, a tuple of floats, or a float if the field consists of one number.  If the
+            element is absent in all rows, the default of the field for each row.
         """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
-        components = self.array().T.tolist()
-        return zip(*components, strict=True) if self.count > 1 else components[0]
+        components = self.to_array().T.tolist()
+        return zip(*components, strict=True) if len(components) > 1 else components[0]
 
 
 class Table:
-    """A table of the objects of one dataclass in a scene file, with one row for each object.
+    """The objects of one dataclass in a scene file: a table with one row for each object.
 
     Parameters
     ----------
@@ -139,29 +134,42 @@ class Table:
 
     Attributes
     ----------
-    field_of_tag : dict of str
-        For each tag of an XML element that an object may contain, the name of the object's field.
-    columns : dict of Column
-        For the name of each field that consists of numbers, its column.
+    field_of_tag : dict of str to str
+        For each XML tag that may occur inside an object's element, the name of the object's field.
+    columns : dict of str to Column
+        The column of each field that consists of numbers, by the field's name.
     lines : array of int
         For each row, the line of the object in the file.
     index : array of int
         In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
-    shader_index : array of int
-        In a table of surfaces: for each row, the index of the surface's shader.
+    shader_index, shader_lines : array of int
+        In a table of surfaces: for each row, the index of the surface's shader, and the line of the
+        element <shader> in the surface.  Both are 0 if the surface has no such element.
     """
 
     def __init__(self, dataclass: type[schema.Validated]) -> None:
-        self.dataclass, validators = dataclass, schema.number_validators(dataclass)
+        self.dataclass = dataclass
         tagged = [field for field in fields(cast(Any, dataclass)) if field.metadata]
+        numeric = [f for f in tagged if isinstance(f.metadata["validator"], Numbers)]
         self.field_of_tag = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
-        self.columns = {field.name: Column(field) for field in tagged if field.name in validators}
-        self.lines, self.index, self.shader_index = array("i"), array("i"), array("i")
+        self.columns = {field.name: Column(field) for field in numeric}
+        self.lines, self.index = array("i"), array("i")
+        self.shader_index, self.shader_lines = array("i"), array("i")
+
+    def to_arrays(self) -> dict[str, Floats]:
+        """Copy all numbers into float arrays, one for each field, with one row per object.
+
+        Returns
+        -------
+        arrays : dict of str to (n, count) float array
+            For each field name, the numbers of this field in n objects.
+        """
+        return {name: column.to_array() for name, column in self.columns.items()}
 
     def find_errors(self) -> Iterator[tuple[int, str, str]]:
-        """Validate all numbers of the table, and yield the errors.
+        """Find the invalid and contradictory numbers of all objects in the table.
 
-        Rows that contain NaN are skipped: their errors were reported when they were read.
+        Values with NaN are skipped: their errors were reported when the file was read.
 
         Yields
         ------
@@ -170,30 +178,29 @@ class Table:
         tag : str
             Tag of the element that contains the number.
         message : str
-            What is wrong.
+            What is wrong, with the names of XML elements instead of fields.
         """
-        numbers = {name: column.array() for name, column in self.columns.items()}
+        numbers = self.to_arrays()
         for row, name, message in schema.find_errors(self.dataclass, numbers):
             column = self.columns[name]
             if not np.isnan(numbers[name][row]).any():
                 line = column.lines[row] or self.lines[row]
-                yield line, column.tags[column.tag_index[row]], _replace_names(message)
+                # For example, view_dir becomes viewDir.
+                message = re.sub("_([a-z])", lambda match: match[1].upper(), message)
+                yield line, column.tags[column.tag_index[row]], message
 
-    def objects(self) -> Iterator[Any]:
-        """Create the object of each row, without validation; call this only if there are no errors.
+    def make_objects(self) -> Iterator[Any]:
+        """Create an object of the dataclass from each row of the table, without validation.
+
+        Call this only if all rows are valid.
 
         Yields
         ------
         instance : object of the dataclass
-            In the order of the rows.
+            The objects, in the order of the rows.
         """
-        values = {name: column.values() for name, column in self.columns.items()}
-        if self.dataclass in (model.PointLight, model.Lambertian, model.Phong):
+        values = {name: column.field_values() for name, column in self.columns.items()}
+        if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):
             values["line"] = self.lines
         for row in zip(*values.values(), strict=True):
             yield construct_unchecked(self.dataclass, **dict(zip(values, row, strict=True)))
-
-
-def _replace_names(message: str) -> str:
-    """Replace the names of fields in a message by XML tags: view_dir becomes viewDir."""
-    return re.sub("_([a-z])", lambda match: match[1].upper(), message)

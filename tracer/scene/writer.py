@@ -5,22 +5,18 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import fields
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from tracer.files import atomic_file
-from tracer.scene.elements import Element, FatalError, Parser
+from tracer.scene.elements import FileOrPath
 from tracer.scene.model import Scene
-from tracer.scene.schema import Numbers, number_text
+from tracer.scene.schema import Numbers, format_number
 
 
-def save_scene(
-    scene: Scene,
-    target: str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO[bytes],
-) -> None:
+def save_scene(scene: Scene, target: FileOrPath) -> None:
     """Write a scene to a file from which `load_scene` reads an equal scene.
 
     Parameters
@@ -28,7 +24,7 @@ def save_scene(
     scene : Scene
         The scene to write.
     target : str, bytes, path-like or binary file object
-        Path of the file, or a file open for writing.  If a scene file exists at the path, it is
+        Path of the file, or a file that is open for writing.  An existing scene file at the path is
         replaced when the new file is complete.
 
     Raises
@@ -36,7 +32,7 @@ def save_scene(
     OSError
         If the file cannot be written, or a file that is not a scene exists at the path.
     """
-    lines = (line.encode() for line in _lines(scene))
+    lines = (line.encode() for line in _scene_lines(scene))
     if not isinstance(target, (str, bytes, os.PathLike)):
         target.writelines(lines)
         return
@@ -48,65 +44,74 @@ def save_scene(
 
 
 def _is_scene(path: str) -> bool:
-    """Test whether a file is a scene file, by its first XML element alone.
+    """Test whether a file is a scene file of the tracer, by its root element alone.
 
-    That must be <scene> without a version: the scene files of Mitsuba have a version.
+    Mitsuba's scene files have the same root element, but with a version.
 
     Parameters
     ----------
     path : str
         Path of the file.
 
+    Returns
+    -------
+    is_scene : bool
+        True if the root element is <scene> without a version.  False if it is another element, or
+        the file is not XML.
+
     Raises
     ------
     OSError
         If the file cannot be read.
     """
-    roots: list[Element] = []
+    from xml.etree import ElementTree as ET  # only if a file is replaced: importing takes time
 
-    def stop_at_root(root: Element) -> None:
-        roots.append(root)
-        raise FatalError(root.line, "the rest is not parsed")
-
-    with suppress(FatalError), open(path, "rb") as file:
-        Parser(stop_at_root, lambda *_: None).parse(file)
-    return any(root.tag == "scene" and "version" not in root.attrib for root in roots)
-
-
-def _lines(scene: Scene) -> Iterator[str]:
-    """Yield the text of a scene file in parts of one or more lines, with line breaks.
-
-    Shaders that several surfaces share are written once, with names; all others are written inside
-    their surfaces.
-    """
-    surfaces = scene.surfaces
-    yield f"<scene>\n  <camera>{_elements(scene.camera)} </camera>\n"
-    yield f"  <image>{scene.width} {scene.height}</image>\n"
-    for light in scene.lights:
-        yield f"  <light>{_elements(light)} </light>\n"
-    use_count = np.bincount(surfaces.shader_index, minlength=len(surfaces.shaders)).tolist()
-    shader_elements = []  # for each shader, what its surfaces contain: the shader or a reference
-    for index, shader in enumerate(surfaces.shaders):
-        is_shared = use_count[index] > 1
-        name = f' name="shader{index}"' if is_shared else ""
-        element = f'<shader{name} type="{type(shader).__name__}">{_elements(shader)} </shader>'
-        if is_shared:
-            yield f"  {element}\n"
-        shader_elements.append(f'<shader ref="shader{index}"/>' if is_shared else element)
-    shader_index = surfaces.shader_index[surfaces.file_order]
-    for index, surface in zip(shader_index, surfaces, strict=True):
-        yield f'  <surface type="{type(surface).__name__}">\n    {shader_elements[index]}\n'
-        yield f"   {_elements(surface)}\n  </surface>\n"
-    yield "</scene>\n"
+    with open(path, "rb") as file:
+        try:
+            _, root = next(iter(ET.iterparse(file, ["start"])))
+        except (ET.ParseError, LookupError, ValueError):
+            return False
+    return root.tag == "scene" and "version" not in root.attrib
 
 
-def _elements(instance: Any) -> str:
-    """Write the numbers of a camera, light, shader or surface as XML elements.
+def _scene_lines(scene: Scene) -> Iterator[str]:
+    """Format a scene as XML.
+
+    Each shader is written once, before the surfaces, which refer to it by a name.
 
     Parameters
     ----------
-    instance : Camera, PointLight, Lambertian, Phong, Sphere or Box
-        Fields that are None, and fields that do not consist of numbers, are skipped.
+    scene : Scene
+        The scene to write.
+
+    Yields
+    ------
+    lines : str
+        The next line or lines of the file, with line breaks.
+    """
+    surfaces = scene.surfaces
+    yield f"<scene>\n  <camera>{_number_elements(scene.camera)} </camera>\n"
+    yield f"  <image>{scene.width} {scene.height}</image>\n"
+    for light in scene.lights:
+        yield f"  <light>{_number_elements(light)} </light>\n"
+    for index in np.unique(surfaces.shader_index).tolist():
+        shader = surfaces.shaders[index]
+        start_tag = f'<shader name="shader{index}" type="{type(shader).__name__}">'
+        yield f"  {start_tag}{_number_elements(shader)} </shader>\n"
+    shader_index = surfaces.shader_index[surfaces.file_order]
+    for index, surface in zip(shader_index, surfaces, strict=True):
+        yield f'  <surface type="{type(surface).__name__}">\n    <shader ref="shader{index}"/>\n'
+        yield f"   {_number_elements(surface)}\n  </surface>\n"
+    yield "</scene>\n"
+
+
+def _number_elements(scene_object: Any) -> str:
+    """Format the numbers of a camera, light, shader or surface as XML elements.
+
+    Parameters
+    ----------
+    scene_object : Camera, PointLight, Lambertian, Phong, Sphere or Box
+        The object.  Fields that are None, or do not consist of numbers, are skipped.
 
     Returns
     -------
@@ -114,9 +119,9 @@ def _elements(instance: Any) -> str:
         One element for each field, all on one line, such as " <center>0 0 0</center>".
     """
     texts = {
-        field.metadata["tags"][0]: " ".join(map(number_text, np.ravel(value).tolist()))
-        for field in fields(instance)
+        field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
+        for field in fields(scene_object)
         if isinstance(field.metadata.get("validator"), Numbers)
-        and (value := getattr(instance, field.name)) is not None
+        and (value := getattr(scene_object, field.name)) is not None
     }
     return "".join(f" <{tag}>{text}</{tag}>" for tag, text in texts.items())
