@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Comment, Element
 
 import numpy as np
 
-from converters.camera import Floats, Window, bounding_box, camera_window, visible_points
+from converters.camera import Floats, bounding_box, camera_window, visible_points
 from converters.mitsuba_xml import ConversionError, Document, matrix, plugin, rgb, xyz
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
@@ -33,8 +33,8 @@ _SCENE_SIZE = 10.0
 # Maximum error of a hit in the exact flavour, in roundings (2^-24) of the scene's largest length.
 _TOLERANCE_ROUNDINGS = 32
 
-# A stock scene keeps the file's coordinates if the size of its visible part is between the first
-# two numbers, and its distance from the origin is at most the third, relative to the size.
+# A scene for Mitsuba's own plugins keeps its coordinates if the size of its visible part is between
+# the first two numbers, and its distance from the origin is at most the third times that size.
 _MIN_OWN_SIZE, _MAX_OWN_SIZE, _MAX_OWN_DISTANCE = 0.1, 1e6, 10.0
 
 # Maximum radius of a sphere in a stock scene.  Hits on it have an error of 1e-7 of the radius, and
@@ -76,17 +76,16 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
     Raises
     ------
     ConversionError
-        If the scene has numbers that Mitsuba cannot represent, or a window so high that square
-        pixels would be too many.
+        If the scene has numbers that Mitsuba cannot represent, or needs too many square pixels.
     """
-    count = SAMPLES[flavour] if samples is None else samples
-    return str({"stock": convert_stock, "exact": convert_exact}[flavour](scene, count))
+    sample_count = SAMPLES[flavour] if samples is None else samples
+    return str({"stock": convert_stock, "exact": convert_exact}[flavour](scene, sample_count))
 
 
 class Normalisation(NamedTuple):
-    """A translation and a scaling of all points p of a scene: p -> (p - center) * scale.
+    """A translation and a scaling of a scene, which maps each point p to (p - center) * scale.
 
-    The normalisation changes no picture, but moves the numbers into the range where float32 is
+    The normalisation changes no picture, but moves the coordinates into the range where float32 is
     accurate.
 
     Attributes
@@ -94,29 +93,29 @@ class Normalisation(NamedTuple):
     center : (3,) float array
         The point of the scene that becomes the origin.
     scale : float
-        Size of the scene's unit of length after the normalisation.
+        Length after the normalisation of a segment of length 1.
     """
 
     center: Floats
     scale: float
 
     def __call__(self, points: Floats) -> Floats:
-        """Translate and scale points (..., 3) of the scene; return an array of the same shape."""
+        """Translate and scale points (..., 3); return an array of the same shape."""
         return (points - self.center) * self.scale
 
     def __str__(self) -> str:
         center = ", ".join(f"{x:.6g}" for x in self.center)
-        formula = f"{self.scale:.6g} (p - c), c = ({center})"
         return (
             "It is moved and scaled, for float32, which changes no picture:\n"
-            f"the point p of the scene file is {formula} here.\n"
+            f"the point p of the scene file is {self.scale:.6g} (p - c), c = ({center}) here.\n"
         )
 
 
 def choose_normalisation(scene: Scene) -> Normalisation:
-    """Choose the normalisation that centres the visible part of a scene, and scales it to 10 units.
+    """Choose the translation and scaling that fit a scene's visible part into a cube at the origin.
 
-    If no surface is visible, all surfaces together take the place of the visible part.
+    The cube is centred at the origin, with edges of 10 units.  If no surface is visible, all
+    surfaces together replace the visible part.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def choose_normalisation(scene: Scene) -> Normalisation:
     Returns
     -------
     normalisation : Normalisation
-        A translation and a scaling; the scale is 1 if the visible part has no extent.
+        The translation and the scaling.  The scale is 1 if the visible part is a single point.
     """
     visible, surfaces = visible_points(scene), scene.surfaces
     points = visible if len(visible) else bounding_box(surfaces)
@@ -136,10 +135,11 @@ def choose_normalisation(scene: Scene) -> Normalisation:
 
 
 def _stock_normalisation(scene: Scene) -> Normalisation:
-    """Choose how to shift and scale a scene so that stock Mitsuba, in float32, is accurate enough.
+    """Choose the translation and the scaling of a scene for Mitsuba's own plugins.
 
-    The scene keeps the file's coordinates if its visible part is neither too small nor too large
-    nor too far from the origin.  A scene with very large spheres is scaled down.
+    Mitsuba computes with float32.  The scene keeps its coordinates if its visible part is neither
+    too small, nor too large, nor too far from the origin.  A scene with very large spheres is
+    scaled down.
 
     Parameters
     ----------
@@ -149,49 +149,52 @@ def _stock_normalisation(scene: Scene) -> Normalisation:
     Returns
     -------
     normalisation : Normalisation
-        The scale is 1 and the centre is the origin if the scene keeps its coordinates.
+        The translation and the scaling.  If the scene keeps its coordinates, the scale is 1 and the
+        centre is the origin.
     """
-    normalised = choose_normalisation(scene)
-    size = _SCENE_SIZE / normalised.scale
-    is_near = np.abs(normalised.center).max() <= _MAX_OWN_DISTANCE * size
+    normalise = choose_normalisation(scene)
+    size = _SCENE_SIZE / normalise.scale
+    is_near = np.abs(normalise.center).max() <= _MAX_OWN_DISTANCE * size
     if is_near and _MIN_OWN_SIZE <= size <= _MAX_OWN_SIZE:
-        normalised = Normalisation(np.zeros(3), 1.0)
-    largest = normalised.scale * float(scene.surfaces.radius.max(initial=0))
-    if largest > _MAX_RADIUS:
-        shrinkage = max(_MAX_RADIUS / largest, _MIN_SHRINKAGE)
-        normalised = normalised._replace(scale=normalised.scale * shrinkage)
-    return normalised
+        normalise = Normalisation(np.zeros(3), 1.0)
+    largest_radius = normalise.scale * float(scene.surfaces.radius.max(initial=0))
+    if largest_radius > _MAX_RADIUS:
+        shrinkage = max(_MAX_RADIUS / largest_radius, _MIN_SHRINKAGE)
+        normalise = normalise._replace(scale=normalise.scale * shrinkage)
+    return normalise
 
 
 def _film_element(scene: Scene) -> Element:
-    """Describe the picture that Mitsuba writes: linear radiance, without filtering across pixels.
+    """Create the Mitsuba film for a scene: a picture of linear radiance with a box filter.
 
     Parameters
     ----------
     scene : Scene
-        Its width and height are those of the picture.
+        The scene, whose width and height are those of the picture.
 
     Returns
     -------
     film : Element
-        The plugin "hdrfilm" with a box filter.
+        The plugin "hdrfilm".  Its box filter averages the samples of each pixel separately.
     """
-    box, width, height = plugin("rfilter", "box"), scene.width, scene.height
+    box_filter, width, height = plugin("rfilter", "box"), scene.width, scene.height
     pixel_type = {"pixel_format": "rgb", "component_format": "float32"}
-    return plugin("film", "hdrfilm", box, width=width, height=height, **pixel_type)
+    return plugin("film", "hdrfilm", box_filter, width=width, height=height, **pixel_type)
 
 
-def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) -> list[Element]:
+def _convert_surfaces(
+    surfaces: Surfaces, normalise: Normalisation, bsdf_names: Sequence[str]
+) -> list[Element]:
     """Convert all surfaces of a scene to Mitsuba shapes.
 
     A flat box becomes slightly thick, because Mitsuba cannot invert the transform of a flat cube.
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
-    normalised : Normalisation
-        Translation and scaling of all points and lengths.
+    surfaces : Surfaces
+        The surfaces: spheres and boxes.
+    normalise : Normalisation
+        The translation and scaling to apply to all points and lengths.
     bsdf_names : sequence of str
         For each shader of the scene, the name of its BSDF.
 
@@ -200,29 +203,27 @@ def _shapes(scene: Scene, normalised: Normalisation, bsdf_names: Sequence[str]) 
     shapes : list of Element
         One plugin "sphere" or "cube" for each surface, in the order of the scene file.
     """
-    surfaces = scene.surfaces
-    half_size = (surfaces.max_pt - surfaces.min_pt) * (normalised.scale / 2)
-    # A cube without thickness has no inverse transform.
-    largest = np.abs(normalised(bounding_box(surfaces))).max()
-    half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest
-    spheres = normalised(surfaces.center).tolist(), (surfaces.radius * normalised.scale).tolist()
+    radii = (surfaces.radius * normalise.scale).tolist()
     shapes = [
         plugin("shape", "sphere", xyz("point", "center", center), radius=radius)
-        for center, radius in zip(*spheres, strict=True)
+        for center, radius in zip(normalise(surfaces.center).tolist(), radii, strict=True)
     ]
+    half_size = (surfaces.max_pt - surfaces.min_pt) * (normalise.scale / 2)
+    largest_coordinate = np.abs(normalise(bounding_box(surfaces))).max()
+    half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest_coordinate
     # Mitsuba's cube, which extends from -1 to 1 along each axis, is scaled and moved.
-    centers = (normalised(surfaces.min_pt) + normalised(surfaces.max_pt)) / 2
+    centers = (normalise(surfaces.min_pt) + normalise(surfaces.max_pt)) / 2
     for scale, center in zip(half_size.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
         to_world.extend([xyz("scale", None, scale), xyz("translate", None, center)])
         shapes.append(plugin("shape", "cube", to_world))
-    for shape, shader in zip(shapes, surfaces.shader_index.tolist(), strict=True):
-        shape.append(Element("ref", id=bsdf_names[shader]))
-    return [shapes[index] for index in np.argsort(surfaces.file_index).tolist()]
+    for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
+        shape.append(Element("ref", id=bsdf_names[shader_index]))
+    return [shapes[index] for index in surfaces.file_order.tolist()]
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Choose a name for each shader's BSDF; equal shaders get the same name.
+    """Choose the name of a BSDF for each shader; equal shaders get the same name.
 
     Parameters
     ----------
@@ -233,33 +234,15 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     -------
     names : list of str
         For each shader, the name of its BSDF.
-    used : dict of str to Shader
-        The shader for each name.  Shaders that no surface refers to are omitted.
+    shader_of_name : dict of str to Shader
+        The shader for each name, without shaders that no surface uses.
     """
-    named: dict[Shader, str] = {}
-    names = [named.setdefault(shader, f"bsdf{len(named)}") for shader in surfaces.shaders]
-    used = {names[shader] for shader in np.unique(surfaces.shader_index).tolist()}
-    return names, {name: shader for shader, name in named.items() if name in used}
-
-
-def _build_document(comment: str, parts: Sequence[Element]) -> Document:
-    """Build a Mitsuba scene from its plugins.
-
-    Parameters
-    ----------
-    comment : str
-        Text about the conversion, for the beginning of the file.
-    parts : sequence of Element
-        The plugins: integrator, sensor, lights, BSDFs and shapes.
-
-    Returns
-    -------
-    document : Document
-        The scene; its `str` is the text of the file.
-    """
-    root = Element("scene", version="3.0.0")
-    root.extend(parts)
-    return Document(comment, root)
+    name_of_shader: dict[Shader, str] = {}
+    for shader in surfaces.shaders:
+        name_of_shader.setdefault(shader, f"bsdf{len(name_of_shader)}")
+    names = [name_of_shader[shader] for shader in surfaces.shaders]
+    used_shaders = (surfaces.shaders[index] for index in np.unique(surfaces.shader_index))
+    return names, {name_of_shader[shader]: shader for shader in used_shaders}
 
 
 _EXACT = """
@@ -273,9 +256,9 @@ variant that ends in _rgb, and "import converters.plugins".
 
 @_IGNORE_OVERFLOW
 def convert_exact(scene: Scene, samples: int = 1) -> Document:
-    """Convert a scene to the exact flavour, in which Mitsuba computes the tracer's picture.
+    """Convert a scene to a Mitsuba scene that reproduces the tracer's picture.
 
-    The converted scene needs this project's Mitsuba plugins (`converters.plugins`).
+    This is the "exact" flavour.  It needs this project's Mitsuba plugins (`converters.plugins`).
 
     Parameters
     ----------
@@ -294,53 +277,54 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
     ConversionError
         If the scene has numbers that Mitsuba cannot represent.
     """
-    normalised = choose_normalisation(scene)
-    names, shaders = _name_bsdfs(scene.surfaces)
-    largest = max(_SCENE_SIZE, float(scene.surfaces.radius.max(initial=0)) * normalised.scale)
-    parts = [
-        plugin("integrator", "every_light", tolerance=_TOLERANCE_ROUNDINGS * largest * 2.0**-24),
-        _exact_sensor(scene, normalised, samples),
+    normalise = choose_normalisation(scene)
+    bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
+    largest_radius = float(scene.surfaces.radius.max(initial=0)) * normalise.scale
+    tolerance = _TOLERANCE_ROUNDINGS * max(_SCENE_SIZE, largest_radius) * 2.0**-24
+    elements = [
+        plugin("integrator", "every_light", tolerance=tolerance),
+        _exact_sensor(scene, normalise, samples),
     ]
     for light in scene.lights:
-        position = xyz("point", "position", normalised(np.array(light.position)))
+        position = xyz("point", "position", normalise(np.array(light.position)))
         intensity = xyz("vector", "intensity", light.intensity)
-        parts.append(plugin("emitter", "unattenuated_point", position, intensity))
-    for name, shader in shaders.items():
+        elements.append(plugin("emitter", "unattenuated_point", position, intensity))
+    for name, shader in shader_of_name.items():
         phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
         colors = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
-        parts.append(plugin("bsdf", "blinn_phong", *colors, name=name, exponent=phong.exponent))
-    shapes = _shapes(scene, normalised, names)
-    return _build_document(_EXACT.format(moved=normalised), [*parts, *shapes])
+        elements.append(plugin("bsdf", "blinn_phong", *colors, name=name, exponent=phong.exponent))
+    elements += _convert_surfaces(scene.surfaces, normalise, bsdf_names)
+    return Document(_EXACT.format(moved=normalise), elements)
 
 
-def _exact_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
-    """Convert the camera to this project's plugin "window".
+def _exact_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Element:
+    """Convert the camera of a scene to this project's Mitsuba sensor "window".
 
     Parameters
     ----------
     scene : Scene
         The scene, with its camera.
-    normalised : Normalisation
-        Translation and scaling of all points and lengths.
+    normalise : Normalisation
+        The translation and scaling to apply to all points and lengths.
     samples : int
         Number of samples per pixel.
 
     Returns
     -------
     sensor : Element
-        A sensor whose rays start on a box around the scene, where float32 is accurate.
+        The sensor.  Its rays start on a box around the scene, where float32 is accurate.
     """
     window = camera_window(scene.camera)
     right, down, _ = window.axes
     # The box is slightly larger than the scene, so that no ray starts on a surface.
-    (low, high), margin = normalised(bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
+    (low, high), margin = normalise(bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
     return plugin(
         "sensor",
         "window",
-        xyz("point", "eye", normalised(window.eye)),
-        xyz("vector", "corner", window.points(0, 0) * normalised.scale),
-        xyz("vector", "right", right * (window.width * normalised.scale)),
-        xyz("vector", "down", down * (window.height * normalised.scale)),
+        xyz("point", "eye", normalise(window.eye)),
+        xyz("vector", "corner", window.points(0, 0) * normalise.scale),
+        xyz("vector", "right", right * (window.width * normalise.scale)),
+        xyz("vector", "down", down * (window.height * normalise.scale)),
         xyz("point", "low", low - margin),
         xyz("point", "high", high + margin),
         _film_element(scene),
@@ -349,20 +333,20 @@ def _exact_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Elem
 
 
 def with_square_pixels(scene: Scene) -> Scene:
-    """Replace the pixels of a scene's picture by square pixels, at the same width.
+    """Give a scene's picture square pixels, by changing its number of rows.
 
     The new number of rows fits the camera's window to within half a pixel.  The height of the
-    window is then adjusted to this number of rows.
+    window is then adjusted to the new number of rows.
 
     Parameters
     ----------
     scene : Scene
-        A scene whose pixels may be higher than wide, or wider than high.
+        The scene, with pixels of any shape.
 
     Returns
     -------
     square : Scene
-        The same scene with another height; `scene` itself if its pixels are square already.
+        A copy of the scene with square pixels; `scene` itself if its pixels are square already.
 
     Raises
     ------
@@ -404,17 +388,18 @@ divided by {gain:g}, lights multiplied.
 
 @_IGNORE_OVERFLOW
 def convert_stock(scene: Scene, samples: int = 64) -> Document:
-    """Convert a scene to the stock flavour, in which Mitsuba computes a similar picture.
+    """Convert a scene to a Mitsuba scene whose picture is similar, for Mitsuba's own plugins.
 
-    The converted scene needs no plugins but Mitsuba's.  Its pixels are square, its lights fall off
-    with distance, and its highlights have another shape.
+    This is the "stock" flavour.  Its pixels are square, its lights fall off with distance, and its
+    highlights have another shape.
 
     Parameters
     ----------
     scene : Scene
         The scene to convert.
     samples : int
-        Number of samples per pixel, which may be rounded up: see `_samples_for_lights`.
+        Number of samples per pixel.  It may be rounded up, so that each light gets the same number
+        of samples.
 
     Returns
     -------
@@ -426,36 +411,36 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     ConversionError
         If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
     """
-    normalised, square = _stock_normalisation(scene), with_square_pixels(scene)
+    normalise, square = _stock_normalisation(scene), with_square_pixels(scene)
     divisor = reflectance_divisor(scene.surfaces)
-    names, shaders = _name_bsdfs(scene.surfaces)
+    bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
     points = visible_points(scene)
     if not len(points):
         points = bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
-    count = _samples_for_lights(samples, len(scene.lights))
-    parts = [
-        # Light directly from the lights, of which one is picked at random for each sample.
+    sample_count = _round_up_samples(samples, len(scene.lights))
+    elements = [
+        # Only light that comes directly from lights, one of which is chosen for each sample.
         plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
-        _stock_sensor(square, normalised, count),
-        *(_stock_light(light, normalised, divisor, normalised(points)) for light in scene.lights),
-        *(_stock_bsdf(shader, name, divisor) for name, shader in shaders.items()),
-        *_shapes(scene, normalised, names),
+        _stock_sensor(square, normalise, sample_count),
+        *(_stock_light(light, normalise, divisor, normalise(points)) for light in scene.lights),
+        *(_stock_bsdf(shader, name, divisor) for name, shader in shader_of_name.items()),
+        *_convert_surfaces(scene.surfaces, normalise, bsdf_names),
     ]
     notes = ""
     if square.height != scene.height:
         notes += _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
     if divisor != 1:
         notes += _GAIN.format(gain=divisor)
-    if normalised.scale != 1 or normalised.center.any():
-        notes += str(normalised)
-    return _build_document(_STOCK.format(notes=notes), parts)
+    if normalise.scale != 1 or normalise.center.any():
+        notes += str(normalise)
+    return Document(_STOCK.format(notes=notes), elements)
 
 
-def _samples_for_lights(samples: int, light_count: int) -> int:
+def _round_up_samples(samples: int, light_count: int) -> int:
     """Round the number of samples per pixel up, so that each light gets the same number.
 
-    Mitsuba's `multijitter` sampler picks lights evenly if the number of samples (1) is a multiple
-    of the number of lights, and (2) fills whole rows of a grid.
+    Mitsuba's sampler "multijitter" chooses all lights equally often if the number of samples (1) is
+    a multiple of the number of lights, and (2) fills whole rows of a grid.
 
     Parameters
     ----------
@@ -476,35 +461,15 @@ def _samples_for_lights(samples: int, light_count: int) -> int:
     return count
 
 
-def _camera_transform(window: Window, normalised: Normalisation) -> Element:
-    """Compute the transform of a Mitsuba camera, which looks along +z with +x left and +y up.
-
-    Parameters
-    ----------
-    window : Window
-        The camera's eye and axes.
-    normalised : Normalisation
-        Translation and scaling of all points.
-
-    Returns
-    -------
-    transform : Element
-        The transform "to_world", as a matrix.
-    """
-    right, down, ahead = window.axes
-    rows = np.column_stack([-right, -down, ahead, normalised(window.eye)])
-    return matrix("to_world", [*rows, (0, 0, 0, 1)])
-
-
-def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Element:
-    """Convert the camera to Mitsuba's sensor "perspective".
+def _stock_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Element:
+    """Convert the camera of a scene to Mitsuba's sensor "perspective".
 
     Parameters
     ----------
     scene : Scene
-        A scene whose pixels are square.
-    normalised : Normalisation
-        Translation and scaling of all points and lengths.
+        A scene with square pixels.
+    normalise : Normalisation
+        The translation and scaling to apply to all points and lengths.
     samples : int
         Number of samples per pixel.
 
@@ -519,74 +484,77 @@ def _stock_sensor(scene: Scene, normalised: Normalisation, samples: int) -> Elem
         If the field of view is 0 or close to 180 degrees in float32.
     """
     window = camera_window(scene.camera)
-    across, below, depth = window.center
-    fov = degrees(2 * atan(window.width / 2 / depth))
+    right, down, ahead = window.axes
+    # Mitsuba's camera looks along +z, with +x to the left and +y up.
+    transform = np.column_stack([-right, -down, ahead, normalise(window.eye)])
+    offset_right, offset_down, distance = window.center
+    fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
         raise ConversionError(
             f"its field of view would be {fov:g} degrees, and Mitsuba needs more than 0 and at most"
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
-    farthest = np.abs(bounding_box(scene.surfaces) - window.eye).max(axis=0)
-    far = normalised.scale * float(np.linalg.norm(farthest)) or 1.0
+    farthest_offset = np.abs(bounding_box(scene.surfaces) - window.eye).max(axis=0)
+    far_distance = normalise.scale * float(np.linalg.norm(farthest_offset)) or 1.0
     return plugin(
         "sensor",
         "perspective",
-        _camera_transform(window, normalised),
+        matrix("to_world", [*transform, (0, 0, 0, 1)]),
         _film_element(scene),
         plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
         fov=fov,
         # Rounding errors of 0 become 0.
-        principal_point_offset_x=round(float(across / window.width), 12),
-        principal_point_offset_y=round(float(below / window.height), 12),
-        # The window itself hides nothing, at whatever distance it is.
-        near_clip=_NEAR_DISTANCE * far,
-        far_clip=2 * far,
+        principal_point_offset_x=round(float(offset_right / window.width), 12),
+        principal_point_offset_y=round(float(offset_down / window.height), 12),
+        # The window hides nothing, regardless of its distance.
+        near_clip=_NEAR_DISTANCE * far_distance,
+        far_clip=2 * far_distance,
     )
 
 
 def _stock_light(
-    light: PointLight, normalised: Normalisation, divisor: float, points: Floats
+    light: PointLight, normalise: Normalisation, divisor: float, points: Floats
 ) -> Element:
     """Convert a light to a Mitsuba light, which falls off with the square of the distance.
 
-    The Mitsuba light has the strength of `light` at one distance.  This distance minimises the sum
-    of the squared errors of the irradiance at the given points.
+    At one distance, the Mitsuba light is as strong as the light of the scene.  That distance
+    minimises the sum of the squared errors of the irradiance at the given points.
 
     Parameters
     ----------
     light : PointLight
         The light to convert.
-    normalised : Normalisation
-        Translation and scaling of the light's position.
+    normalise : Normalisation
+        The translation and scaling to apply to the light's position.
     divisor : float
         Number by which all reflectances are divided; intensities are multiplied by it.
     points : (n, 3) float array
-        Points of visible surfaces, after the normalisation.
+        Points of visible surfaces, already translated and scaled.
 
     Returns
     -------
     emitter : Element
         The plugin "point", with a comment that gives the distance.
     """
-    position = normalised(np.array(light.position))
+    position = normalise(np.array(light.position))
     distance2 = ((points - position) ** 2).sum(axis=1)
-    # Relative to the largest, so that nothing overflows; a point in the light is moved off it.
-    largest = float(distance2.max()) or 1.0
-    inverse = 1 / np.maximum(distance2 / largest, 1e-12)
-    best_distance2 = largest * float(inverse.sum() / (inverse * inverse).sum())
+    # Distances relative to the largest do not overflow.  The minimum avoids a division by 0.
+    largest2 = float(distance2.max()) or 1.0
+    falloff = 1 / np.maximum(distance2 / largest2, 1e-12)
+    best_distance2 = largest2 * float(falloff.sum() / (falloff * falloff).sum())
     # A diffuse surface reflects 1 / pi of its reflectance.
     intensity = np.array(light.intensity) * (np.pi * divisor * best_distance2)
-    note = Comment(f" right at a distance of {best_distance2**0.5:.4g} ")
+    comment = Comment(f" right at a distance of {best_distance2**0.5:.4g} ")
     point = xyz("point", "position", position)
-    return plugin("emitter", "point", note, point, rgb("intensity", intensity))
+    return plugin("emitter", "point", comment, point, rgb("intensity", intensity))
 
 
 def reflectance_divisor(surfaces: Surfaces) -> float:
-    """Compute the number by which all reflectances are divided, so that Mitsuba allows them.
+    """Compute a number by which to divide all reflectances so that none exceeds 1.
 
-    Mitsuba allows reflectances up to 1.  The reflectances of a shader with highlights are doubled
-    first, because its BSDF is a blend that halves them.
+    Mitsuba allows no reflectance above 1.  The reflectances of a shader with a highlight are
+    doubled first, because the shader becomes a blend of two BSDFs, which halves both.
 
     Parameters
     ----------
@@ -596,17 +564,15 @@ def reflectance_divisor(surfaces: Surfaces) -> float:
     Returns
     -------
     divisor : float
-        The largest reflectance, but at least 1.
+        The largest reflectance of all shaders that a surface uses, but at least 1.
     """
     used = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
-    largest = [
-        (2 if _has_highlight(shader) else 1) * np.max(_reflectances(shader)) for shader in used
-    ]
-    return float(max([1, *largest]))
+    doubled = [(2 if _has_highlight(s) else 1) * float(np.max(_reflectances(s))) for s in used]
+    return max([1.0, *doubled])
 
 
 def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
-    """Test whether a shader has a highlight, and so is converted to a blend of two BSDFs.
+    """Test whether a shader has a highlight.
 
     Parameters
     ----------
@@ -616,13 +582,13 @@ def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
     Returns
     -------
     has_highlight : bool
-        True for a Phong shader whose specular colour is not black.
+        True for a `Phong` shader with a specular colour other than black.
     """
     return isinstance(shader, Phong) and any(shader.specular)
 
 
 def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
-    """Convert the colours of a shader to reflectances, as Mitsuba defines them.
+    """Convert the colours of a shader to reflectances of Mitsuba's own BSDFs.
 
     Parameters
     ----------
@@ -633,7 +599,7 @@ def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
     -------
     diffuse, specular : (3,) float arrays
         Linear RGB reflectances of the diffuse BSDF, and of the Beckmann lobe that replaces the
-        highlight; they may exceed 1.
+        highlight (black if there is no highlight).  They may exceed 1.
     """
     diffuse = np.array(shader.diffuse)
     if not isinstance(shader, Phong):
@@ -643,14 +609,14 @@ def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
 
 
 def _stock_bsdf(shader: Shader, name: str, divisor: float) -> Element:
-    """Convert a shader to a two-sided BSDF of Mitsuba's own plugins.
+    """Convert a shader to a two-sided Mitsuba BSDF.
 
     Parameters
     ----------
     shader : Lambertian or Phong
         The shader to convert.
     name : str
-        Name of the BSDF, by which shapes refer to it.
+        Name by which shapes refer to the BSDF.
     divisor : float
         Number by which all reflectances are divided.
 
@@ -662,10 +628,10 @@ def _stock_bsdf(shader: Shader, name: str, divisor: float) -> Element:
     diffuse, specular = _reflectances(shader)
     if _has_highlight(shader):
         # The Beckmann lobe is as wide as the highlight.  A blend of weight 0.5 halves both BSDFs.
-        alpha = (2 / (shader.exponent + 2)) ** 0.5
+        roughness = (2 / (shader.exponent + 2)) ** 0.5
         color = rgb("specular_reflectance", 2 * specular / divisor)
         material = {"material": "none", "distribution": "beckmann"}
-        lobe = plugin("bsdf", "roughconductor", color, **material, alpha=alpha)
+        lobe = plugin("bsdf", "roughconductor", color, **material, alpha=roughness)
         matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / divisor))
         bsdf = plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:

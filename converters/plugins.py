@@ -1,4 +1,4 @@
-"""The Mitsuba plugins of the exact flavour: with them, Mitsuba computes what a scene file means.
+"""Mitsuba plugins with which Mitsuba computes the same picture as the tracer.
 
 They are (1) a sensor whose pixels need not be square, and whose rays start near the scene; (2) a
 point light whose intensity does not decrease with distance; (3) the BSDF of the scene format
@@ -25,40 +25,40 @@ from converters.variant import ensure_variant
 ensure_variant()
 
 
-def _vector(value: mi.ScalarVector3d) -> mi.Vector3d:
-    """Convert a vector of Python numbers to a float64 vector of the current variant."""
+def _to_vector(value: mi.ScalarVector3d) -> mi.Vector3d:
+    """Convert a vector of Python numbers to a float64 vector of the current Mitsuba variant."""
     return mi.Vector3d(value[0], value[1], value[2])
 
 
 class Window(mi.Sensor):
-    """A Mitsuba sensor whose rays go from the eye through a rectangle, called window.
+    """A Mitsuba sensor whose rays go from the eye through a rectangle, the window.
 
     Parameters
     ----------
     props : mitsuba.Properties
         The parameters of the plugin, which are vectors: `eye`, the position of the eye; `corner`,
-        from the eye to the window's upper left corner; `right` and `down`, along the window's
-        edges; `low` and `high`, opposite corners of a box around the scene, on which rays start.
+        from the eye to the upper left corner of the window; `right` and `down`, the edges of the
+        window; `low` and `high`, opposite corners of a box around the scene, on which rays start.
     """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.eye, self.corner, self.right, self.down, self.low, self.high = (
-            _vector(props[name]) for name in ("eye", "corner", "right", "down", "low", "high")
+            _to_vector(props[name]) for name in ("eye", "corner", "right", "down", "low", "high")
         )
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
-        """Compute the ray through a point of the film, in float64.
+        """Compute the ray from the eye through a point of the picture, in float64.
 
-        Mitsuba calls this method.  The ray starts where it enters the box around the scene; if the
-        eye is inside the box, the ray starts at the eye.
+        Mitsuba calls this method.  The ray starts where it enters the box around the scene, or at
+        the eye if the eye is inside the box.
 
         Parameters
         ----------
         time, sample1, sample3, active
             Not used.
         sample2 : mitsuba.Point2f
-            The point, from (0, 0) at the upper left to (1, 1) at the lower right of the film.
+            The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
 
         Returns
         -------
@@ -69,7 +69,7 @@ class Window(mi.Sensor):
         """
         x, y = mi.Float64(sample2.x), mi.Float64(sample2.y)
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
-        # The slab method.  A component of 0 gets a huge inverse, because infinity times 0 is NaN.
+        # The slab method.  The inverse of 0 is huge but finite, because infinity times 0 is NaN.
         inverse = dr.rcp(dr.select(direction == 0, 1e-300, direction))
         low, high = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
         start = dr.maximum(dr.max(dr.minimum(low, high)), 0)
@@ -77,10 +77,23 @@ class Window(mi.Sensor):
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
-        """Compute the same ray and weight as `sample_ray`, without differentials.
+        """Compute the ray from the eye through a point of the picture, without differentials.
 
-        Mitsuba calls this method.  The arguments are those of `sample_ray`.  The result is a
-        `mitsuba.RayDifferential3f` and the weight.
+        Mitsuba calls this method.  It differs from `sample_ray` only in the type of the ray.
+
+        Parameters
+        ----------
+        time, sample1, sample3, active
+            Not used.
+        sample2 : mitsuba.Point2f
+            The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
+
+        Returns
+        -------
+        ray : mitsuba.RayDifferential3f
+            The ray, with a direction of unit length.
+        weight : mitsuba.Spectrum
+            1
         """
         ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
         return mi.RayDifferential3f(ray), weight
@@ -98,8 +111,8 @@ class UnattenuatedPoint(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.m_flags = mi.EmitterFlags.DeltaPosition
-        self.position = mi.Point3f(_vector(props["position"]))
-        self.intensity = mi.Color3f(_vector(props["intensity"]))
+        self.position = mi.Point3f(_to_vector(props["position"]))
+        self.intensity = mi.Color3f(_to_vector(props["intensity"]))
 
     def sample_direction(self, it, sample, active=True):
         """Compute the direction from a hit to the light, and the light's intensity.
@@ -118,7 +131,7 @@ class UnattenuatedPoint(mi.Emitter):
         Returns
         -------
         ds : mitsuba.DirectionSample3f
-            Position, distance and direction of the light.
+            Position of the light, and the direction and distance from the hit to the light.
         intensity : mitsuba.Spectrum
             The light's intensity, or 0 where `active` is False.
         """
@@ -139,12 +152,12 @@ class UnattenuatedPoint(mi.Emitter):
         return ds, dr.select(active, self.intensity, 0)
 
     def eval(self, si, active=True):
-        """Return the radiance of the light as a surface: 0, because no ray hits a point."""
+        """Return a radiance of 0, because no ray can hit a point light."""
         return mi.Spectrum(0)
 
 
 class BlinnPhong(mi.BSDF):
-    """A Mitsuba BSDF, kd n.l + ks (n.h)^exponent, on both sides of a surface.
+    """A two-sided Mitsuba BSDF for Blinn-Phong shading: kd n.l + ks (n.h)^exponent.
 
     Here n is the normal, l the direction to the light, and h the half vector between the directions
     to the light and to the eye.
@@ -158,18 +171,19 @@ class BlinnPhong(mi.BSDF):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.diffuse = mi.Color3f(_vector(props["diffuse"]))
-        self.specular = mi.Color3f(_vector(props["specular"]))
+        self.diffuse = mi.Color3f(_to_vector(props["diffuse"]))
+        self.specular = mi.Color3f(_to_vector(props["specular"]))
         self.exponent = float(props["exponent"])
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         self.m_components = [flags]
         self.m_flags = flags
 
     def eval(self, ctx, si, wo, active=True):
-        """Compute kd n.l + ks (n.h)^exponent for two directions.
+        """Evaluate the BSDF times the cosine, kd n.l + ks (n.h)^exponent, for two directions.
 
-        Mitsuba calls this method, and expects the diffuse term multiplied by the cosine.  The
-        highlight of the scene format has no cosine.
+        Mitsuba calls this method.  Here kd and ks are the diffuse and the specular colour, n is the
+        normal, l the direction to the light, and h the half vector between the directions to the
+        light and to the eye.  In the scene format, the highlight is not multiplied by the cosine.
 
         Parameters
         ----------
@@ -185,14 +199,14 @@ class BlinnPhong(mi.BSDF):
         Returns
         -------
         value : mitsuba.Spectrum
-            0 where the light and the eye are on different sides of the surface, or `active` is
-            False.
+            The result; 0 where the light and the eye are on different sides of the surface, or
+            `active` is False.
         """
         h = dr.normalize(si.wi + wo)
-        # (n.h)^p is computed from the sine, which is accurate where float32 rounds the cosine to 1.
+        # n.h is computed from its sine, which is accurate even if float32 rounds the cosine to 1.
         cosine2 = 1 - mi.Float64(dr.square(h.x) + dr.square(h.y))
-        power = mi.Float(dr.power(dr.maximum(cosine2, 0), 0.5 * self.exponent))
-        value = self.diffuse * dr.abs(wo.z) + self.specular * power
+        highlight = mi.Float(dr.power(dr.maximum(cosine2, 0), 0.5 * self.exponent))
+        value = self.diffuse * dr.abs(wo.z) + self.specular * highlight
         is_same_side = si.wi.z * wo.z > 0
         return dr.select(active & is_same_side, value, 0)
 
@@ -200,15 +214,16 @@ class BlinnPhong(mi.BSDF):
 class EveryLight(mi.SamplingIntegrator):
     """A Mitsuba integrator that adds the direct light of every emitter.
 
-    A shadow ray goes from the light to the hit.  All shapes are closed and convex.  An object that
-    blocks the ray therefore lies above the tangent plane of the hit, and the object of the hit lies
-    below it.  So the hit is lit unless the first point on the ray lies more than `tolerance` above
-    the plane.  This needs no offset from the surface, which would move the edges of shadows.
+    Shadow rays go from the light to the hit.  All shapes are closed and convex.  Therefore an
+    object that blocks a shadow ray lies above the tangent plane of the hit, and the object of the
+    hit lies below the plane.  So a hit is lit unless the first point on its shadow ray lies more
+    than a tolerance above the plane.  This method needs no offset from the surface, which would
+    move the edges of shadows.
 
     Parameters
     ----------
     props : mitsuba.Properties
-        The parameter of the plugin is the number `tolerance`.
+        The parameters of the plugin: the number `tolerance`, in the scene's unit of length.
 
     Raises
     ------
@@ -223,7 +238,7 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Compute the radiance along a ray.
+        """Compute the radiance along a ray from the eye.
 
         Mitsuba calls this method.
 
@@ -248,27 +263,28 @@ class EveryLight(mi.SamplingIntegrator):
             Empty: there are no other outputs.
         """
         si = scene.ray_intersect(ray, active)
-        valid = si.is_valid()
-        if valid is False:
+        is_hit = si.is_valid()
+        if is_hit is False:
             # In a scalar variant, a ray that hits nothing has no BSDF.
             return mi.Spectrum(0), False, []
         bsdf, box = si.bsdf(ray), scene.bbox()
-        total = mi.Spectrum(0)
+        radiance = mi.Spectrum(0)
         for emitter in scene.emitters():
-            ds, intensity = emitter.sample_direction(si, mi.Point2f(0), valid)
-            value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), valid)
-            frontlit = valid & dr.any(value > 0)
+            ds, intensity = emitter.sample_direction(si, mi.Point2f(0), is_hit)
+            reflectance = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), is_hit)
+            is_frontlit = is_hit & dr.any(reflectance > 0)
             # The ray starts slightly in front of the light, which may lie on a surface.  If the
-            # light is outside of the scene, the ray starts at the side of the scene's box.
+            # light is outside the scene's bounding box, the ray starts just outside the box.
             inverse = dr.rcp(dr.select(dr.abs(ds.d) > 1e-20, ds.d, 1e-20))
-            leave = dr.min(dr.maximum((box.min - si.p) * inverse, (box.max - si.p) * inverse))
-            length = dr.minimum(ds.dist - self.tolerance, leave + 1e-3 * dr.max(box.max - box.min))
+            to_exit = dr.min(dr.maximum((box.min - si.p) * inverse, (box.max - si.p) * inverse))
+            margin = 1e-3 * dr.max(box.max - box.min)
+            length = dr.minimum(ds.dist - self.tolerance, to_exit + margin)
             shadow_ray = mi.Ray3f(si.p + length * ds.d, -ds.d)
-            first = scene.ray_intersect_preliminary(shadow_ray, active=frontlit)
-            height = (length - first.t) * dr.abs(dr.dot(ds.d, si.n))
-            is_lit = frontlit & (height <= self.tolerance)
-            total += dr.select(is_lit, value * intensity, 0)
-        return total, valid, []
+            first_hit = scene.ray_intersect_preliminary(shadow_ray, active=is_frontlit)
+            height = (length - first_hit.t) * dr.abs(dr.dot(ds.d, si.n))
+            is_lit = is_frontlit & (height <= self.tolerance)
+            radiance += dr.select(is_lit, reflectance * intensity, 0)
+        return radiance, is_hit, []
 
 
 for register, plugin, name in (
@@ -284,7 +300,7 @@ for register, plugin, name in (
 if "_reload" not in globals():
 
     def _reload(_old: str | None, _new: str | None) -> None:
-        """Execute this module again, which defines its plugins for the new variant."""
+        """Execute this module again, to define its plugins for the new Mitsuba variant."""
         importlib.reload(sys.modules[__name__])
 
     mi.detail.add_variant_callback(_reload)

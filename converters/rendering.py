@@ -30,11 +30,11 @@ class Rendering(NamedTuple):
     Attributes
     ----------
     image : (h, w, 3) float array
-        Linear radiance.
+        Linear RGB radiance.
     variant : str
-        Mitsuba's variant.
+        Name of the Mitsuba variant.
     seconds : float
-        Time to render, without loading the scene.
+        Time of rendering, without loading the scene.
     """
 
     image: Floats
@@ -54,15 +54,16 @@ def render_mitsuba(
     samples : int, optional
         Number of samples per pixel; the default depends on the flavour: see `SAMPLES`.
     variant : str, optional
-        Mitsuba's variant; the default is the fastest that works on this machine.
+        Name of the Mitsuba variant; by default, the fastest that works on this machine.
     flavour : str
-        "exact" for the tracer's picture, by this project's plugins; "stock" for a similar picture
-        with square pixels, by Mitsuba's own plugins.
+        "exact" to reproduce the tracer's picture by this project's plugins, or "stock" for a
+        similar picture with square pixels by Mitsuba's own plugins.
 
     Returns
     -------
     image : (h, w, 3) float array
-        Linear RGB radiance.  In the stock flavour, h may differ from the scene's height.
+        Linear RGB radiance; w is the scene's width.  With the flavour "exact", h is the scene's
+        height; with "stock", it may differ.
 
     Raises
     ------
@@ -89,13 +90,13 @@ def load_converted(text: str, variant: str | None = None) -> Callable[[], Render
     text : str
         Text of a Mitsuba scene file, from `convert`.
     variant : str, optional
-        Mitsuba's variant; the default is the fastest that works on this machine.
+        Name of the Mitsuba variant; by default, the fastest that works on this machine.
 
     Returns
     -------
     render_loaded : callable
-        Takes no arguments; renders the scene and returns a `Rendering`.  It may be called several
-        times.
+        Called without arguments, it renders the scene and returns a `Rendering`: the image, the
+        variant and the time.  It can be called repeatedly.
 
     Raises
     ------
@@ -118,12 +119,12 @@ def load_converted(text: str, variant: str | None = None) -> Callable[[], Render
 
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
-    """Write a linear picture to an EXR file, in float32.
+    """Write a picture of linear radiance to an EXR file, in float32.
 
     Parameters
     ----------
     path : str or path-like
-        The file to write.  An EXR file at this path is replaced.
+        Path of the file.  An existing EXR file at this path is replaced.
     image : (h, w, 3) float array
         Linear RGB radiance.
 

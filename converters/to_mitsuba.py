@@ -45,11 +45,9 @@ from tracer.messages import printable
 __all__ = ["add_scene_arguments", "choose_variant", "main"]
 __all__ += ["mitsuba_errors_as_failure", "skip_converted"]
 
-_FLAVOURS = "stock", "exact"
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Convert or render all scenes that the command line names.
+    """Run the command: convert or render all scene files that its arguments name.
 
     Parameters
     ----------
@@ -59,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     status : int
-        Exit status: 0, or `FAILED` (1) if any scene could not be read, converted or rendered, or a
+        Exit status: 0, or `FAILED` (1) if a scene could not be read, converted or rendered, or a
         file could not be written.  The other scenes are processed nevertheless.
 
     Raises
@@ -79,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.flavour = options.flavour or default_flavour
     suffix = ending if options.flavour == default_flavour else f".{options.flavour}{ending}"
     scenes = skip_converted(options.scenes)
-    # A path such as / has no name to replace; reading it fails later, with a clear message.
+    # A path such as / has no name to replace, but reading it fails later with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
     targets = choose_output_paths(
         parser, [*map(str, scenes)], options.output, default_paths, paths_of
@@ -97,12 +95,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
-    """Set Mitsuba's variant, and print the variant with the reason for it.
+    """Set Mitsuba's variant, and print its name with the reason for choosing it.
 
     Parameters
     ----------
     variant : str or None
-        The requested variant; None for the fastest that works on this machine.
+        Name of the requested variant; None for the fastest that works on this machine.
     status : int
         Exit status of the command in case of failure.
 
@@ -124,22 +122,23 @@ def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
 
 
 @contextmanager
-def mitsuba_errors_as_failure(path: str | os.PathLike[str], action: str) -> Iterator[None]:
-    """Convert errors of the converter and of Mitsuba, in a with block, to a `Failure`.
+def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> Iterator[None]:
+    """Turn errors that the converter or Mitsuba raises in a with block into a `Failure`.
 
     Parameters
     ----------
     path : str or path-like
-        The scene file, which the message names.
-    action : str
-        Participle for the message, such as "rendered": the file "cannot be rendered".
+        Path of the scene file, for the message.
+    participle : str
+        Past participle for the message, such as "rendered": the file "cannot be rendered".
 
     Raises
     ------
     Failure
-        If the block raises an error of the converter, of Mitsuba or of the file system.
+        If the block raises OSError, MemoryError, ImportError, RuntimeError or ValueError.
+        (`ConversionError`, which the converter raises, is a ValueError.)
     """
-    with errors_as_failure(path, action, error_types=(ImportError, RuntimeError, ValueError)):
+    with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
             yield
         except ConversionError as error:
@@ -147,7 +146,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], action: str) -> Iter
 
 
 def skip_converted(paths: Sequence[str]) -> list[Path]:
-    """Remove the paths of converted scenes from a list, and print a line for each removed path.
+    """Exclude converted scenes from a list of paths, and print a line for each excluded path.
 
     The shell's pattern *.xml matches the results of earlier conversions, too.
 
@@ -159,7 +158,7 @@ def skip_converted(paths: Sequence[str]) -> list[Path]:
     Returns
     -------
     kept : list of Path
-        The other paths, in the same order.  They include paths of files that cannot be read.
+        The paths of all other files, in the same order.  Files that cannot be read are kept.
     """
     kept = []
     for path in paths:
@@ -176,18 +175,18 @@ def skip_converted(paths: Sequence[str]) -> list[Path]:
 
 
 def _picture_paths(target: str) -> tuple[Path, Path]:
-    """Derive the paths of both files that a rendering writes from the output path.
+    """Derive the paths of the PNG and the EXR of a rendering from its output path.
 
     Parameters
     ----------
     target : str
-        The output path.  A suffix .png or .exr is replaced; any other suffix is kept, so that
-        room.v1 and room.v2 have different files.
+        The output path.  A suffix .png or .exr is replaced.  Any other suffix is kept, so that the
+        files of room.v1 and room.v2 have different paths.
 
     Returns
     -------
-    png, exr : Paths
-        One of them is `target` if it has the suffix .png or .exr.
+    png, exr : Path
+        The paths.  One of them is `target` if `target` has the suffix .png or .exr.
     """
     path = Path(target)
     if path.suffix.lower() == ".exr":
@@ -198,12 +197,12 @@ def _picture_paths(target: str) -> tuple[Path, Path]:
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments for scene files, output path and Mitsuba variant to a parser.
+    """Add the arguments for scene files, output path and Mitsuba variant to a command-line parser.
 
     Parameters
     ----------
     parser : argparse.ArgumentParser
-        The parser, which is changed: it gets SCENE.xml, -o and --variant.
+        The parser, to which SCENE.xml, -o and --variant are added.
     """
     parser.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
     parser.add_argument(
@@ -220,14 +219,14 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _command_line_parser() -> argparse.ArgumentParser:
-    """Create the command-line parser of `python -m converters.to_mitsuba`."""
+    """Build the command-line parser of `python -m converters.to_mitsuba`."""
     parser = CommandParser(
         prog="python -m converters.to_mitsuba",
         description=module_docstring(__name__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_scene_arguments(parser)
-    parser.add_argument("--flavour", choices=_FLAVOURS, help="see above")
+    parser.add_argument("--flavour", choices=("stock", "exact"), help="see above")
     parser.add_argument(
         "--samples",
         type=whole_number(1),
@@ -242,16 +241,17 @@ def _command_line_parser() -> argparse.ArgumentParser:
 
 
 def _convert_file(path: Path, target: Path, options: argparse.Namespace) -> None:
-    """Convert one scene file, and print a line with the path of the result.
+    """Convert a scene file to a Mitsuba scene file, and print a line with the path of the result.
 
     Parameters
     ----------
     path : Path
-        The scene file.
+        Path of the scene file.
     target : Path
-        The file to write.
+        Path of the file to write.
     options : argparse.Namespace
-        The parsed command line; `flavour` and `samples` are used.
+        The parsed command line: `flavour` is "stock" or "exact", and `samples` is the number of
+        samples per pixel, or None for the default.
 
     Raises
     ------
@@ -274,16 +274,17 @@ def _convert_file(path: Path, target: Path, options: argparse.Namespace) -> None
 
 
 def _render_file(path: Path, target: Path, options: argparse.Namespace) -> None:
-    """Render one scene file with Mitsuba to a PNG and an EXR, and print a line with their paths.
+    """Render a scene file with Mitsuba to a PNG and an EXR, and print a line with their paths.
 
     Parameters
     ----------
     path : Path
-        The scene file.
+        Path of the scene file.
     target : Path
-        Path of the PNG or of the EXR; the other picture is written beside it.
+        Path of the PNG or of the EXR; the other picture is written next to it.
     options : argparse.Namespace
-        The parsed command line; `flavour`, `samples` and `variant` are used.
+        The parsed command line: `flavour` is "stock" or "exact".  `samples` is the number of
+        samples per pixel, and `variant` is Mitsuba's variant; None stands for the default.
 
     Raises
     ------

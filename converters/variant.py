@@ -1,8 +1,9 @@
-"""Choose the Mitsuba variant that this machine can run: LLVM where it works, otherwise scalar.
+"""Choose the fastest Mitsuba variant that this machine can run: LLVM if it works, otherwise scalar.
 
-The variant ``llvm_ad_rgb`` needs a shared libLLVM.  If there is none, Mitsuba reports it.  But with
-some versions of LLVM (15 and 16, for example) the first kernel aborts the whole process.  A child
-process therefore runs a small kernel first, once for each process that uses Mitsuba.
+The variant ``llvm_ad_rgb`` needs the shared library libLLVM.  If the library is missing, Mitsuba
+reports an error.  But with some versions of LLVM (15 and 16, for example), the first kernel aborts
+the whole process.  Therefore a child process runs a small kernel first, once for each process that
+uses Mitsuba.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ assert abs(dr.mean(hit.t)[0] - 2) < .1
 
 
 class Choice(NamedTuple):
-    """A variant of Mitsuba, and the reason why it was chosen.
+    """A Mitsuba variant, and the reason for choosing it.
 
     Attributes
     ----------
     variant : str
-        Mitsuba's name of the variant.
+        Name of the variant, such as "scalar_rgb".
     reason : str
-        A clause for messages to users.
+        The reason, as a clause for messages to users.
     """
 
     variant: str
@@ -60,19 +61,19 @@ class Choice(NamedTuple):
 def fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """Find the fastest Mitsuba variant that works on this machine.
 
-    A child process tests LLVM, because an unusable version may abort the process.
+    A child process tests the LLVM variant, because an unusable libLLVM may abort the process.
 
     Parameters
     ----------
     kernel : str
-        Python code that the child process runs.
+        Python code for the child process, which must fail if LLVM is unusable.
     timeout : float
-        Seconds after which the child process is stopped, and LLVM is treated as unusable.
+        Seconds after which the child process is stopped, and LLVM is considered unusable.
 
     Returns
     -------
     choice : Choice
-        The LLVM variant if the child process ends with status 0; otherwise the scalar variant.
+        The LLVM variant if the child process exits with status 0; otherwise the scalar variant.
     """
     # The child has no home folder, where kernels of a good libLLVM may hide that this one is bad.
     try:
@@ -88,10 +89,10 @@ def fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     if child.returncode == 0:
         return Choice(LLVM, "libLLVM works")
     if child.returncode < 0:
-        name = signal.Signals(-child.returncode).name
-        return Choice(SCALAR, f"the libLLVM found here kills the process with {name}")
-    lines = child.stderr.strip().splitlines() or ["no message"]
-    return Choice(SCALAR, f"no usable libLLVM: {lines[-1].strip()}")
+        signal_name = signal.Signals(-child.returncode).name
+        return Choice(SCALAR, f"the libLLVM found here kills the process with {signal_name}")
+    error_lines = child.stderr.strip().splitlines() or ["no message"]
+    return Choice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
 
 
 _cached_choice = cache(fastest_variant)
@@ -103,12 +104,12 @@ def use_variant(variant: str | None = None) -> Choice:
     Parameters
     ----------
     variant : str, optional
-        Mitsuba's name of the variant; the default is the fastest that works on this machine.
+        Name of the Mitsuba variant; by default, the fastest that works on this machine.
 
     Returns
     -------
     choice : Choice
-        The variant, and the reason for it.
+        The variant, and the reason for choosing it.
 
     Raises
     ------
@@ -131,9 +132,9 @@ def use_variant(variant: str | None = None) -> Choice:
 
 
 def ensure_variant() -> None:
-    """Set Mitsuba's variant to the fastest that works on this machine, unless one is set already.
+    """Set Mitsuba's variant for this process to the fastest that works, unless one is already set.
 
-    The variant applies to the whole process, and Mitsuba needs one before most of its operations.
+    Mitsuba needs a variant before most of its operations.
     """
     if mi.variant() is None:
         use_variant()

@@ -20,18 +20,7 @@ from scene_files import hard_scenes
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use_variant
 from reference import check, report
-from reference.check import (
-    STOCK,
-    CheckResult,
-    Limits,
-    check_diffuse,
-    check_scene,
-    compare,
-    find_pixels_near_edges,
-    main,
-    out_of_tolerance,
-    worst_status,
-)
+from reference.check import STOCK, CheckResult, Limits, check_diffuse, check_scene, compare
 from reference.command import SCENES
 from reference.figures import Figures
 from reference.regenerate import load_small
@@ -142,7 +131,7 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
     if tracer_errs:
         replace_tracer(monkeypatch, wrong)
     result = compared(scene, image if tracer_errs else wrong)
-    assert any(line.startswith(figure) for line in out_of_tolerance(result.figures))
+    assert any(line.startswith(figure) for line in check.out_of_tolerance(result.figures))
     assert result.verdict == ("DIFFERS" if tracer_errs else "undecided")
     if not tracer_errs:
         assert compared(scene, image + 5e-7 * (image > 0)).verdict == "agrees"
@@ -151,17 +140,14 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
 # Tolerances
 
 
-@pytest.mark.parametrize(
-    ("ssim", "median", "lines"),
-    [
-        (0.99901, 0.99e-6, []),
-        (0.99899, 0, ["SSIM 0.99899 is below 0.999"]),
-        (1, 1.01e-6, ["median difference 1.0e-06 exceeds 1e-06"]),
-    ],
-)
-def test_tolerances_of_whole_pictures(ssim, median, lines):
-    measured = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over=0)
-    assert out_of_tolerance(measured) == lines
+def test_tolerances_of_whole_pictures():
+    def lines(ssim: float, median: float) -> list[str]:
+        figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over=0)
+        return check.out_of_tolerance(figures)
+
+    assert lines(0.99901, 0.99e-6) == []
+    assert lines(0.99899, 0) == ["SSIM 0.99899 is below 0.999"]
+    assert lines(1, 1.01e-6) == ["median difference 1.0e-06 exceeds 1e-06"]
 
 
 @pytest.mark.parametrize(("error", "verdict"), [(0.9e-4, "agrees"), (1.1e-4, "undecided")])
@@ -233,7 +219,7 @@ def test_edges_on_which_both_agree_are_not_excluded():
     # The pixels are so tall that many contain an edge near the centre.
     scene = replace(load_scene(SCENES / "room.xml"), width=1, height=96)
     result = check_scene(scene, "thin")
-    assert find_pixels_near_edges(scene, result.tracer, 0.003, 0).mean() > 0.05
+    assert check.find_pixels_near_edges(scene, result.tracer, 0.003, 0).mean() > 0.05
     assert (result.verdict, result.excluded.any()) == ("agrees", False)
 
 
@@ -316,7 +302,7 @@ def test_the_command_prints_the_result_and_writes_the_comparison(odd_file, flavo
 
 
 @pytest.mark.parametrize(
-    ("command", "written"), [(main, "small.check.png"), (report.main, "report.html")]
+    ("command", "written"), [(check.main, "small.check.png"), (report.main, "report.html")]
 )
 @pytest.mark.parametrize(
     ("mitsuba_error", "tracer_error", "status", "verdict"),
@@ -334,22 +320,16 @@ def test_the_status_of_the_commands_is_that_of_the_verdict(
     assert file_names(small.parent / "made") == [written]
 
 
-@pytest.mark.parametrize(
-    ("verdicts", "status"),
-    [
-        ([], 0),
-        (["undecided", "agrees"], 3),
-        (["agrees", "DIFFERS", "undecided"], 1),
-        (["undecided", None], 1),
-    ],
-)
-def test_the_status_after_several_scenes_is_the_worst(verdicts, status):
-    failure = Failure("a.xml", "cannot be read")
-    results = [SimpleNamespace(verdict=verdict) if verdict else failure for verdict in verdicts]
-    assert worst_status(results) == status
+def test_the_status_after_several_scenes_is_the_worst():
+    verdicts = "agrees", "DIFFERS", "undecided"
+    agrees, differs, undecided = (SimpleNamespace(verdict=verdict) for verdict in verdicts)
+    assert check.worst_status([]) == 0
+    assert check.worst_status([undecided, agrees]) == 3
+    assert check.worst_status([agrees, differs, undecided]) == 1
+    assert check.worst_status([undecided, Failure("a.xml", "cannot be read")]) == 1
 
 
-@pytest.mark.parametrize("command", [main, report.main])
+@pytest.mark.parametrize("command", [check.main, report.main])
 def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, command):
     bright, missing = scene_files.write_overflowing(small), str(small.with_name("missing.xml"))
     made = small.parent / "made"
@@ -361,7 +341,7 @@ def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, co
         " keep the colours and lights of the scene closer to 1"
     )
     assert second.startswith(f"{missing}: cannot be read: ")
-    if command is main:
+    if command is check.main:
         assert "small: agrees" in captured.out
     else:
         text = (made / "report.html").read_text(encoding="utf-8")
@@ -383,5 +363,5 @@ def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, co
 )
 def test_an_error_of_mitsuba_is_reported_in_a_line(small, monkeypatch, capsys, error, message):
     monkeypatch.setattr(check, "load_converted", Mock(side_effect=error))
-    assert main([*VARIANT, str(small)]) == 1
+    assert check.main([*VARIANT, str(small)]) == 1
     assert capsys.readouterr().err == f"{small}: cannot be compared: {message}\n"

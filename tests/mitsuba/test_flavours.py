@@ -12,15 +12,9 @@ from probe import close_up, scale_and_shift, scene_of
 from running import run
 from scene_files import small_scene
 
+from converters import flavours
 from converters.camera import camera_window, visible_points
-from converters.flavours import (
-    SAMPLES,
-    choose_normalisation,
-    convert,
-    convert_exact,
-    convert_stock,
-    with_square_pixels,
-)
+from converters.flavours import SAMPLES, convert, convert_exact, convert_stock, with_square_pixels
 from converters.mitsuba_xml import ConversionError, plugin
 from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
@@ -193,7 +187,7 @@ def test_boxes_keep_their_thickness_wherever_they_are():
     flat = Box(min_pt=(0, 0, 0), max_pt=(1, 1, 0))
     for flavour, scale in (
         (convert_stock, 1.0),
-        (convert_exact, choose_normalisation(close_up(thin, flat)).scale),
+        (convert_exact, flavours.choose_normalisation(close_up(thin, flat)).scale),
     ):
         root = flavour(close_up(thin, flat)).root
         half_sizes, centers = (
@@ -253,17 +247,15 @@ def test_stock_lights_are_right_for_objects_that_are_small_or_out_of_view(z, siz
 
 
 def test_a_picture_of_square_pixels_has_a_row_and_shows_the_window():
-    assert with_square_pixels(Scene(camera=Camera(view_height=1e-3), width=9, height=9)).height == 1
-    square = with_square_pixels(
-        Scene(camera=Camera(view_width=3, view_height=4), width=10, height=2)
-    )
+    scene = Scene(camera=Camera(view_width=3, view_height=4), width=10, height=2)
+    square = with_square_pixels(scene)
     assert (square.height, square.camera.view_height) == (13, pytest.approx(3.9))
     assert with_square_pixels(square) == square
+    cameras = Camera(view_height=1e-3), Camera(view_height=1.03)
+    flat, inexact = (Scene(camera=camera, width=9, height=9) for camera in cameras)
+    assert with_square_pixels(flat).height == 1
     # The number of rows is right, but not the window's height.
-    assert (
-        with_square_pixels(Scene(camera=Camera(view_height=1.03), width=9, height=9)).camera
-        == Camera()
-    )
+    assert with_square_pixels(inexact).camera == Camera()
 
 
 def test_the_window_of_an_oblique_camera():
@@ -282,7 +274,7 @@ def test_the_window_of_an_oblique_camera():
 
 def test_a_normalised_scene_is_centred_and_ten_units_large():
     scene = close_up(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
-    points = choose_normalisation(scene)(visible_points(scene))
+    points = flavours.choose_normalisation(scene)(visible_points(scene))
     np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0, atol=1e-9)
     assert np.ptp(points, axis=0).max() == pytest.approx(10)
 
@@ -293,7 +285,7 @@ def test_a_normalised_scene_is_centred_and_ten_units_large():
 def test_a_room_is_normalised_by_what_is_visible_from_inside(room):
     camera = Camera(view_point=(0.5, 0.25, 0), view_width=2, view_height=2)
     scene = scene_of(room, camera=camera, size=(24, 24), lights=(0, 0, 0))
-    assert choose_normalisation(scene).center[2] < -1
+    assert flavours.choose_normalisation(scene).center[2] < -1
     result = check_scene(scene, "room")
     assert (result.verdict, result.tracer.min() > 0) == ("agrees", True)
 

@@ -52,17 +52,6 @@ def test_scenes_after_one_that_cannot_be_read_are_converted(tmp_path, capsys, na
     assert {*file_names(tmp_path / "made")} == expected
 
 
-@pytest.mark.parametrize("options", [[], pytest.param(RENDER, marks=pytest.mark.slow)])
-def test_the_files_are_written_although_no_one_reads_the_output(
-    small, pipe_without_reader, options
-):
-    target = small.with_name("written.png" if options else "written")
-    status, _, err = run(*options, small, "-o", target, python=COMMAND, stdout=pipe_without_reader)
-    # Dr.Jit prints a line there if it has found no libLLVM.
-    assert (status, drop_jit(err)) == (0, "")
-    assert target.exists()
-
-
 @pytest.mark.parametrize("flavour", ["stock", "exact"])
 def test_converting_needs_no_mitsuba_and_escapes_names_that_are_not_text(odd_file, flavour):
     odd_file.with_name("mitsuba.py").write_text("raise ImportError('not installed')")
@@ -183,16 +172,6 @@ def test_an_exr_does_not_replace_a_file_of_another_kind(small, capsys):
 
 
 # The choice of a variant
-
-
-def test_without_a_usable_library_the_scalar_variant_remains(small):
-    fake, output = small.with_name("libLLVM.so"), str(small.with_name("x.png"))
-    fake.write_text("not a library")
-    environment = {"DRJIT_LIBLLVM_PATH": fake}
-    status, out, err = run("--render", small, "-o", output, python=COMMAND, env=environment)
-    assert status == 0, err
-    assert f"Mitsuba variant {SCALAR}: no usable libLLVM" in out
-    assert np.asarray(Image.open(output)).max() > 100
 
 
 @pytest.mark.parametrize(
