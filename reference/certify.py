@@ -28,9 +28,9 @@ from time import perf_counter
 
 import numpy as np
 
-from reference.command import forbid_overwriting_inputs, make_parser
+from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.judges.certificate import Certificate, certify
-from reference.pictures import UNREADABLE, Codes, read_picture
+from reference.pictures import Codes, read_picture
 from tracer import Scene, load_scene, to_codes, write_png
 from tracer.command.arguments import file_name
 from tracer.command.failure import Failure, errors_as_failure
@@ -41,9 +41,6 @@ from tracer.messages import printable
 # Permitted errors of a pixel's mean radiance, if --error is not given: without and with --codes.
 # With --codes, only pixels stay uncertain whose radiance is this close to where the code changes.
 _DEFAULT_ERROR, _DEFAULT_ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
-
-# Exit status if a file cannot be read, certified or written.
-_FAILED_STATUS = 3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -72,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     inputs = [Path(file) for file in (path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output)], inputs)
     error = arguments.error or (_DEFAULT_ERROR_OF_CODES if arguments.codes else _DEFAULT_ERROR)
-    failure_if_not = partial(errors_as_failure, status=_FAILED_STATUS)
+    failure_if_not = partial(errors_as_failure, status=FAILED_STATUS)
     with failure_if_not(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     judged = _read_codes(arguments.judge, scene) if arguments.judge else None
@@ -146,13 +143,12 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     Failure
         If the picture cannot be read, or its size differs from that of the scene's picture.
     """
-    with errors_as_failure(path, "read", status=_FAILED_STATUS, error_types=UNREADABLE):
-        codes = read_picture(Path(path)).codes
+    codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
     if (width, height) != (scene.width, scene.height):
         sizes = f"its size is {width} x {height}, the scene's {scene.width} x {scene.height}"
         raise Failure(
-            path, f"cannot be judged: {sizes}", "choose a picture of that size", _FAILED_STATUS
+            path, f"cannot be judged: {sizes}", "choose a picture of that size", FAILED_STATUS
         )
     return codes
 

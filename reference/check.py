@@ -28,7 +28,7 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple, TypeAlias
@@ -55,9 +55,8 @@ from converters.variant import LLVM, use_variant
 from reference.command import make_parser
 from reference.figures import Bools, Figures, measure_differences, write_comparison
 from reference.judges import plain
-from reference.judges.arrays import Ints
 from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
-from tracer.command.arguments import choose_output_paths, make_output_folder
+from tracer.command.arguments import OTHER_NAME, choose_output_paths, make_output_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
@@ -74,11 +73,11 @@ class Limits(NamedTuple):
     Attributes
     ----------
     difference : float
-        Maximum difference in linear radiance.  In pictures brighter than 1 it is relative to the
-        brightest pixel.
+        Maximum difference of a pixel in linear radiance.  In pictures brighter than 1, it is
+        relative to the brightest pixel.
     shift : float
-        Maximum distance, in pixels along each axis, from a pixel's centre to an edge at which the
-        pixel may differ.
+        Maximum distance, in pixels along each axis, between the centre of a pixel that may differ
+        more and an edge.
     """
 
     difference: float
@@ -104,136 +103,131 @@ _MAX_GROWTH, _MAX_SHIFT = 1e-12, 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """The result of comparing the tracer's and Mitsuba's pictures of a scene.
+    """The comparison of two pictures of a scene, rendered by the tracer and by Mitsuba.
 
     Attributes
     ----------
     name : str
         Name of the scene.
-    tracer, mitsuba : (h, w, 3) float array
-        The two pictures, in linear radiance.
+    tracer : (h, w, 3) float array
+        The tracer's picture, in linear radiance.
+    tracer_seconds : float
+        Time to render it.  A first rendering, which takes longer, is not measured.
+    mitsuba : Rendering
+        Mitsuba's picture, with Mitsuba's variant and the time to render it.
     edges : (h, w) bool array
-        Pixels that differ, and that may do so because an edge is close to their centres.  They are
-        excluded.
+        Pixels that differ, but may do so because an edge is close to their centre.
     ties : (h, w) bool array
-        Pixels that differ where surfaces coincide: exact arithmetic gives both values.  They are
-        excluded.
+        Pixels that differ, but are right in both pictures, because two surfaces coincide.
     differing : (h, w) bool array
         All other pixels that differ.
-    examined : int
-        Number of differing pixels that were traced in exact arithmetic and are no ties: all of
-        them, or those of the first batches if these decide.
-    wrong : int
-        Number of examined pixels in which exact arithmetic contradicts the tracer.
-    first : (row, column) or None
-        The first wrong pixel, or the first examined pixel if none is wrong.
+    examined : (h, w) bool array
+        Those of the differing pixels that were traced in exact arithmetic: a sample, or all.
+    wrong : (h, w) bool array
+        Examined pixels in which exact arithmetic contradicts the tracer.
     figures : Figures
-        Measures of the difference between `tracer` and `mitsuba`.  In pictures brighter than 1 they
-        are relative to the brightest pixel.  Excluded pixels are treated as equal.
-    variant : str
-        Mitsuba's variant.
-    tracer_seconds, mitsuba_seconds : float
-        Times to render, after a first rendering if that takes longer.
+        Measures of the difference between the pictures, without the pixels in `edges` and `ties`.
+        In pictures brighter than 1, they are relative to the brightest pixel.
     """
 
     name: str
     tracer: Floats
-    mitsuba: Floats
+    tracer_seconds: float
+    mitsuba: Rendering
     edges: Bools
     ties: Bools
     differing: Bools
-    examined: int
-    wrong: int
-    first: tuple[int, int] | None
+    examined: Bools
+    wrong: Bools
     figures: Figures
-    variant: str
-    tracer_seconds: float
-    mitsuba_seconds: float
 
     @property
     def excluded(self) -> Bools:
-        """Pixels (h, w) that affect no figure, because of edges or because surfaces tie."""
+        """Mask (h, w) of the pixels that affect no figure: those near edges, and ties."""
         return self.edges | self.ties
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict, which is one of three.
+        """The verdict on the tracer's picture, which is one of three.
 
-        - "agrees": the pictures agree.
-        - "DIFFERS": exact arithmetic contradicts the tracer, or the figures are out of tolerance.
+        - "agrees": it equals Mitsuba's, apart from excluded pixels.
+        - "DIFFERS": exact arithmetic contradicts the tracer, or the pictures differ too much as a
+          whole.
         - "undecided": pixels differ, but exact arithmetic confirms the tracer.
         """
         if self.differing.any():
-            return "DIFFERS" if self.wrong else "undecided"
+            return "DIFFERS" if self.wrong.any() else "undecided"
         return "DIFFERS" if out_of_tolerance(self.figures) else "agrees"
 
     @property
     def remarks(self) -> list[str]:
-        """The reasons for the verdict: sentences without a full stop, possibly none."""
-        row, column = self.first or (0, 0)
-        place = f"{_format_pixel_count(self.differing)}, the first at column {column}, row {row}"
+        """The reasons for the verdict, as sentences without a full stop; may be empty."""
         sentences = []
         if self.ties.any():
             count = _format_pixel_count(self.ties)
             sentences.append(f"Mitsuba shows the other of surfaces that tie on {count}")
-        if self.wrong:
-            share = f"{self.wrong} of {self.examined} pixels that were examined"
-            sentences.append(
-                f"exact arithmetic contradicts the tracer on {share}; they differ on {place}"
-            )
-        elif self.differing.any():
-            confirmed = (
-                f"exact arithmetic confirms the tracer on {self.examined} that were examined"
-            )
-            sentences.append(f"Mitsuba or the converter is wrong on {place}; {confirmed}")
+        if not self.differing.any():
+            lines = out_of_tolerance(self.figures)
+            return [*sentences, *(f"out of tolerance: {line}" for line in lines)]
+        row, column = np.argwhere(self.wrong if self.wrong.any() else self.examined)[0]
+        place = f"{_format_pixel_count(self.differing)}, the first at column {column}, row {row}"
+        examined_count, wrong_count = int(self.examined.sum()), int(self.wrong.sum())
+        if wrong_count:
+            share = f"{wrong_count} of {examined_count} pixels that were examined"
+            sentence = f"exact arithmetic contradicts the tracer on {share}; they differ on {place}"
         else:
-            sentences += [f"out of tolerance: {line}" for line in out_of_tolerance(self.figures)]
-        return sentences
+            confirmed = f"exact arithmetic confirms the tracer on {examined_count}"
+            sentence = (
+                f"Mitsuba or the converter is wrong on {place}; {confirmed} that were examined"
+            )
+        return [*sentences, sentence]
 
     def report(self) -> str:
-        """Format the verdict, the figures, the times and the remarks as text of several lines."""
+        """Format the verdict, the figures, the rendering times and the remarks, a line for each."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
             f"  excluded: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
             f" ties: {self.ties.sum()}",
-            f"  Mitsuba ({self.variant}) {self.mitsuba_seconds:.3f} s,"
+            f"  Mitsuba ({self.mitsuba.variant}) {self.mitsuba.seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
         return "\n".join([*lines, *(f"  {remark}" for remark in self.remarks)])
 
 
 def _format_pixel_count(mask: Bools) -> str:
-    """Format the number of True elements of a mask (h, w), for example "1,234 pixels"."""
+    """Format the number of pixels for which a mask (h, w) is True, for example "1,234 pixels"."""
     count = int(mask.sum())
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
-def out_of_tolerance(measured: Figures) -> list[str]:
-    """State which figures of a comparison are out of tolerance.
+def out_of_tolerance(figures: Figures) -> list[str]:
+    """List the figures that show that two pictures differ too much as a whole.
 
     Parameters
     ----------
-    measured : Figures
-        The figures of two pictures.
+    figures : Figures
+        Measures of the difference between the pictures.
 
     Returns
     -------
     lines : list of str
-        A clause for each figure that is out of tolerance.
+        A clause for each figure that is out of tolerance, such as "SSIM 0.99800 is below 0.999";
+        empty if none is.
     """
     lines = []
-    if measured.ssim < MIN_SSIM:
-        lines.append(f"SSIM {measured.ssim:.5f} is below {MIN_SSIM}")
-    if measured.median > MAX_MEDIAN:
-        lines.append(f"median difference {measured.median:.1e} exceeds {MAX_MEDIAN:.0e}")
+    if figures.ssim < MIN_SSIM:
+        lines.append(f"SSIM {figures.ssim:.5f} is below {MIN_SSIM}")
+    if figures.median > MAX_MEDIAN:
+        lines.append(f"median difference {figures.median:.1e} exceeds {MAX_MEDIAN:.0e}")
     return lines
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find the pixels of another renderer's picture whose value can be explained by an edge nearby.
+    """Find pixels that may differ in another renderer's picture because an edge is very close.
 
-    The tracer renders the scene with samples moved in four diagonal directions.
+    The tracer renders the scene four times, with all samples moved diagonally.  A pixel's radiance
+    can be explained by an edge if it lies between the minimum and the maximum of these pictures.
 
     Parameters
     ----------
@@ -242,18 +236,17 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     picture : (h, w, 3) float array
         The other renderer's picture of the scene, in linear radiance.
     shift : float
-        Distance, in pixels along each axis, by which the tracer's samples are moved.
+        Distance in pixels, along each axis, by which the tracer's samples are moved.
     tolerance : float
-        Permitted difference in linear radiance.
+        Distance in linear radiance by which a pixel may be outside the range.
 
     Returns
     -------
     is_near : (h, w) bool array
-        Whether the pixel's value lies between the minimum and the maximum of the four renderings,
-        within the tolerance.
+        Whether an edge can explain the pixel's radiance.
     """
     shifts = (-shift, shift)
-    moved_pictures = [render(scene, offset=(dx, dy)) for dx, dy in product(shifts, shifts)]
+    moved_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
     low = np.min(moved_pictures, axis=0) - tolerance
     high = np.max(moved_pictures, axis=0) + tolerance
     is_near: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
@@ -261,27 +254,29 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
 
 
 def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
-    """Render a scene file with the tracer and with Mitsuba, and compare the pictures.
+    """Render a scene file with the tracer and with Mitsuba, and compare the two pictures.
 
     Parameters
     ----------
     path : Path
         The scene file.
     variant : str, optional
-        Mitsuba's variant; the default is the fastest that works here.
+        Mitsuba's variant; by default the fastest that works on this machine.
     flavour : str
-        "exact" to compare all light by this project's plugins, or "stock" to compare diffuse light
-        by Mitsuba's own plugins.
+        "exact" to compare all light, which this project's Mitsuba plugins compute; "stock" to
+        compare only diffuse light, which Mitsuba's own plugins compute.
 
     Returns
     -------
     result : CheckResult
-        Both pictures, the measures of their difference, and the verdict.
+        Both pictures, the figures of their difference, and the verdict.
 
     Raises
     ------
     Failure
         If the scene cannot be read, converted or compared.
+    KeyError
+        If the flavour is unknown.
     """
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
@@ -291,7 +286,7 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the tracer's picture of a scene with one rendered by this project's Mitsuba plugins.
+    """Compare all light in a scene, rendered by the tracer and by this project's Mitsuba plugins.
 
     Parameters
     ----------
@@ -300,12 +295,12 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     name : str
         Name of the scene in the result.
     variant : str, optional
-        Mitsuba's variant; the default is the fastest that works here.
+        Mitsuba's variant; by default the fastest that works on this machine.
 
     Returns
     -------
     result : CheckResult
-        Both pictures, the measures of their difference, and the verdict.
+        Both pictures, the figures of their difference, and the verdict.
 
     Raises
     ------
@@ -321,9 +316,10 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the diffuse light of a scene with that rendered by Mitsuba's own plugins.
+    """Compare the diffuse light in a scene, rendered by the tracer and by Mitsuba's own plugins.
 
-    Both pictures have square pixels, so their size may differ from that of the scene.
+    Both pictures have square pixels, as Mitsuba requires, so their height may differ from that of
+    the scene's picture.
 
     Parameters
     ----------
@@ -332,12 +328,12 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
     name : str
         Name of the scene in the result.
     variant : str, optional
-        Mitsuba's variant; the default is the fastest that works here.
+        Mitsuba's variant; by default the fastest that works on this machine.
 
     Returns
     -------
     result : CheckResult
-        Both pictures, the measures of their difference, and the verdict.
+        Both pictures, the figures of their difference, and the verdict.
 
     Raises
     ------
@@ -356,11 +352,12 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
 
 
 def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floats:
-    """Render a single light with Mitsuba's own plugins, and undo its fall-off with distance.
+    """Render a scene lit by one light with Mitsuba's own plugins, without the light's fall-off.
 
-    The lights are rendered separately because Mitsuba would choose one of them at random.  The
-    radiance is multiplied by the squared distance from the light to the points that Mitsuba
-    reports.
+    Mitsuba's lights fall off with the square of the distance, and those of the scene format do
+    not.  Therefore Mitsuba also reports the point that each pixel shows, and the radiance is
+    multiplied by the squared distance between this point and the light.  With several lights,
+    Mitsuba would choose one of them at random for each pixel.
 
     Parameters
     ----------
@@ -369,12 +366,17 @@ def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) 
     light : PointLight
         A light of the scene.
     variant : str or None
-        Mitsuba's variant; None for the fastest that works.
+        Mitsuba's variant; None for the fastest that works on this machine.
 
     Returns
     -------
     image : (h, w, 3) float array
-        Linear radiance.
+        Linear radiance of the pixels.
+
+    Raises
+    ------
+    ConversionError
+        If Mitsuba cannot represent the scene.
     """
     white = replace(light, intensity=(1.0, 1.0, 1.0))
     document = convert_stock(replace(matte, lights=(white,)), 1)
@@ -385,22 +387,21 @@ def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) 
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
     image = load_converted(str(document), variant)().image
-    radiance, hit = image[..., :3], image[..., -3:]
+    radiance, hit_position = image[..., :3], image[..., -3:]
     position, intensity = next(emitter.iter("point")), next(emitter.iter("rgb"))
-    offset = hit - [float(position.get(axis, "")) for axis in "xyz"]
+    light_vector = hit_position - [float(position.get(axis, "")) for axis in "xyz"]
+    distance2: Floats = (light_vector**2).sum(axis=2, keepdims=True)
     # Mitsuba's radiance at distance 1 for a reflectance of 1 and light at right angles.
-    unit = float(intensity.get("value", "").split()[0]) / (
-        np.pi * reflectance_divisor(matte.surfaces)
-    )
-    undone: Floats = radiance * (offset * offset).sum(axis=2, keepdims=True) / unit
-    return undone * light.intensity
+    divisor = np.pi * reflectance_divisor(matte.surfaces)
+    unit_radiance = float(intensity.get("value", "").split()[0]) / divisor
+    return radiance * distance2 / unit_radiance * light.intensity
 
 
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
-    """Compare the tracer's picture of a scene with Mitsuba's.
+    """Render a scene with the tracer, and compare the picture with Mitsuba's.
 
-    The tracer renders the scene twice, and the second rendering is timed.  Pixels that differ are
-    excluded if an edge is near, and otherwise traced in exact arithmetic.
+    Pixels that differ are excluded if an edge is close to their centre.  Of the others, a sample is
+    traced in exact arithmetic to decide which picture is wrong.
 
     Parameters
     ----------
@@ -409,26 +410,26 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     name : str
         Name of the scene in the result.
     rendering : Rendering
-        Mitsuba's picture, its variant and its time.
+        Mitsuba's picture, with the variant of Mitsuba and the time to render it.
     limits : Limits
-        Tolerances.
+        Tolerances for the differences of single pixels.
 
     Returns
     -------
     result : CheckResult
-        Both pictures, the measures of their difference, and the verdict.
+        Both pictures, the figures of their difference, and the verdict.
 
     Raises
     ------
     ValueError
-        If a radiance in either picture is not finite.
+        If the radiance of a pixel in either picture is not finite.
     """
     mitsuba = rendering.image
     if not np.isfinite(mitsuba).all():
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
-    render(scene)  # the first rendering takes longer, so the second is timed
+    render(scene)  # the first time takes longer, so the second is measured
     start = perf_counter()
     image = render(scene)
     seconds = perf_counter() - start
@@ -438,147 +439,111 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     difference = np.abs(image - mitsuba).max(axis=2) / unit
     # If the pictures differ too much as a whole, pixels are compared again, with less tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
-        differing = difference > tolerance
-        edges = differing.copy()
-        if differing.any():
+        is_different = difference > tolerance
+        edges = is_different.copy()
+        if is_different.any():
             edges &= find_pixels_near_edges(scene, mitsuba, limits.shift, tolerance * unit)
         if edges.mean() > MAX_EDGES:  # too many for rounding to be the cause: none is excluded
-            edges = np.zeros_like(edges)
-        examination = _examine_exactly(scene, image, mitsuba, differing & ~edges, tolerance * unit)
-        excluded = edges | examination.ties
+            edges[:] = False
+        ties, examined, wrong = _examine_exactly(
+            scene, image, mitsuba, is_different & ~edges, tolerance * unit
+        )
+        excluded = edges | ties
         # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
         shown = np.where(excluded[:, :, None], mitsuba, image)
         mask = None if excluded.all() else excluded
-        measured = measure_differences(shown / unit, mitsuba / unit, mask)
-        if examination.examined or not out_of_tolerance(measured):
+        figures = measure_differences(shown / unit, mitsuba / unit, mask)
+        if examined.any() or not out_of_tolerance(figures):
             break
     return CheckResult(
         name=name,
         tracer=image,
-        mitsuba=mitsuba,
-        edges=edges,
-        **examination._asdict(),
-        differing=differing & ~excluded,
-        figures=measured,
-        variant=rendering.variant,
         tracer_seconds=seconds,
-        mitsuba_seconds=rendering.seconds,
+        mitsuba=rendering,
+        edges=edges,
+        ties=ties,
+        differing=is_different & ~excluded,
+        examined=examined,
+        wrong=wrong,
+        figures=figures,
     )
 
 
-class _Examination(NamedTuple):
-    """The result of tracing pixels in exact arithmetic.
-
-    Attributes
-    ----------
-    ties : (h, w) bool array
-        Pixels where surfaces coincide, and both pictures are right.
-    examined : int
-        Number of traced pixels that are no ties.
-    wrong : int
-        Number of traced pixels in which exact arithmetic contradicts the tracer.
-    first : (row, column) or None
-        The first wrong pixel, or the first examined pixel if none is wrong.
-    """
-
-    ties: Bools
-    examined: int = 0
-    wrong: int = 0
-    first: tuple[int, int] | None = None
-
-
 def _examine_exactly(
-    scene: Scene, image: Floats, mitsuba: Floats, differing: Bools, tolerance: float
-) -> _Examination:
-    """Trace pixels in which two pictures differ in exact arithmetic, in batches.
+    scene: Scene, image: Floats, mitsuba: Floats, is_different: Bools, tolerance: float
+) -> tuple[Bools, Bools, Bools]:
+    """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
-    Batches are traced until one contains a pixel that is not a tie of coinciding surfaces.
+    Pixels are examined in batches, until a batch contains a pixel that is not a tie.  In a tie, two
+    surfaces coincide, and both pictures are right.
+
+    The tracer is right if its radiance is exact for the scene, or for a scene so similar that
+    float64 cannot distinguish the two.  If surfaces coincide, the tracer must show the one that
+    comes first in the scene file; Mitsuba may show the first or the last.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    image, mitsuba : (h, w, 3) float array
-        The tracer's picture, and Mitsuba's.
-    differing : (h, w) bool array
+    image, mitsuba : (h, w, 3) float arrays
+        Linear radiance of the scene's pixels, computed by the tracer and by Mitsuba.
+    is_different : (h, w) bool array
         Pixels to examine.
     tolerance : float
-        Permitted difference between a picture and the exact radiance.
+        Permitted difference between the radiance in a picture and the exact radiance.
 
     Returns
     -------
-    examination : _Examination
-        Which pixels are ties, and what the first batch with others shows.
+    ties : (h, w) bool array
+        Pixels that are ties.
+    examined : (h, w) bool array
+        The other pixels of the last batch; all False if every pixel is a tie.
+    wrong : (h, w) bool array
+        Examined pixels in which the tracer is wrong.
     """
-    pixels, ties = np.argwhere(differing), np.zeros_like(differing)
+    ties, examined, wrong = np.zeros((3, *is_different.shape), dtype=np.bool_)
+    pixels = np.argwhere(is_different)
     batch_count = -(-len(pixels) // _PIXELS_PER_BATCH)
-    for k in range(batch_count):
-        rows, columns = batch = pixels[k::batch_count].T
-        is_right, is_tie = _compare_exactly(scene, image, mitsuba, batch, tolerance)
-        is_tie &= is_right
-        ties[rows[is_tie], columns[is_tie]] = True
+    for batch_index in range(batch_count):
+        rows, columns = pixels[batch_index::batch_count].T
+        radiance = np.stack([image[rows, columns], mitsuba[rows, columns]])
+        tracer_is_right, mitsuba_is_right = np.zeros((2, len(rows)), dtype=np.bool_)
+        for near_scene, shift in _indistinguishable_scenes(scene):
+            x, y = columns + 0.5 + shift, rows + 0.5 + shift
+            trace = partial(plain.trace, near_scene, x, y, arithmetic="decimal")
+            errors = [np.abs(radiance - trace(ties=shown).radiance) for shown in ("first", "last")]
+            is_exact = np.max(errors, axis=3) <= tolerance  # axes: shown surface, picture, pixel
+            tracer_is_right |= is_exact[0, 0]
+            mitsuba_is_right |= is_exact[:, 1].any(axis=0)
+            if tracer_is_right.all():
+                break
+        is_tie = tracer_is_right & mitsuba_is_right
+        ties[rows, columns] = is_tie
         if not is_tie.all():
-            deciding = ~is_tie if is_right.all() else ~is_right
-            row, column = batch[:, deciding][:, 0].tolist()
-            return _Examination(ties, int((~is_tie).sum()), int((~is_right).sum()), (row, column))
-    return _Examination(ties)
-
-
-def _compare_exactly(
-    scene: Scene, image: Floats, mitsuba: Floats, pixels: Ints, tolerance: float
-) -> tuple[Bools, Bools]:
-    """Compare the values of some pixels in two pictures with exact arithmetic.
-
-    The tracer is right if its value is exact for the scene, or for a scene so similar that float64
-    cannot distinguish the two.  If surfaces tie, it must show the first in the scene file.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    image, mitsuba : (h, w, 3) float array
-        The tracer's picture, and Mitsuba's.
-    pixels : (2, n) int array
-        Row 0 contains the rows of the pixels, row 1 their columns.
-    tolerance : float
-        Permitted difference between a picture and the exact radiance.
-
-    Returns
-    -------
-    is_right : (n,) bool array
-        Whether the tracer's value is exact.
-    is_tie : (n,) bool array
-        Whether Mitsuba's value is exact, with either the first or the last of the surfaces that
-        tie.
-    """
-    rows, columns = pixels
-    is_right, is_tie = np.zeros((2, len(rows)), dtype=np.bool_)
-    for near_scene, shift in _indistinguishable_scenes(scene):
-        x, y = columns + 0.5 + shift, rows + 0.5 + shift
-        for ties in ("first", "last"):
-            exact_radiance = plain.trace(near_scene, x, y, arithmetic="decimal", ties=ties).radiance
-            error = np.abs(mitsuba[rows, columns] - exact_radiance).max(axis=1)
-            is_tie |= error <= tolerance
-            if ties == "first":
-                error = np.abs(image[rows, columns] - exact_radiance).max(axis=1)
-                is_right |= error <= tolerance
-        if is_right.all():
+            examined[rows, columns], wrong[rows, columns] = ~is_tie, ~tracer_is_right
             break
-    return is_right, is_tie
+    return ties, examined, wrong
 
 
 def _indistinguishable_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene, and similar scenes that rounding to float64 may not distinguish from it.
+    """Yield a scene, and similar scenes that float64 arithmetic may not distinguish from it.
+
+    In the similar scenes, either the samples are moved by 1e-6 of a pixel, or all spheres are
+    larger or smaller by 1e-12 of their radius.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
 
     Yields
     ------
     near_scene : Scene
-        The scene, or the scene with spheres that are slightly larger or smaller.
+        The scene itself, or a copy with larger or smaller spheres.
     shift : float
-        Distance by which the samples are to be moved to the right and down, in pixels.
+        Distance in pixels by which the samples are moved to the right and down.
     """
-    yield scene, 0.0
-    for shift in (-_MAX_SHIFT, _MAX_SHIFT):
+    for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
     for factor in (1 - _MAX_GROWTH, 1 + _MAX_GROWTH):
         surfaces = (
@@ -589,23 +554,23 @@ def _indistinguishable_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare the scenes that the command line names, and write and print the results.
+    """Compare all scenes on the command line, print the results, and write comparison pictures.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command-line arguments; by default those of the process.
+        The command-line arguments; by default those of this process.
 
     Returns
     -------
     status : int
         The exit status: 0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
-        undecided and none is worse.
+        undecided and no other is worse.
 
     Raises
     ------
     Failure
-        If Mitsuba cannot run, or the output folder cannot be made.
+        If Mitsuba cannot run, or the output folder cannot be created.
     SystemExit
         If the arguments are wrong.
     """
@@ -617,51 +582,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
     scenes = skip_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
-    names = [*map(str, scenes)]
-    targets = choose_output_paths(command_parser, names, options.output, default_paths)
+    scene_names = [*map(str, scenes)]
+    outputs = choose_output_paths(command_parser, scene_names, options.output, default_paths)
     choose_variant(options.variant, status=MISUSED)
     make_output_folder(options.output)
-    # If a picture is black, the comparison shows it.
+    # Warnings, for example of a black picture, are omitted: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)
-    pairs = track(zip(scenes, map(Path, targets), strict=True), len(scenes), "scenes")
-    return worst_status([attempt(_check_to_file, *pair, options) for pair in pairs])
+    paths = track(zip(scenes, map(Path, outputs), strict=True), len(scenes), "scenes")
+    return worst_status([attempt(_check_to_file, *pair, options) for pair in paths])
 
 
 def worst_status(results: Iterable[CheckResult | Failure]) -> int:
-    """Return the exit status of a command after several comparisons.
+    """Return the exit status of a command that has compared several scenes.
 
     Parameters
     ----------
     results : iterable of CheckResult or Failure
-        The comparisons, or the reasons why they were impossible.
+        For each scene the comparison, or the reason why it failed.
 
     Returns
     -------
     status : int
-        1 if one differs or was impossible, otherwise 3 if one is undecided, otherwise 0.
+        1 if a scene differs or its comparison failed; otherwise 3 if one is undecided; otherwise
+        0.
     """
-    statuses = {
+    statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
-    }
-    return FAILED if FAILED in statuses else max(statuses, default=0)
+    )
+    return max(statuses, key=(0, STATUS["undecided"], FAILED).index, default=0)
 
 
-def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> CheckResult:
-    """Compare one scene's pictures, write a picture of the comparison, and print the result.
+def _check_to_file(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
+    """Compare the tracer and Mitsuba on one scene, print the result, and write it as a picture.
 
     Parameters
     ----------
     path : Path
         The scene file.
-    target : Path
-        The picture to write, which shows both pictures and their difference.
+    comparison_path : Path
+        The PNG file to write, which shows both pictures and their difference side by side.
     options : Namespace
         The command-line options `variant` and `flavour`.
 
     Returns
     -------
     result : CheckResult
-        The comparison.
+        Both pictures, the figures of their difference, and the verdict.
 
     Raises
     ------
@@ -669,9 +635,9 @@ def _check_to_file(path: Path, target: Path, options: argparse.Namespace) -> Che
         If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
     result = check(path, options.variant, options.flavour)
-    labels = ("tracer", f"Mitsuba {result.variant}")
-    with errors_as_failure(target, "written", "choose another with -o"):
-        write_comparison(target, result.tracer, result.mitsuba, labels)
+    labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
+    with errors_as_failure(comparison_path, "written", OTHER_NAME):
+        write_comparison(comparison_path, result.tracer, result.mitsuba.image, labels)
     print_line(sys.stdout, result.report())
-    print_line(sys.stdout, printable(f"  {target}"))
+    print_line(sys.stdout, printable(f"  {comparison_path}"))
     return result

@@ -1,13 +1,14 @@
-"""Compare pictures with the right ones, and say what is wrong with them.
+"""Compare pictures with the right ones, and report the mistakes in them.
 
     python -m reference.compare HAND-IN.png SCENE.xml
     python -m reference.compare HAND-INS/ SCENES/
 
-RIGHT is a scene file, which is rendered, a picture, or a folder of these.  The mistake is reported
-with which the scene renders as the very hand-in; if there is none, the nearest, and where the
-pictures differ.  With a picture in place of a scene, only some mistakes of the camera and of the
-encoding are known.  All pictures in a folder and its subfolders are compared with the scenes of
-their names: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png with NAME.xml.
+RIGHT is a scene file, which is rendered, a picture, or a folder of these.  A mistake is reported if
+the scene, rendered with this mistake, gives the picture that was handed in; if there is none, the
+nearest mistake, and where the pictures differ.  With a picture in place of a scene, only some
+mistakes of the camera and of the encoding are known.  All pictures in a folder and its subfolders
+are compared with the scenes of their names: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png
+with NAME.xml.
 Exit status: 0 if all agree, or are within the tolerances; 1 if some do not, or are missing; 2 for
 wrong usage; 3 if some cannot be compared.
 """
@@ -29,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reference.command import forbid_overwriting_inputs, make_parser
+from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import SSIM_WINDOW, decode_to_linear, measure_differences, write_comparison
 from reference.handins.class_page import class_page, make_pair
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
@@ -42,33 +43,30 @@ from reference.handins.results import (
     with_common_causes_first,
 )
 from reference.handins.workers import map_in_workers
-from reference.page import Pair
-from reference.pictures import UNREADABLE, Codes, Picture, read_picture
+from reference.page import Pair, write_page
+from reference.pictures import Codes, read_picture
 from tracer import load_scene
-from tracer.command.arguments import file_name, is_folder
+from tracer.command.arguments import OTHER_NAME, file_name, is_folder
 from tracer.command.failure import Failure, errors_as_failure
-from tracer.command.process import print_line, print_result
+from tracer.command.process import print_result
 from tracer.command.progress import track
-from tracer.files import atomic_file
 from tracer.messages import printable
 
-# Exit status if some pictures cannot be compared.
-_FAILED = 3
 # Number of pixels in a band of rows: figures are computed band by band.
 _PIXELS_PER_BAND = 500_000
+# Why a hand-in is not compared if its worker dies.
+_LOST = "cannot be compared: its process was ended; is there enough memory?"
 
 
 def tolerance(text: str) -> float:
-    """Convert a command-line option's argument to a number of at least 0.
-
-    If the text is not a number, the message of argparse contains the name of this function.
+    """Convert the argument of a command-line option to a number of at least 0.
 
     Raises
     ------
     argparse.ArgumentTypeError
         If the number is negative or NaN.
     ValueError
-        If the text is not a number.
+        If the text is not a number.  The message of argparse then contains this function's name.
     """
     if not (value := float(text)) >= 0:
         raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
@@ -76,17 +74,17 @@ def tolerance(text: str) -> float:
 
 
 def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
-    """Parse the command line, and find the hand-ins with their reference pictures.
+    """Parse the command line, and find the reference picture or scene of each hand-in.
 
     Parameters
     ----------
     arguments : sequence of str or None
-        The command's arguments; by default (None), those of this process.
+        The command-line arguments; None for those of this process.
 
     Returns
     -------
     options : Namespace
-        The options.  In addition, `is_class` is true if the first argument is a folder, and
+        The options.  In addition, `is_class` is True if the first argument is a folder, and
         `folder` is that folder, or the folder of the picture.
     hand_ins : list of HandIn
         The pictures that were handed in, and those that are missing.
@@ -104,18 +102,17 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")
     add("--ssim", type=tolerance, metavar="S", help="minimum SSIM that is tolerated")
     add("--max", type=tolerance, metavar="M", help="maximum linear difference that is tolerated")
-    where = "write a comparison picture: a file, or a folder, which may end in /"
-    add("-o", "--output", type=file_name, metavar="PATH", help=where)
+    output_help = "write a comparison picture: a file, or a folder, which may end in /"
+    add("-o", "--output", type=file_name, metavar="PATH", help=output_help)
     add("--html", type=file_name, metavar="OUT.html", help="write one page that shows all of them")
-    output_format = command_parser.add_mutually_exclusive_group()
-    output_format.add_argument(
-        "--json", action="store_true", help="print a list with an object per picture"
-    )
-    output_format.add_argument("--csv", action="store_true", help="print the same as a table")
+    formats = command_parser.add_mutually_exclusive_group()
+    add_format = partial(formats.add_argument, action="store_const", dest="format_results")
+    add_format("--json", const=format_json, help="print a list with an object per picture")
+    add_format("--csv", const=format_csv, help="print the same as a table")
     options = command_parser.parse_args(arguments)
     for path in (options.a, options.b):
         if not path.exists():
-            raise Failure(str(path), "does not exist", status=_FAILED)
+            raise Failure(str(path), "does not exist", status=FAILED_STATUS)
     options.is_class = options.a.is_dir()
     options.folder = options.a if options.is_class else options.a.parent
     pictures = list_hand_ins(options.a) if options.is_class else [options.a]
@@ -124,55 +121,51 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     if not pictures:
         exit_with(printable(f"{options.a}: contains no pictures"))
     if options.is_class and options.output and not is_folder(options.output):
-        wrong = f"-o {options.output}: several pictures need a folder; end it in {os.sep}"
-        exit_with(printable(wrong))
-    hand_ins = [
-        hand_in._replace(output=_output_path(options, hand_in.picture))
-        for hand_in in match_hand_ins(pictures, options.folder, options.b)
-    ]
-    outputs = [hand_in.output for hand_in in hand_ins] + [options.html and Path(options.html)]
+        problem = "several pictures need a folder; end it in"
+        exit_with(printable(f"-o {options.output}: {problem} {os.sep}"))
+    hand_ins = match_hand_ins(pictures, options.folder, options.b)
+    outputs = [_output_path(options, picture) for picture in pictures if options.output]
+    outputs += [Path(options.html)] if options.html else []
     references = (hand_in.right for hand_in in hand_ins if hand_in.right)
-    forbid_overwriting_inputs(command_parser, filter(None, outputs), (*pictures, *references))
+    forbid_overwriting_inputs(command_parser, outputs, (*pictures, *references))
     return options, hand_ins
 
 
-def _output_path(options: argparse.Namespace, picture: Path | None) -> Path | None:
-    """Return the path for the picture that shows a hand-in beside its reference picture.
+def _output_path(options: argparse.Namespace, picture: Path) -> Path:
+    """Return the path of the comparison picture, which shows a hand-in beside its reference.
 
     Parameters
     ----------
     options : Namespace
-        The options of the command.
-    picture : Path or None
-        The picture that was handed in; None if it is missing.
+        The command-line options, with -o (`output`).
+    picture : Path
+        The picture that was handed in.
 
     Returns
     -------
-    Path or None
-        Different for each picture of a class.  None if the picture is missing, or if the option -o
-        is not given.
+    path : Path
+        The file that -o names; or, if -o names a folder, a file in that folder.  Each picture of a
+        class has another file.
     """
-    if picture is None or not options.output:
-        return None
-    if not options.is_class and not is_folder(options.output):
+    if not is_folder(options.output):
         return Path(options.output)
     path = picture.relative_to(options.folder)
     return Path(options.output, path.with_name(f"{path.name}.compare.png"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare hand-ins with their references, print the results, and return the exit status.
+    """Compare pictures that were handed in with their references, and print the results.
 
     If the options request it, an HTML page and comparison pictures are written, too.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        The arguments of the command; by default, those of this process.
+        The command-line arguments; by default those of this process.
 
     Returns
     -------
-    int
+    status : int
         0 if all pictures agree; 1 if some differ or are missing; 3 if some cannot be compared.
 
     Raises
@@ -180,59 +173,58 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SystemExit
         For wrong usage, with status 2.
     Failure
-        If a file does not exist or cannot be written.
+        If a file does not exist or cannot be written, or if a single picture cannot be compared.
     """
     options, hand_ins = _parse(arguments)
     # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
     jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.right))
-    compared = map_in_workers(partial(compare_hand_in, options), jobs, result_of_lost_worker)
+    compare = partial(compare_hand_in, options)
+    compared = map_in_workers(compare, jobs, lambda hand_in: compare(hand_in._replace(error=_LOST)))
     results_and_pairs = sorted(track(compared, len(jobs), "pictures"), key=_sort_key)
     results = with_common_causes_first([result for result, _ in results_and_pairs])
     if options.html:
         pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
-        html = class_page(results, pairs, options.folder)
-        path = Path(options.html)
-        with errors_as_failure(path, "written", "choose another with --html", status=_FAILED):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_file(path, b"<!doctype html>") as file:
-                file.write(html.encode(errors="backslashreplace"))
-    is_any_unread = any(result.verdict == "unread" for result in results)
-    if options.json or options.csv:
-        text = (format_json if options.json else format_csv)(results)
-    else:
-        text = format_text(results, as_list=options.is_class)
-    if is_any_unread and not (options.is_class or options.json or options.csv):
-        print_line(sys.stderr, text)
-    else:
-        with errors_as_failure("standard output", "written", status=_FAILED):
-            print_result(sys.stdout, text)
-    return _FAILED if is_any_unread else int(not all(result.agrees for result in results))
+        page = class_page(results, pairs, options.folder)
+        write_page(Path(options.html), page, "choose another with --html", FAILED_STATUS)
+    if results[0].error and not (options.is_class or options.format_results):
+        raise Failure("", results[0].error, status=FAILED_STATUS)
+    format_results = options.format_results or partial(format_text, as_list=options.is_class)
+    with errors_as_failure("standard output", "written", status=FAILED_STATUS):
+        print_result(sys.stdout, format_results(results))
+    if any(result.verdict == "unread" for result in results):
+        return FAILED_STATUS
+    return int(not all(result.agrees for result in results))
 
 
 def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
-    """Return a key that sorts results: first pictures by their paths, then missing ones.
+    """Return a key that sorts results: pictures by their paths, then missing ones by student.
 
-    Missing pictures are ordered by student; those without a known student come last.
+    Scenes of which no student has handed in a picture come last.
 
     Parameters
     ----------
     result_and_pair : tuple of Result and Pair
-        A result, and the pair of pictures for the page or None; only the result is used.
+        The result of comparing a picture, and the pair of pictures for the HTML page or None.  Only
+        the result is used.
 
     Returns
     -------
-    tuple of bool, str and str
-        Whether the picture is missing; its path, or else the student's name; the scene's name.
+    is_missing : bool
+        Whether no picture was handed in.
+    name : str
+        The path of the picture, or else the student's name.
+    scene : str
+        The scene's name.
     """
     result = result_and_pair[0]
     return not result.picture, result.picture or result.student or "~", result.scene
 
 
 @lru_cache(maxsize=1)
-def _load_solution(path: Path) -> tuple[Solution, str]:
-    """Load the reference with which hand-ins are compared: a scene or a picture.
+def _load_solution(path: Path) -> Solution:
+    """Load a reference, with which hand-ins are compared: a scene or a picture.
 
-    Only the result of the last call is cached.
+    A second call with the same path returns the same object, unless another path came in between.
 
     Parameters
     ----------
@@ -242,101 +234,121 @@ def _load_solution(path: Path) -> tuple[Solution, str]:
     Returns
     -------
     solution : Solution
-        The reference picture or scene; its method `diagnose` finds the mistake in a hand-in.
-    note : str
-        What the file format of a reference picture has changed, such as "is a JPEG, which changes
-        levels: …"; empty for a scene, or if nothing has changed.
+        The reference, whose method `diagnose` finds the mistakes in a hand-in.
 
     Raises
     ------
     Failure
         If the file cannot be read, or is not a valid scene.
     """
-    with errors_as_failure(path, "read", status=_FAILED, error_types=UNREADABLE):
-        if path.suffix.lower() == ".xml":
-            return Solution(load_scene(path), shlex.quote(str(path))), ""
-        picture = read_picture(path)
-        return Solution(picture), picture.note
-
-
-def result_of_lost_worker(hand_in: HandIn) -> tuple[Result, None]:
-    """Return the result for a hand-in if the process that compared it has ended early.
-
-    Returns
-    -------
-    tuple of Result and None
-        A result with an error; there is no pair of pictures to show.
-    """
-    return _failed(hand_in, "cannot be compared: its process was ended; is there enough memory?")
-
-
-def _failed(hand_in: HandIn, reason: str) -> tuple[Result, None]:
-    """Return the result for a hand-in that is missing or could not be compared.
-
-    Parameters
-    ----------
-    hand_in : HandIn
-        The picture that was handed in, or a missing one.
-    reason : str
-        Why it could not be compared, as a predicate that follows its path.
-
-    Returns
-    -------
-    tuple of Result and None
-        A result with an error; there is no pair of pictures to show.
-    """
-    path = hand_in.picture or hand_in.right
-    if hand_in.picture is None and hand_in.student:
-        path = Path(hand_in.student, hand_in.scene)
-    return _new_result(hand_in)._replace(error=str(Failure(str(path), reason))), None
-
-
-def _new_result(hand_in: HandIn) -> Result:
-    """Return a result with the student, scene and files of a hand-in, but without a diagnosis."""
-    picture, right = (str(path) if path else None for path in (hand_in.picture, hand_in.right))
-    return Result(hand_in.student, hand_in.scene, picture, right)
+    if path.suffix.lower() != ".xml":
+        return Solution(read_picture(path))
+    with errors_as_failure(path, "read"):
+        return Solution(load_scene(path), shlex.quote(str(path)))
 
 
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a picture that was handed in with its reference; errors become results.
+    """Compare a picture that was handed in with its reference; return errors instead of raising.
 
     Parameters
     ----------
     options : Namespace
-        The options of the command.
+        The command-line options.
     hand_in : HandIn
         The paths of the picture and of its reference, which is a picture or a scene file.
 
     Returns
     -------
     result : Result
-        The diagnosis and figures.  If the picture is missing or cannot be compared, the result
-        states why instead.
-    pair : Pair or None
-        Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
-        the picture cannot be compared.
+        The diagnosis and the figures.  If the picture is missing or cannot be compared, the result
+        contains the reason instead, as its `error`.
+    pair : dict or None
+        Both pictures, as the HTML page needs them.  None if no page is requested, if the sizes
+        differ, or if the picture cannot be compared.
     """
-    if hand_in.error or not (hand_in.picture and hand_in.right):
-        return _failed(hand_in, hand_in.error)
+    picture_name, reference_name = (str(p) if p else None for p in (hand_in.picture, hand_in.right))
+    result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
+    missing = str(Path(hand_in.student, hand_in.scene)) if hand_in.student else reference_name
+    where = picture_name or missing or ""
     try:
-        with errors_as_failure(hand_in.picture, "read", status=_FAILED, error_types=UNREADABLE):
-            picture = read_picture(hand_in.picture)
-        solution, note = _load_solution(hand_in.right)
-        remedy = "compare a part"
-        with errors_as_failure(hand_in.picture, "compared", memory_remedy=remedy, status=_FAILED):
-            return _compare_with(solution, note, options, hand_in, picture)
+        if hand_in.error or not (hand_in.picture and hand_in.right):
+            raise Failure(where, hand_in.error)
+        with errors_as_failure(where, "compared", memory_remedy="compare a part"):
+            return _compare(options, hand_in.picture, hand_in.right, result)
     except Failure as failure:
-        return _new_result(hand_in)._replace(error=str(failure)), None
+        return result._replace(error=str(failure)), None
     except Exception as bug:
-        error = f"{type(bug).__name__}: {bug}"
-        return _failed(hand_in, f"cannot be compared: {error}; this is a bug, please report it")
+        cause = f"{type(bug).__name__}: {bug}; this is a bug, please report it"
+        return result._replace(error=str(Failure(where, f"cannot be compared: {cause}"))), None
+
+
+def _compare(
+    options: argparse.Namespace, picture_path: Path, reference_path: Path, result: Result
+) -> tuple[Result, Pair | None]:
+    """Compare a picture with its reference; if requested, write a comparison picture.
+
+    The comparison picture shows both side by side.  In a class, it is written only for pictures
+    that differ.
+
+    Parameters
+    ----------
+    options : Namespace
+        The command-line options.
+    picture_path : Path
+        The picture that was handed in.
+    reference_path : Path
+        The reference: a picture or a scene file.
+    result : Result
+        The names of the student, of the scene and of both files.
+
+    Returns
+    -------
+    result : Result
+        A copy of `result` with the diagnosis and, unless the sizes differ, the figures.
+    pair : dict or None
+        Both pictures, as the HTML page needs them.  None if no page is requested, or if the sizes
+        differ.
+
+    Raises
+    ------
+    Failure
+        If a file cannot be read or written.
+    """
+    picture, solution = read_picture(picture_path), _load_solution(reference_path)
+    diagnosis = solution.diagnose(picture)
+    notes = ("It", picture.note), (reference_path.name, solution.picture.note)
+    sentences = [f"{name} {note}" for name, note in notes if note and diagnosis.kind != "identical"]
+    result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
+    if picture.codes.shape != solution.codes.shape:
+        return result, None
+    ssim, rmse, maximum = _linear_figures(picture.codes, solution.codes)
+    agrees = diagnosis.kind in AGREEING
+    if options.ssim is not None or options.max is not None:
+        agrees = (options.max is None or maximum <= options.max) and (
+            options.ssim is None or ssim >= options.ssim
+        )
+    result = result._replace(
+        agrees=agrees, ssim=ssim, rmse=rmse, max=maximum,
+        differing=int((picture.codes != solution.codes).any(axis=2).sum()),
+        worst=worst_pixel(picture.codes, solution.codes),
+    )  # fmt: skip
+    pair = make_pair(result, picture.codes, solution.codes) if options.html else None
+    if options.output and not (options.is_class and agrees):
+        output = _output_path(options, picture_path)
+        picture_light, reference_light = map(decode_to_linear, (picture.codes, solution.codes))
+        labels = printable(picture_path.name), printable(reference_path.name)
+        with errors_as_failure(output, "written", OTHER_NAME, error_types=(ValueError,)):
+            output.parent.mkdir(parents=True, exist_ok=True)
+            write_comparison(output, picture_light, reference_light, labels)
+        result = result._replace(comparison=str(output))
+    return result, pair
 
 
 def _linear_figures(first: Codes, second: Codes) -> tuple[float, float, float]:
     """Measure the difference between two pictures in linear light.
 
-    The pictures are divided into bands of rows to limit memory use, because the arrays of a band
-    take about 100 bytes per pixel.
+    The pictures are divided into bands of rows, because the arrays of a band take about 100 bytes
+    per pixel.
 
     Parameters
     ----------
@@ -346,91 +358,22 @@ def _linear_figures(first: Codes, second: Codes) -> tuple[float, float, float]:
     Returns
     -------
     ssim : float
-        Structural similarity; 1 for equal pictures.
+        Structural similarity of the pictures; 1 if they are equal.
     rmse, maximum : float
-        Root mean square and maximum of the difference, over all pixels and channels.
+        Root mean square and maximum of the absolute difference, over all pixels and channels.
     """
     (height, width, _), margin = first.shape, SSIM_WINDOW - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows at which a structural-similarity window can begin.
+    # Number of rows in which a window can begin.
     window_rows = max(1, height - margin)
     ssim, sum_of_squares, maximum = 0.0, 0.0, 0.0
-    for start in range(0, window_rows, band_height):
-        rows = slice(start, start + band_height + margin)
-        band = measure_differences(decode_to_linear(first[rows]), decode_to_linear(second[rows]))
-        ssim += band.ssim * min(band_height, window_rows - start) / window_rows
-        maximum = max(maximum, band.max)
     for start in range(0, height, band_height):
-        rows = slice(start, start + band_height)
-        difference = decode_to_linear(first[rows]) - decode_to_linear(second[rows])
+        # Structural-similarity windows that begin in this band extend below it, by the margin.
+        rows = slice(start, start + band_height + margin)
+        a, b = decode_to_linear(first[rows]), decode_to_linear(second[rows])
+        weight = min(band_height, window_rows - start) / window_rows
+        ssim += max(0.0, weight) * measure_differences(a, b).ssim
+        difference = (a - b)[:band_height]
         sum_of_squares += float((difference**2).sum())
+        maximum = max(maximum, float(np.abs(difference).max()))
     return ssim, float(np.sqrt(sum_of_squares / first.size)), maximum
-
-
-def _compare_with(
-    solution: Solution, note: str, options: argparse.Namespace, hand_in: HandIn, picture: Picture
-) -> tuple[Result, Pair | None]:
-    """Compare a picture with its reference; if requested, write a picture that shows both.
-
-    For a class, comparison pictures are written only for hand-ins that differ.
-
-    Parameters
-    ----------
-    solution : Solution
-        The reference picture.
-    note : str
-        What the file format of the reference picture has changed; empty if nothing.
-    options : Namespace
-        The options of the command.
-    hand_in : HandIn
-        The paths of the two pictures, and the path of the comparison picture to write.
-    picture : Picture
-        The contents of the file that was handed in.
-
-    Returns
-    -------
-    result : Result
-        The diagnosis and, unless the sizes differ, the figures.
-    pair : Pair or None
-        Both pictures, for the HTML page.  None if no page is requested, or if the sizes differ.
-
-    Raises
-    ------
-    Failure
-        If the file cannot be written.
-    """
-    diagnosis, reference_codes = solution.diagnose(picture), solution.codes
-    names = ("It", picture.note), (str(hand_in.right and hand_in.right.name), note)
-    notes = [f"{name} {text}" for name, text in names if text and diagnosis.kind != "identical"]
-    diagnosis = diagnosis.preceded_by(" ".join(notes))
-    result, pair = _new_result(hand_in)._replace(diagnosis=diagnosis), None
-    if picture.codes.shape != reference_codes.shape:
-        return result, None
-    ssim, rmse, maximum = _linear_figures(picture.codes, reference_codes)
-    agrees = diagnosis.kind in AGREEING
-    if options.ssim is not None or options.max is not None:
-        agrees = (options.max is None or maximum <= options.max) and (
-            options.ssim is None or ssim >= options.ssim
-        )
-    result = result._replace(
-        agrees=agrees, ssim=ssim, rmse=rmse, max=maximum,
-        differing=int((picture.codes != reference_codes).any(axis=2).sum()),
-        worst=worst_pixel(picture.codes, reference_codes),
-    )  # fmt: skip
-    if options.html:
-        pair = make_pair(result, picture.codes, reference_codes)
-    output = hand_in.output
-    if output is not None and not (options.is_class and agrees):
-        labels = [printable(path.name) for path in (hand_in.picture, hand_in.right) if path]
-        with errors_as_failure(
-            output, "written", "choose another with -o", status=_FAILED, error_types=(ValueError,)
-        ):
-            output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(
-                output,
-                decode_to_linear(picture.codes),
-                decode_to_linear(reference_codes),
-                (labels[0], labels[1]),
-            )
-        result = result._replace(comparison=str(output))
-    return result, pair

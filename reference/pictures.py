@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import stat
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -14,14 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFile, JpegImagePlugin, UnidentifiedImageError
 
+from reference.command import FAILED_STATUS
+from tracer.command.failure import errors_as_failure
+
 Codes: TypeAlias = NDArray[np.uint8]
 
 # Formats of which Pillow states the number of bits per channel before it decodes a picture.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 # Maximum number of pixels.  Reading takes about 20 bytes per pixel, comparing about 60.
 _MAX_PIXELS = 9_000_000
-UNREADABLE = (MemoryError, OSError, SyntaxError, ValueError, Image.DecompressionBombError)
-"""Exceptions of `read_picture`; Pillow raises a SyntaxError for a damaged PNG."""
+Image.MAX_IMAGE_PIXELS = None  # Pillow's own limit is higher, and prints a warning
+
+_NOTE_OF_FORMAT = "is a {}, which changes levels: save it as PNG."
+_NOTE_OF_PALETTE = "has a palette, of 256 colours at most: save it as RGB."
+_NOTE_OF_DEPTH = "has more than 8 bits per channel, of which 8 count: save it as 8-bit RGB."
+_NOTE_OF_ALPHA = "is transparent in places, which counts as black: save it as RGB."
 
 
 class Picture(NamedTuple):
@@ -48,45 +53,62 @@ class Picture(NamedTuple):
 
 
 def read_picture(path: Path) -> Picture:
-    """Read a picture file, with transparent pixels over black.
+    """Read a picture file; transparent pixels are blended with black.
+
+    Parameters
+    ----------
+    path : Path
+        A BMP, GIF, JPEG, PNG, PPM, TGA, TIFF or WEBP file.
+
+    Returns
+    -------
+    picture : Picture
+        The 8-bit codes of the pixels, and what the file format has changed.
 
     Raises
     ------
-    MemoryError, OSError, SyntaxError, ValueError, Image.DecompressionBombError
-        If the file is not a regular file (a pipe may block for ever), is not a picture in a known
-        format, or is damaged; or if the picture has more than 9 million pixels, or pixels other
-        than RGB, palette or grey.  `UNREADABLE` contains these exceptions.
+    Failure
+        If the file does not exist, is not a regular file, is not a picture in a known format, or is
+        damaged; if the picture has more than 9 million pixels, or pixels that are neither RGB,
+        palette nor grey; or if there is not enough memory.
     """
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise ValueError("not a regular file")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+    # Pillow raises a SyntaxError for a damaged PNG.
+    errors = (SyntaxError, ValueError)
+    with errors_as_failure(path, "read", status=FAILED_STATUS, error_types=errors):
+        if path.exists() and not path.is_file():  # opening a pipe may block for ever
+            raise ValueError("not a regular file")
+        try:
             image = Image.open(path, formats=_FORMATS)
-    except UnidentifiedImageError:
-        raise ValueError("not a picture in a format that is known") from None
-    with image:
-        width, height = image.size  # known before the picture is decoded
-        if width * height > _MAX_PIXELS:
-            limit = f"{_MAX_PIXELS // 1_000_000} million"
-            raise ValueError(f"has {width}x{height} pixels; at most {limit} can be compared")
-        return _decode(image, path)
+        except UnidentifiedImageError:
+            raise ValueError("not a picture in a format that is known") from None
+        with image:
+            width, height = image.size  # known before the picture is decoded
+            if width * height > _MAX_PIXELS:
+                limit = f"{_MAX_PIXELS // 1_000_000} million"
+                raise ValueError(f"has {width}x{height} pixels; at most {limit} can be compared")
+            return _decode(image, path)
 
 
 def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
-    """Decode an opened picture file, and determine what its format has changed.
+    """Decode a picture file, and determine what its format has changed.
 
     Parameters
     ----------
     image : ImageFile
-        The picture, opened but not yet decoded.
+        The picture, opened with Pillow but not yet decoded.
     path : Path
-        Its file.
+        The picture's file.
+
+    Returns
+    -------
+    picture : Picture
+        The 8-bit codes of the pixels.  If the format has changed levels, the picture also has a
+        note for the user, and the number of levels.
 
     Raises
     ------
     OSError, SyntaxError, ValueError
-        If the file is damaged, or if the pixels are not RGB, palette or grey.
+        If the file is damaged, or if the pixels are neither RGB, palette nor grey.
     """
     if image.mode.startswith("I"):  # grey of 16 bits
         grey = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
@@ -95,30 +117,31 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
         raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
     is_deep = _has_more_than_8_bits(image)  # decoding removes what this test needs
     rgba = image.convert("RGBA")
-    note, lossy_levels, save = "", 0, None
-    # A WEBP contains a chunk VP8L if it is lossless.
-    if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
-        note, lossy_levels = "is a WEBP, which changes levels: save it as PNG.", 12
-    elif image.format == "JPEG":
-        note, lossy_levels = "is a JPEG, which changes levels: save it as PNG.", 3
-        save = _jpeg_round_trip(image)
-    elif image.mode in ("P", "PA"):
-        note, lossy_levels = "has a palette, of 256 colours at most: save it as RGB.", 12
-    elif is_deep:
-        note = "has more than 8 bits per channel, of which 8 count: save it as 8-bit RGB."
-        lossy_levels = 1
-    elif rgba.getchannel("A").getextrema() != (255, 255):
-        note = "is transparent in places, which counts as black: save it as RGB."
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
     codes = np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
-    return Picture(codes, note, lossy_levels, save)
+    if image.format == "JPEG":
+        return Picture(codes, _NOTE_OF_FORMAT.format("JPEG"), 3, _jpeg_round_trip(image))
+    # A WEBP contains a chunk VP8L if it is lossless.
+    if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
+        return Picture(codes, _NOTE_OF_FORMAT.format("WEBP"), 12)
+    if image.mode in ("P", "PA"):
+        return Picture(codes, _NOTE_OF_PALETTE, 12)
+    if is_deep:
+        return Picture(codes, _NOTE_OF_DEPTH, 1)
+    is_opaque = rgba.getchannel("A").getextrema() == (255, 255)
+    return Picture(codes, "" if is_opaque else _NOTE_OF_ALPHA)
 
 
 def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
-    """Test whether an opened, not yet decoded picture has more than 8 bits per channel.
+    """Test whether a picture file has more than 8 bits per channel.
 
-    Pillow drops the lower bits without a warning, but names the encoding of the pixels in the
-    arguments of the decoder: a mode such as "RGB;16B", or the largest level of a PPM file.
+    Pillow drops the lower bits without a warning.  But the arguments of Pillow's decoder contain
+    the encoding of the pixels: a mode such as "RGB;16B", or the largest level of a PPM file.
+
+    Parameters
+    ----------
+    image : ImageFile
+        The picture, opened with Pillow but not yet decoded.
     """
     for codec, _, _, arguments in image.tile:
         is_ppm = codec.startswith("ppm")
@@ -129,7 +152,7 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
 
 
 def _jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Return a function that saves codes as a given JPEG was saved, and reads them again.
+    """Create a function that compresses pictures in the same way as a given JPEG.
 
     Parameters
     ----------
@@ -139,16 +162,16 @@ def _jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
     Returns
     -------
     round_trip : callable
-        Takes and returns codes (h, w, 3).
+        Takes codes (h, w, 3), saves them as a JPEG in memory, and returns the codes (h, w, 3) that
+        are read from this JPEG.
     """
-    options = {
-        "qtables": image.quantization,  # type: ignore[attr-defined]
-        "subsampling": JpegImagePlugin.get_sampling(image),
-    }
+    tables = image.quantization  # type: ignore[attr-defined]
+    subsampling = JpegImagePlugin.get_sampling(image)
 
     def round_trip(codes: Codes) -> Codes:
-        data = io.BytesIO()
-        Image.fromarray(codes).save(data, "JPEG", **options)
-        return np.asarray(Image.open(data))
+        buffer = io.BytesIO()
+        jpeg = Image.fromarray(codes)
+        jpeg.save(buffer, "JPEG", qtables=tables, subsampling=subsampling)
+        return np.asarray(Image.open(buffer))
 
     return round_trip

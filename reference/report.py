@@ -30,17 +30,16 @@ from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, make_parser, own_scenes
 from reference.figures import amplify_difference
 from reference.measured.measurements import describe_origin
-from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page
+from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
 from tracer.command.arguments import file_name, is_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
-from tracer.files import atomic_file
 from tracer.messages import printable
 
-# Name of the page in a folder, and the first bytes of the page, which are those of the template.
-_NAME, _HTML = "report.html", b"<!doctype html>"
+# Name of the page in a folder.
+_NAME = "report.html"
 CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
@@ -78,7 +77,7 @@ def render_report(
     """
     count, agreeing_count = len(results), sum(result.verdict == "agrees" for result, _ in results)
     all_agree = bool(results) and agreeing_count == count and not failures
-    variants = ", ".join(sorted({result.variant for result, _ in results}))
+    variants = ", ".join(sorted({result.mitsuba.variant for result, _ in results}))
     return render_page(
         title="Pencil tracer and Mitsuba 3, scene by scene",
         lead=f"{count} scene{'s' * (count != 1)}, sampled at the pixels' centres by both renderers"
@@ -115,7 +114,7 @@ def _overview_row(index: int, result: CheckResult) -> list[list[Cell]]:
     verdict = Cell(result.verdict, good=result.verdict == "agrees")
     excluded = f"{result.excluded.mean():.2%}"
     figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
-    times = _format_time(result.tracer_seconds), _format_time(result.mitsuba_seconds)
+    times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
     return [[cell] for cell in (Cell(result.name, index), verdict, *map(Cell, figures + times))]
 
 
@@ -135,13 +134,13 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         The values for the template.
     """
     excluded, figures, agrees = result.excluded, result.figures, result.verdict == "agrees"
-    mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba)
+    mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
     difference, gain = amplify_difference(result.tracer, mitsuba)
     difference[excluded] = _EXCLUDED_GREY
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return prepare_pair(
         to_codes(result.tracer),
-        to_codes(result.mitsuba),
+        to_codes(result.mitsuba.image),
         difference,
         gain,
         name=result.name,
@@ -158,7 +157,7 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
             ("median", f"{figures.median:.2e}"), ("pixels over 1e-3", figures.over),
             ("edge pixels excluded", result.edges.sum()), ("ties excluded", result.ties.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
-            (f"Mitsuba's ({result.variant})", _format_time(result.mitsuba_seconds)),
+            (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
         ),
     )  # fmt: skip
 
@@ -232,10 +231,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     has_charts = {*paths} <= {*own_scenes()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
     html = render_report(results, charts, failures)
-    with errors_as_failure(output, "written", "choose another with -o"):
-        output.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(output, _HTML) as file:
-            file.write(html.encode())
+    write_page(output, html)
     print_line(sys.stdout, printable(str(output)))
     return FAILED if failures else worst_status(result for result, _ in results)
 

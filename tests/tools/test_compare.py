@@ -23,6 +23,7 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import main
 from reference.figures import measure_differences, write_comparison
+from reference.handins.folders import match_hand_ins
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
@@ -168,6 +169,24 @@ def test_unreadable(tmp_path: Path, compare: Compare, content: bytes) -> None:
     assert (status, told) == (3, [])
     for line in error.splitlines():
         assert (line.startswith(f"{bad}:"), line.count(str(bad))) == (True, 1)
+
+
+@pytest.mark.parametrize(("share", "status"), [(0.008, 0), (0.02, 1)])
+def test_few_pixels_may_be_one_level_off(
+    tmp_path: Path, compare: Compare, share: float, status: int
+) -> None:
+    """Rounding explains differences of one level in at most one in a hundred pixels."""
+    codes = CODES.copy()
+    codes[np.random.default_rng(1).random(codes.shape[:2]) < share] ^= 1
+    assert compare(save(tmp_path / "a.png", codes), SCENE)[0] == status
+
+
+def test_of_two_scenes_the_longer_name_is_matched(tmp_path: Path) -> None:
+    for name in ("box.xml", "two_box.xml"):
+        (tmp_path / name).touch()
+    for name, scene in (("ada_two_box.png", "two_box"), ("ada_box.png", "box")):
+        hand_in = match_hand_ins([Path("class", name)], Path("class"), tmp_path)[0]
+        assert (hand_in.student, hand_in.right) == ("ada", tmp_path / f"{scene}.xml")
 
 
 @pytest.fixture

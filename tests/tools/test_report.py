@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from converters.rendering import Rendering
 from reference.check import CheckResult
 from reference.figures import amplify_difference, decode_to_linear, measure_differences
 from reference.report import main, render_report
@@ -31,18 +32,22 @@ MITSUBA[5, 7] = 255  # the pixel that is excluded
 
 
 def result(name: str = "pair") -> CheckResult:
-    """Make the result of a comparison: pictures that differ in blue, and one excluded pixel."""
-    a, b = decode_to_linear(TRACER), decode_to_linear(MITSUBA)
-    mask = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
-    mask[5, 7] = True
-    b[5, 7] = 9  # so large a difference that it would change the amplification
-    none = np.zeros_like(mask)
-    pictures = {"tracer": a, "mitsuba": b, "edges": mask, "ties": none, "differing": ~mask}
-    arbitration = {"examined": 30, "wrong": 30, "first": (0, 0)}
-    times = {"tracer_seconds": 0.0123, "mitsuba_seconds": 4.5}
-    measured = measure_differences(a, b, mask)
+    """Return the comparison of two pictures that differ in blue, with one excluded pixel."""
+    tracer, mitsuba = decode_to_linear(TRACER), decode_to_linear(MITSUBA)
+    edges = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
+    edges[5, 7] = True
+    mitsuba[5, 7] = 9  # so large a difference that it would change the amplification
     return CheckResult(
-        name=name, figures=measured, variant="scalar_rgb", **pictures, **times, **arbitration
+        name=name,
+        tracer=tracer,
+        tracer_seconds=0.0123,
+        mitsuba=Rendering(mitsuba, "scalar_rgb", 4.5),
+        edges=edges,
+        ties=np.zeros_like(edges),
+        differing=~edges,
+        examined=~edges,
+        wrong=~edges,
+        figures=measure_differences(tracer, mitsuba, edges),
     )
 
 
@@ -50,7 +55,10 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 
 
 def test_the_page_contains_everything_that_it_shows():
-    results = [(result("<b>&"), "Shows <one> & more."), (replace(result("two"), wrong=0), "")]
+    results = [
+        (result("<b>&"), "Shows <one> & more."),
+        (replace(result("two"), wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_)), ""),
+    ]
     text = render_report(results, [("Chart", CHART)])
     for expected in (
         "12.3 ms",
