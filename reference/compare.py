@@ -268,8 +268,8 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
     """
     picture_name, reference_name = (str(p) if p else None for p in (hand_in.picture, hand_in.right))
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
-    missing = str(Path(hand_in.student, hand_in.scene)) if hand_in.student else reference_name
-    where = picture_name or missing or ""
+    missing_name = Path(hand_in.student, hand_in.scene) if hand_in.student else reference_name
+    where = picture_name or str(missing_name)
     try:
         if hand_in.error or not (hand_in.picture and hand_in.right):
             raise Failure(where, hand_in.error)
@@ -370,10 +370,10 @@ def _linear_figures(first: Codes, second: Codes) -> tuple[float, float, float]:
     for start in range(0, height, band_height):
         # Structural-similarity windows that begin in this band extend below it, by the margin.
         rows = slice(start, start + band_height + margin)
-        a, b = decode_to_linear(first[rows]), decode_to_linear(second[rows])
-        weight = min(band_height, window_rows - start) / window_rows
-        ssim += max(0.0, weight) * measure_differences(a, b).ssim
-        difference = (a - b)[:band_height]
+        first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
+        weight = max(0, min(band_height, window_rows - start)) / window_rows
+        ssim += weight * measure_differences(first_light, second_light).ssim
+        difference = (first_light - second_light)[:band_height]
         sum_of_squares += float((difference**2).sum())
         maximum = max(maximum, float(np.abs(difference).max()))
     return ssim, float(np.sqrt(sum_of_squares / first.size)), maximum

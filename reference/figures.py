@@ -36,17 +36,17 @@ _BRIGHTER_COLOR, _DARKER_COLOR = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
 
 
 def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
-    """Decode the 8-bit codes of a picture to linear light from 0 to 1: (code / 255)^2.2.
+    """Convert 8-bit codes of a picture to linear light, which is (code / 255)^2.2.
 
     Parameters
     ----------
-    codes : (...) int array
+    codes : int array of any shape
         Codes from 0 to 255.
 
     Returns
     -------
-    light : (...) float array
-        Linear light, in the shape of `codes`.
+    light : float array of the same shape
+        Linear light from 0 to 1.
     """
     linear_of_code: Floats = (np.arange(256) / 255) ** GAMMA
     return np.asarray(linear_of_code[codes])
@@ -56,18 +56,19 @@ def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
 class Figures:
     """Measures of the difference between two pictures, in linear light.
 
-    The difference of a pixel is the absolute difference of the channel that differs most.
+    The difference of a pixel is the largest of the absolute differences of its three channels.
+    Some pixels may be masked; they affect only the structural similarity.
 
     Attributes
     ----------
     ssim : float
-        Structural similarity of the pictures as displayed, including masked pixels.
+        Structural similarity of the gamma-encoded pictures; 1 if they are equal.
     max, p999, median : float
         Maximum, 99.9th percentile and median of the pixels' differences.
     rmse : float
-        Root mean square difference over all channels of all pixels.
+        Root mean square of the differences of all channels.
     over : int
-        Number of pixels whose difference is more than 1e-3.
+        Number of pixels that differ by more than 1e-3.
     """
 
     ssim: float
@@ -78,7 +79,7 @@ class Figures:
     over: int
 
     def __str__(self) -> str:
-        """Format all figures on one line."""
+        """Format all figures as one line of text."""
         return (
             f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e}, 99.9% {self.p999:.1e},"
             f" median {self.median:.1e}, RMSE {self.rmse:.1e}, pixels over 1e-3: {self.over}"
@@ -91,15 +92,15 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
     Parameters
     ----------
     a, b : (height, width, 3) float arrays
-        Linear radiance of the two pictures.
+        The two pictures, in linear radiance.
     mask : (height, width) bool array, optional
-        True where a pixel is excluded from all figures but the structural similarity.
+        True for pixels that are excluded from all figures but the structural similarity.
 
     Returns
     -------
     figures : Figures
-        Maximum, percentile, median and root mean square of the differences, and structural
-        similarity.
+        The structural similarity of the pictures; the maximum, 99.9th percentile, median and root
+        mean square of the differences; and the number of pixels that differ by more than 1e-3.
 
     Raises
     ------
@@ -132,21 +133,23 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
 def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, str]) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
+    Small pictures are enlarged, each pixel to a square.
+
     Parameters
     ----------
     path : str or Path
-        The file to write.
+        The file to write.  Only an existing PNG file is replaced.
     a, b : (height, width, 3) float arrays
-        Linear radiance of the left and the central picture.
+        The left and the central picture, in linear radiance.
     labels : (str, str)
-        Titles of the left and the central picture.  Titles that are too long are cut off.
+        Titles of the left and the central picture.  Long titles are cut off.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    difference, gain = amplify_difference(a, b)
+    difference_codes, gain = amplify_difference(a, b)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
     legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
     height, width = a.shape[:2]
@@ -155,7 +158,7 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     panel_height = zoom * height + 2 * _LABEL_HEIGHT
     size = 3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
-    pictures = (to_codes(a), to_codes(b), np.round(255 * difference).astype(np.uint8))
+    pictures = (to_codes(a), to_codes(b), difference_codes)
     for k, (codes, title, legend) in enumerate(zip(pictures, titles, legends, strict=True)):
         panel = Image.new("RGB", (panel_width, panel_height), _PAPER_COLOR)
         draw = ImageDraw.Draw(panel)
@@ -168,32 +171,35 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
         sheet.save(file, format="PNG")
 
 
-def amplify_difference(a: Floats, b: Floats) -> tuple[Floats, float]:
-    """Compute a picture of the difference of two pictures, amplified so that it is visible.
+def amplify_difference(a: Floats, b: Floats) -> tuple[NDArray[np.uint8], float]:
+    """Draw the difference between two pictures, amplified so that it is visible.
 
     Parameters
     ----------
     a, b : (height, width, 3) float arrays
-        Linear radiance of the two pictures.
+        The two pictures, in linear radiance.
 
     Returns
     -------
-    picture : (height, width, 3) float array
-        Colours from 0 to 1: orange where `a` is brighter, blue where it is darker.  The brightness
-        is the amplified difference of the channel that differs most.
+    codes : (height, width, 3) uint8 array
+        A picture that is orange where `a` is brighter, and blue where `a` is darker.  Its
+        brightness is the amplified difference of the channel that differs most.
     gain : float
         Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, chosen such
         that 99.9 % of the pixels' amplified differences are at most 1.  0 if the pictures are
         equal.
     """
     difference = a - b
-    channel = np.abs(difference).argmax(axis=2)[:, :, None]
-    signed = np.take_along_axis(difference, channel, axis=2)
+    lowest, highest = difference.min(axis=2), difference.max(axis=2)
+    signed = np.where(highest >= -lowest, highest, lowest)
     absolute = np.abs(signed)
     shown_maximum = float(np.percentile(absolute, _PERCENTILE)) or float(absolute.max())
     if shown_maximum == 0:
-        return np.zeros(a.shape), 0.0
-    power = 10.0 ** np.floor(np.log10(1 / shown_maximum))
+        return np.zeros(a.shape, dtype=np.uint8), 0.0
+    power = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
-    brighter, darker = np.clip(gain * signed, 0, 1), np.clip(-gain * signed, 0, 1)
-    return brighter * _BRIGHTER_COLOR + darker * _DARKER_COLOR, gain
+    amplified, codes = np.clip(gain * signed, -1, 1), np.empty(a.shape, dtype=np.uint8)
+    for channel in range(3):  # all at once would take much memory in a large picture
+        color = np.where(amplified > 0, _BRIGHTER_COLOR[channel], -_DARKER_COLOR[channel])
+        codes[:, :, channel] = np.round(255 * (color * amplified))
+    return codes, gain

@@ -13,7 +13,6 @@ from markupsafe import Markup
 from PIL import Image
 
 from reference.command import HERE
-from reference.figures import Floats
 from reference.pictures import Codes
 from tracer.command.arguments import OTHER_NAME
 from tracer.command.failure import errors_as_failure
@@ -53,7 +52,7 @@ class Cell(NamedTuple):
 
 
 def prepare_pair(
-    left_codes: Codes, right_codes: Codes, difference: Floats, gain: float, **content: Any
+    left_codes: Codes, right_codes: Codes, difference_codes: Codes, gain: float, **content: Any
 ) -> Pair:
     """Collect what an HTML page shows of two pictures: both, their difference, and text.
 
@@ -61,9 +60,8 @@ def prepare_pair(
     ----------
     left_codes, right_codes : (height, width, 3) uint8 arrays
         8-bit codes of the left and the right picture.
-    difference : (height, width, 3) float array
-        Colours from 0 to 1 of a picture of the difference, such as
-        `reference.figures.amplify_difference` computes.
+    difference_codes : (height, width, 3) uint8 array
+        8-bit codes of a picture of the difference.
     gain : float
         Factor by which the difference is amplified; 0 if the pictures are equal.
     **content
@@ -86,7 +84,7 @@ def prepare_pair(
     pictures = {
         "left_png": encode_png(left_codes),
         "right_png": encode_png(right_codes),
-        "difference": encode_png(np.round(255 * difference).astype(np.uint8)),
+        "difference": encode_png(difference_codes),
         "shown": f"difference × {gain:,.10g}" if gain else "no difference",
     }
     return optional | pictures | {"width": width, "height": height} | content
@@ -123,12 +121,12 @@ def render_page(**content: Any) -> str:
     """
     image_id: dict[bytes, str] = {}
 
-    def image_attributes(data: bytes) -> Markup:
+    def image_attributes(png: bytes) -> Markup:
         """Return HTML attributes with a PNG, or with the id of an element that has an equal PNG."""
-        if data in image_id:
-            return Markup('data-same="{}"').format(image_id[data])
-        image_id[data] = f"picture-{len(image_id)}"
-        return Markup('id="{}" src="{}"').format(image_id[data], _data_url(data))
+        if png in image_id:
+            return Markup('data-same="{}"').format(image_id[png])
+        image_id[png] = f"picture-{len(image_id)}"
+        return Markup('id="{}" src="{}"').format(image_id[png], _data_url(png))
 
     environment = Environment(autoescape=True, trim_blocks=True, undefined=StrictUndefined)
     environment.filters |= {"source": image_attributes, "png": _data_url}

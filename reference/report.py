@@ -44,8 +44,8 @@ CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
 }
-# Grey level, from 0 to 1, of excluded pixels in the picture of the difference.
-_EXCLUDED_GREY = 0.3
+# Code of excluded pixels, in all channels, in the picture of the difference.
+_EXCLUDED_CODE = 76
 _HEAD = ("scene", "verdict", "SSIM", "largest difference", "excluded", "tracer's time", "Mitsuba's")
 _DIFFERENCE_LEGEND = (
     "The difference is shown amplified: orange where the tracer is brighter, blue where it is"
@@ -135,13 +135,13 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
     """
     excluded, figures, agrees = result.excluded, result.figures, result.verdict == "agrees"
     mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
-    difference, gain = amplify_difference(result.tracer, mitsuba)
-    difference[excluded] = _EXCLUDED_GREY
+    difference_codes, gain = amplify_difference(result.tracer, mitsuba)
+    difference_codes[excluded] = _EXCLUDED_CODE
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return prepare_pair(
         to_codes(result.tracer),
         to_codes(result.mitsuba.image),
-        difference,
+        difference_codes,
         gain,
         name=result.name,
         good=agrees,

@@ -101,8 +101,9 @@ def test_differences_are_amplified_to_fit_except_for_the_largest(largest, gain):
     a[1, :3, 2] = -largest
     picture, actual_gain = amplify_difference(a, np.zeros_like(a))
     assert actual_gain == pytest.approx(gain)
-    np.testing.assert_allclose(picture[0, 2], gain * largest * np.array([1, 0.62, 0]))
-    np.testing.assert_allclose(picture[1, 2], gain * largest * np.array([0.34, 0.71, 0.91]))
+    for row, color in ((0, (1, 0.62, 0)), (1, (0.34, 0.71, 0.91))):
+        codes = 255 * gain * largest * np.array(color)
+        np.testing.assert_allclose(picture[row, 2], codes, atol=0.5 + 1e-9)
     assert not picture[2:].any()
 
 
