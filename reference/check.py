@@ -88,7 +88,7 @@ EXACT = Limits(1e-4, 0.003)
 # The stock camera is float32, and stock shadow rays start above the surface.
 STOCK = Limits(1e-3, 0.03)
 
-MAX_EDGES = 0.015  # maximum share of the picture's pixels that may differ because of edges
+MAX_EDGE_SHARE = 0.015  # maximum share of the picture's pixels that may differ because of edges
 MIN_SSIM = 0.999
 MAX_MEDIAN = 1e-6  # maximum median of the differences
 
@@ -400,8 +400,8 @@ def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) 
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
     """Render a scene with the tracer, and compare the picture with Mitsuba's.
 
-    Pixels that differ are excluded if an edge is close to their centre.  Of the others, a sample is
-    traced in exact arithmetic to decide which picture is wrong.
+    Pixels that differ are excluded if an edge is close to their centre.  A sample of the others is
+    traced in exact arithmetic, which decides which picture is wrong.
 
     Parameters
     ----------
@@ -443,7 +443,7 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         edges = is_different.copy()
         if is_different.any():
             edges &= find_pixels_near_edges(scene, mitsuba, limits.shift, tolerance * unit)
-        if edges.mean() > MAX_EDGES:  # too many for rounding to be the cause: none is excluded
+        if edges.mean() > MAX_EDGE_SHARE:  # too many for rounding to be the cause: none is excluded
             edges[:] = False
         ties, examined, wrong = _examine_exactly(
             scene, image, mitsuba, is_different & ~edges, tolerance * unit

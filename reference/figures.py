@@ -199,7 +199,7 @@ def amplify_difference(a: Floats, b: Floats) -> tuple[NDArray[np.uint8], float]:
     power = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
     amplified, codes = np.clip(gain * signed, -1, 1), np.empty(a.shape, dtype=np.uint8)
-    for channel in range(3):  # all at once would take much memory in a large picture
+    for channel in range(3):  # all channels together would take much memory
         color = np.where(amplified > 0, _BRIGHTER_COLOR[channel], -_DARKER_COLOR[channel])
         codes[:, :, channel] = np.round(255 * (color * amplified))
     return codes, gain

@@ -165,8 +165,8 @@ def test_one_picture(tmp_path: Path, compare: Compare) -> None:
 def test_unreadable(tmp_path: Path, compare: Compare, content: bytes) -> None:
     bad = tmp_path / ("a.xml" if b"scene" in content else "a.png")
     bad.write_bytes(content)
-    status, told, error = compare(save(tmp_path / "b.png", CODES), bad)
-    assert (status, told) == (3, [])
+    status, lines, error = compare(save(tmp_path / "b.png", CODES), bad)
+    assert (status, lines) == (3, [])
     for line in error.splitlines():
         assert (line.startswith(f"{bad}:"), line.count(str(bad))) == (True, 1)
 
