@@ -441,7 +441,7 @@ class _Reader:
                 children[name] = child
         return children, intended
 
-    def read_numbers(self, element: Element, validator: Numbers) -> Sequence[float]:
+    def read_numbers(self, element: Element, validator: Numbers) -> list[float]:
         """Parse the numbers in an element such as <center>, and report the element's errors.
 
         Parameters
@@ -454,7 +454,7 @@ class _Reader:
 
         Returns
         -------
-        numbers : sequence of float
+        numbers : list of float
             The numbers; after an error, as many NaN.
         """
         if element or element.attrib:
@@ -468,7 +468,7 @@ class _Reader:
             self.report(element, explain_invalid_number(word))
         if not invalid_words and not element:
             self.report(element, f"{validator.needed}, has {len(words)}")
-        return (np.nan,) * validator.count
+        return [np.nan] * validator.count
 
     # Errors in elements and attributes
 

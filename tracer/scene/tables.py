@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, Field, fields
 from itertools import repeat
 from typing import Any, cast
@@ -27,7 +27,7 @@ _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
 
-def parse_numbers(text: str, count: int) -> Sequence[float]:
+def parse_numbers(text: str, count: int) -> list[float]:
     """Parse a text that must consist of decimal numbers, separated by white space.
 
     Parameters
@@ -39,7 +39,7 @@ def parse_numbers(text: str, count: int) -> Sequence[float]:
 
     Returns
     -------
-    numbers : sequence of float
+    numbers : list of float
         The numbers.  Empty if the text is invalid: if (1) a word is no decimal number, (2) there
         are more or fewer than `count` words, or (3) float64 would round a nonzero number to 0.
     """
@@ -47,10 +47,10 @@ def parse_numbers(text: str, count: int) -> Sequence[float]:
     try:
         numbers = [*map(float, words)] if len(words) == count and _is_decimal(text) else []
     except ValueError:
-        return ()
+        return []
     if 0 in numbers and _may_underflow(text):
         is_exact = (number or _is_zero(word) for number, word in zip(numbers, words, strict=True))
-        return numbers if all(is_exact) else ()
+        return numbers if all(is_exact) else []
     return numbers
 
 
@@ -89,19 +89,19 @@ class Column:
         self.default_row = np.broadcast_to(default_numbers, self.validator.count).tolist()
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
-    def append(self, numbers: Sequence[float], line: int, tag: str) -> None:
+    def append(self, numbers: list[float], line: int, tag: str) -> None:
         """Append the numbers of one more object, which are those in one XML element.
 
         Parameters
         ----------
-        numbers : sequence of float
+        numbers : list of float
             The numbers in the element; if the element is absent, `default_row`.
         line : int
             Line of the element in the file; if the element is absent, 0.
         tag : str
             Tag of the element; if the element is absent, any tag that it may have.
         """
-        self.numbers.extend(numbers)
+        self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
         self.tag_index.append(self.tags.index(tag))
 
