@@ -1,8 +1,13 @@
 """A tracer as a student writes it, and mistakes: changes of one or two places in its source.
 
+`student.txt` lists the mistakes.
+
 The tests search for the mistakes with `reference.handins.formulas`, with which the source shares no
 code.
 """
+
+import re
+from pathlib import Path
 
 import numpy as np
 
@@ -107,103 +112,11 @@ NAMES = {
     "VH": "cam.view_height",
 }
 
-# One mistake in each line: its keyword, a colon, and replacements "old => new" in `SOURCE`,
-# separated by " ; ".
-TABLE = r"""
-projNormal-ignored: cam.proj_normal or cam.view_dir => cam.view_dir
-viewUp-ignored: np.array(cam.view_up) => np.array((0.0, 1, 0))
-viewDir-length: cam.proj_distance * norm(forward) => cam.proj_distance * forward
-projDistance-ignored: cam.proj_distance * norm => 1 * norm
-window-exchanged: * VW => * V_ ; * VH => * VW ; V_ => VH
-viewHeight-ignored: * VH => * VW
-window-ignored: * VW => * 1 ; * VH => * 1
-pixel-upper-left: (i + 0.5) => i ; (j + 0.5) => j
-shift-right: (i + 0.5) => (i - 0.5)
-shift-left: (i + 0.5) => (i + 1.5)
-shift-up: (j + 0.5) => (j + 1.5)
-shift-down: (j + 0.5) => (j - 0.5)
-shift-right-down: (i + 0.5) => (i - 0.5) ; (j + 0.5) => (j - 0.5)
-size-minus-1: (i + 0.5) / W => i / (W - 1) ; (j + 0.5) / H => j / (H - 1)
-mirrored: return codes => return codes[:, ::-1]
-flipped: return codes => return codes[::-1]
-hit-last: new = t < best => new = np.isfinite(t)
-hit-farthest: new = t < best => new = np.isfinite(t) & (t > np.where(who < 0, -1, best))
-root-far-all: np.where(near > least, near, far) => far
-missing-sphere: if True => if isinstance(s, Box)
-missing-box: if True => if isinstance(s, Sphere)
-missing-surface-1: if True => if k != 1
-radius-halved: RADIUS => (s.radius / 2)
-radius-squared: RADIUS => (s.radius ** 2)
-normal-length-sphere: (p - CENTER) / RADIUS => p - CENTER
-normal-inwards: -n, n) => n, -n)
-normal-center-box-turned: else box_normal(s, p) => else norm(p - np.add(s.min_pt, s.max_pt) / 2)
-l-length: l = way / far => l = way
-l-position: l = way / far => l = norm(np.array(light.position) + 0 * p)
-l-reversed: l = way / far => l = -way / far
-shadow-none: if m != k => if False
-shadow-none-sphere: if m != k => if m != k and isinstance(other, Box)
-shadow-none-box: if m != k => if m != k and isinstance(other, Sphere)
-shadow-none-surface-0: if m != k => if m != k and m != 0
-shadow-none-light-0: if m != k => if m != k and number != 0
-shadow-from-behind: way, 1e-7) < 1) => way, 1e-7) < np.inf)
-shadow-epsilon-.1: hit(other, p, way, 1e-7) < 1 => hit(other, p, l, 0.1) < far[:, 0]
-shadow-diffuse: KD * np.maximum(nl, 0) => KD * np.maximum(nl, 0) * see ; see * part => part
-light-missing-0: list(scene.lights) => list(scene.lights)[1:]
-light-first: list(scene.lights) => list(scene.lights)[:1]
-light-last: list(scene.lights) => list(scene.lights)[-1:]
-light-average: part * light.intensity => part * light.intensity / len(lights)
-intensity-ignored: part * light.intensity => part
-falloff-1: part * light.intensity => part * light.intensity / far
-falloff-2: part * light.intensity => part * light.intensity / far ** 2
-nl-unclipped: KD * np.maximum(nl, 0) => KD * nl
-nl-absolute-diffuse: KD * np.maximum(nl, 0) => KD * np.abs(nl)
-nl-missing: KD * np.maximum(nl, 0) => KD + 0 * nl
-diffuse-none: KD * np.maximum(nl, 0) => 0 * nl
-diffuse-ignored: KD => 1.0
-colors-exchanged: part + np.where(nl > 0, KS => KS * np.maximum(nl, 0) + np.where(nl > 0, KD
-specular-none: if isinstance(sh, Phong) => if False
-specular-ignored: KS => 1.0
-specular-diffuse: KS => KD
-h-length: h = norm(l + view) => h = l + view
-h-light: h = norm(l + view) => h = l
-h-difference: h = norm(l + view) => h = norm(l - view)
-v-viewDir: view = -ray => view = -norm(forward)
-v-position: view = -ray => view = norm(eye)
-v-length: view = -ray => view = eye - p
-reflection: nh = dot(n, h) => nh = dot(2 * nl * n - l, view)
-exponent-1: EXPONENT => 1
-exponent-halved: EXPONENT => (sh.exponent / 2)
-exponent-times-4: EXPONENT => (4 * sh.exponent)
-lobe-back: np.where(nl > 0, KS * shine, 0) => KS * shine
-lobe-times-nl: KS * shine => KS * shine * nl
-ambient-.1: color = np.zeros(p.shape) => color = 0.1 * KD + 0 * p
-unshaded: image[mine] = color => image[mine] = KD
-clipped-per-light: see * part * light.intensity => np.clip(see * part * light.intensity, 0, 1)
-wrapped: np.clip(image, 0, 1) => np.maximum(image, 0)
-whole-numbers: np.clip(image, 0, 1) => np.floor(np.clip(image, 0, 1))
-gamma-none: np.clip(image, 0, 1) ** (1 / 2.2) => np.clip(image, 0, 1)
-gamma-twice: (1 / 2.2) => (1 / 2.2 ** 2)
-gamma-inverse: (1 / 2.2) => 2.2
-gamma-srgb: np.clip(image, 0, 1) ** (1 / 2.2) => srgb(np.clip(image, 0, 1))
-levels-truncated: 255 * shown + 0.5 => 255 * shown
-channels-BGR: return codes => return codes[..., ::-1]
-background: image = np.zeros((H, W, 3)) => image = np.zeros((H, W, 3)) + (0.1, 0.2, 0.5)
-exponent-whole: EXPONENT => int(sh.exponent)
-light-assigned: color += see * part => color = color * ~see + see * part
-light-running-sum: color += see => color = color * (1 + (number > 0)) + see
-shadow-resets: color += see * part => color = see * color + see * part
-levels-before-gamma: np.clip(image, 0, 1) ** => (np.floor(255 * np.clip(image, 0, 1)) / 255) **
-window-of-2: * VW => * 2 ; * VH => * 2 * H / W
-row-last-missing: return codes => codes[-1] = 0; return codes
-rows-even-only: return codes => codes[1::2] = 0; return codes
-shift-left-up: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j + 1.5)
-shift-left-down: (i + 0.5) => (i + 1.5) ; (j + 0.5) => (j - 0.5)
-shift-right-up: (i + 0.5) => (i - 0.5) ; (j + 0.5) => (j + 1.5)
-"""
+MISTAKES_FILE = Path(__file__).with_name("student.txt")
 # For each keyword of a mistake: pairs of old and new code.
 MISTAKES = {
     kind: [change.split(" => ") for change in changes.split(" ; ")]
-    for kind, changes in (line.split(": ", 1) for line in TABLE.strip().splitlines())
+    for kind, changes in re.findall(r"^([^#].*?): (.*)$", MISTAKES_FILE.read_text(), re.MULTILINE)
 }
 
 
