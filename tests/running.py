@@ -23,12 +23,18 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 INTERRUPTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU]
 
 
+def write_ball(path: Path, width: int, height: int) -> Path:
+    """Write a scene file that shows a ball in width x height pixels, and return its path."""
+    path.write_text(SCENE.format(width, height))
+    return path
+
+
 def start_process(
     *arguments: object, python: Sequence[str] = ("-m", "tracer"), **options: Any
 ) -> subprocess.Popen[str]:
     """Start a command of the tracer, or other Python code, in a new process.
 
-    A signal ends the process after 5 minutes.  All signals have their default effect in it.
+    All signals have their default effect in the process, and one ends it after 5 minutes.
 
     Parameters
     ----------
@@ -38,9 +44,9 @@ def start_process(
         Arguments of the Python interpreter before those of the command.  By default, they run the
         module `tracer`.
     **options : Any
-        Keyword arguments of `subprocess.Popen`.  By default, the standard output and the standard
-        error are pipes of text.  The variables in `env` are added to `ENVIRONMENT`.  `preexec_fn`
-        is called in the new process after the default handling of signals has been restored.
+        Keyword arguments of `subprocess.Popen`.  By default, standard output and standard error
+        are pipes of text.  The variables in `env` are added to `ENVIRONMENT`.  `preexec_fn` is
+        called in the new process after the default handling of signals has been restored.
 
     Returns
     -------
@@ -90,9 +96,12 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    """Call a function every 0.01 seconds until it returns True.
+    """Call a function without arguments every 0.01 seconds until it returns True.
 
-    If it still returns False after 20 seconds, an AssertionError is raised.
+    Raises
+    ------
+    AssertionError
+        If the function still returns False after 20 seconds.
     """
     deadline = time.monotonic() + 20
     while not condition():
@@ -101,9 +110,9 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 
 def drop_jit(err: str) -> str:
-    """Return the text of standard error without the lines that begin with "jit".
+    """Remove the lines that begin with "jit" from the text of standard error.
 
-    Dr.Jit writes such lines if it finds no libLLVM.
+    Dr.Jit, a package on which Mitsuba depends, prints such lines if it finds no libLLVM.
     """
     return "".join(line for line in err.splitlines(True) if not line.startswith("jit"))
 
@@ -144,9 +153,17 @@ def peak_memory(*command: str, input: bytes = b"") -> float:
 
 
 def file_names(folder: Path) -> list[str]:
-    """Return the sorted paths of all files in a folder and its subfolders, except `ball.xml`.
+    """List all files in a folder and its subfolders, except `ball.xml`, the input of most tests.
 
-    The paths are relative to the folder.  `ball.xml` is the input of most tests.
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    names : list of str
+        Paths relative to the folder, sorted.
     """
-    paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    return sorted(str(path) for path in paths if str(path) != "ball.xml")
+    names = (str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    return sorted(name for name in names if name != "ball.xml")

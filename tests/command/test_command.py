@@ -14,7 +14,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from running import ROOT, SCENE, file_names, run, start_process
+from running import ROOT, SCENE, file_names, run, start_process, write_ball
 
 import tracer
 from converters import to_mitsuba
@@ -27,9 +27,8 @@ from tracer.command.failure import Failure, errors_as_failure
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "ball.xml"
-    path.write_text(SCENE.format(40, 30))
-    return path
+    """Write the file of a scene with 40 x 30 pixels into an empty folder, and return its path."""
+    return write_ball(tmp_path / "ball.xml", 40, 30)
 
 
 @pytest.mark.parametrize(
@@ -48,8 +47,7 @@ def scene(tmp_path: Path) -> Path:
 )  # fmt: skip
 def test_where_pictures_are_written(scene, arguments, written):
     (scene.parent / "there").mkdir()
-    other = scene.parent / "there" / "other.xml"
-    other.write_text(SCENE.format(3, 3))
+    write_ball(scene.parent / "there" / "other.xml", 3, 3)
     status, out, err = run(*arguments.split(), cwd=scene.parent)
     assert (status, err) == (0, "")
     lines = [re.escape(name) + r": \d+ x \d+ pixels in \d+\.\d{3} s\n" for name in written]
@@ -67,8 +65,7 @@ def test_where_pictures_are_written(scene, arguments, written):
     ("size", "expected"), [((81,), (81, 20)), ((1,), (1, 1)), ((7, 8), (7, 8)), (None, (40, 10))]
 )
 def test_a_width_alone_keeps_the_proportions(scene, size, expected):
-    scene.write_text(SCENE.format(40, 10))
-    resized = read_scene(str(scene), size)
+    resized = read_scene(str(write_ball(scene, 40, 10)), size)
     assert (resized.width, resized.height) == expected
 
 
@@ -135,9 +132,8 @@ def test_errors_become_failures_where_they_arise(error, text):
 
 @pytest.mark.parametrize("samples", [1, 4])
 def test_linear_radiance_is_written_exactly_or_as_float32(scene, samples):
-    other = scene.with_name("other.xml")
-    other.write_text(SCENE.format(300, 200))  # has several tiles
-    scenes = [scene, other]
+    # The second picture has several tiles.
+    scenes = [scene, write_ball(scene.with_name("other.xml"), 300, 200)]
     for arguments in (["--format", "npy"], ["--format", "exr", "-o", "new/"]):
         options = [*arguments, "--quiet", "--samples", samples, "--processes", 2]
         assert run(*scenes, *options, cwd=scene.parent) == (0, "", "")
@@ -176,28 +172,19 @@ def test_a_faulty_scene_does_not_keep_the_others_from_being_rendered(scene):
     assert file_names(scene.parent) == ["ball.xml.png", "faulty.xml"]
 
 
-@pytest.mark.parametrize(
-    ("render_tile", "error"),
-    [
-        (Mock(side_effect=MemoryError),
-         "{0}.png: cannot be written: not enough memory;"
-         " make the image smaller or take fewer samples\n"),
-        (Mock(return_value=np.full((30, 40, 3), np.nan)),
-         "{0}: cannot be rendered: an image must not contain NaN;"
-         " this is a bug in the tracer; please report it with the scene\n"),
-    ],
-)  # fmt: skip
-def test_a_picture_that_cannot_be_rendered(scene, monkeypatch, capsys, render_tile, error):
-    """The command prints a line instead of a traceback."""
+def test_a_bug_is_reported_in_a_line(scene, monkeypatch, capsys):
+    """The command prints no traceback."""
+    render_tile = Mock(return_value=np.full((30, 40, 3), np.nan))
     monkeypatch.setattr("tracer.picture.render.RenderJob.render_tile", render_tile)
     assert cli.main([str(scene), "--samples", "4"]) == 1
-    assert capsys.readouterr().err == error.format(scene)
+    reason = "an image must not contain NaN; this is a bug in the tracer"
+    error = f"{scene}: cannot be rendered: {reason}; please report it with the scene\n"
+    assert capsys.readouterr().err == error
     assert file_names(scene.parent) == []
 
 
 def test_nobody_reads_the_output_or_the_errors(scene, pipe_without_reader):
-    other = scene.with_name("other.xml")
-    other.write_text(SCENE.format(3, 3))
+    other = write_ball(scene.with_name("other.xml"), 3, 3)
     assert run(scene, other, stdout=pipe_without_reader) == (0, None, "")
     assert file_names(scene.parent) == ["ball.xml.png", "other.xml", "other.xml.png"]
     Path(f"{scene}.png").unlink()
@@ -252,9 +239,6 @@ def test_warnings_and_a_size_that_makes_pixels_oblong(scene, capsys):
     assert seen.startswith(f"{scene}: warning: {warning}\n{scene}: warning: no object is in view")
     assert cli.main([str(scene), "--size", "20x20", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
-    assert cli.main([str(scene), "--size", "99999x99999"]) == 1
-    error = "--size: width, height: 99999 x 99999 pixels are too many"
-    assert capsys.readouterr().err.startswith(error)
 
 
 def test_standard_input_and_output(scene):
@@ -271,21 +255,19 @@ def test_standard_input_and_output(scene):
 
 def test_watch(scene):
     """Files are saved, are wrong, are corrected, are replaced, are removed."""
-    other, missing = scene.with_name("other.xml"), scene.with_name("missing.xml")
-    other.write_text(SCENE.format(3, 3))
+    missing = scene.with_name("missing.xml")
+    other = write_ball(scene.with_name("other.xml"), 3, 3)
     with start_process(scene, other, missing, "--watch") as process:
         out, err = process.stdout, process.stderr
         assert err.readline() == "watching 3 scenes; press Ctrl-C to end\n"
         assert err.readline().startswith(f"{missing}: cannot be read: ")
         assert "ball.xml.png: 40 x 30" in out.readline()
         assert "other.xml.png: 3 x 3" in out.readline()
-        other.write_text(SCENE.format(5, 5))
+        write_ball(other, 5, 5)
         assert "other.xml.png: 5 x 5" in out.readline()
         scene.write_text("<scene>")
         assert "ball.xml:1: " in err.readline()
-        new = scene.with_name("new")
-        new.write_text(SCENE.format(8, 6))
-        new.replace(scene)
+        write_ball(scene.with_name("new"), 8, 6).replace(scene)
         assert "ball.xml.png: 8 x 6" in out.readline()
         other.unlink()
         line = err.readline()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from probe import scene_of
-from running import SCENE, file_names, peak_memory, run
+from running import file_names, peak_memory, run, write_ball
 
 from tracer import Box, Camera, Phong, PointLight, Sphere, render
 from tracer.world.prepared_scene import PreparedScene
@@ -64,21 +64,15 @@ def test_memory_does_not_increase_with_pairs_of_a_light_and_a_sample(light_count
     assert peak_memory(sys.executable, "-c", RENDER, input=given) < 250
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    """Return the path of a scene file to write."""
-    return tmp_path / "ball.xml"
-
-
 TOO_LARGE = "not enough memory; make the image smaller or take fewer samples\n"
 
 
 @pytest.mark.parametrize(
     ("size", "megabytes", "error"), [((3000, 2000), 4, TOO_LARGE), ((40, 30), 16, "")]
 )
-def test_a_lack_of_memory_is_reported(scene, size, megabytes, error):
+def test_a_lack_of_memory_is_reported(tmp_path, size, megabytes, error):
     """The process may use only a few megabytes more than all its modules do."""
-    scene.write_text(SCENE.format(*size))
+    scene = write_ball(tmp_path / "ball.xml", *size)
     script = f"""if True:
         import resource, sys
         from tracer.command.cli import main
@@ -88,25 +82,25 @@ def test_a_lack_of_memory_is_reported(scene, size, megabytes, error):
     """
     status, _, err = run(scene, python=("-c", script))
     assert (status, err.partition(": cannot be written: ")[2]) == (1 if error else 0, error)
-    assert file_names(scene.parent) == ([] if error else ["ball.xml.png"])
+    assert file_names(tmp_path) == ([] if error else ["ball.xml.png"])
 
 
 @pytest.mark.parametrize("megabytes", [20, 40])
-def test_a_lack_of_memory_for_numpy_is_reported(scene, megabytes):
+def test_a_lack_of_memory_for_numpy_is_reported(tmp_path, megabytes):
     """Larger limits are not tested: versions of OpenBLAS never end, or Python fails anywhere."""
-    scene.write_text(SCENE.format(40, 30))
+    scene = write_ball(tmp_path / "ball.xml", 40, 30)
     limit = megabytes << 20
     status, out, err = run(
         scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     )
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert re.match(r"the command cannot start: [^;]*[.]so[^;]*; give it more memory, or", err)
-    assert file_names(scene.parent) == []
+    assert file_names(tmp_path) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(1 << 28, 1), (1, 1 << 28)])
-def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(scene, size):
-    scene.write_text(SCENE.format(*size))
+def test_a_picture_as_wide_or_as_high_as_can_be_needs_little_memory(tmp_path, size):
+    scene = write_ball(tmp_path / "ball.xml", *size)
     assert peak_memory(sys.executable, "-m", "tracer", str(scene), "--quiet") < 150
     assert Path(f"{scene}.png").stat().st_size > 100_000
