@@ -65,28 +65,6 @@ def test_codes_do_not_depend_on_the_layout_of_the_array():
     assert (to_codes(image.tolist()) == expected).all()
 
 
-@pytest.mark.parametrize(
-    ("image", "error", "message"),
-    [
-        (np.zeros((4, 3)), ValueError, "an image has shape (height, width, 3), not (4, 3)"),
-        (np.zeros((4, 3, 4)), ValueError, "an image has shape (height, width, 3), not (4, 3, 4)"),
-        (np.full((1, 1, 3), np.nan), ValueError, "an image must not contain NaN"),
-        (np.zeros((0, 4, 3)), ValueError, "a picture has at least one pixel, not 4 x 0"),
-        (np.zeros((4, 0, 3)), ValueError, "a picture has at least one pixel, not 0 x 4"),
-        (np.zeros((4, 3, 3), dtype=np.uint8), TypeError,
-         "an image is linear radiance, from 0 to 1, not codes of type uint8"),
-        (np.zeros((4, 3, 3), dtype=complex), TypeError, "an image must be real, not complex"),
-        (np.ma.zeros((4, 3, 3)), TypeError,
-         "an image must not be a masked array; fill it: image.filled(0)"),
-    ],
-)  # fmt: skip
-def test_arrays_that_are_no_image(tmp_path, image, error, message):
-    with pytest.raises(error) as caught:
-        write_png(tmp_path / "picture.png", image)
-    assert str(caught.value) == message
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_names_of_pictures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     image = np.zeros((1, 1, 3))
