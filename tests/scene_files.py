@@ -25,6 +25,7 @@ FIELDS = {
     "samples": "the numbers of samples per pixel for which one of the above holds",
     "brightest value": "Mitsuba's picture agrees, and the tracer's largest value is above this",
     "culling": "exact: the picture is that of every ray against every object, to the last bit",
+    "read by": "the file of the test that reads the scene by its name",
     "slow": "yes, if similar scenes show the same, and this one is for the slow tests only",
 }
 """Names of the fields of a hard scene, and what they mean."""
@@ -33,12 +34,12 @@ NAMES = [path.stem for path in own_scenes()]
 
 
 def scene_parameters(*quick: str) -> list:
-    """Return the names of the project's scenes as parameters of a test, most of them marked slow.
+    """Return the names of the project's scenes as test parameters; mark most of them as slow.
 
     Parameters
     ----------
     *quick : str
-        Names of the scenes that are not marked slow.
+        Names of the scenes to test in the quick run as well.
 
     Returns
     -------
@@ -74,10 +75,10 @@ class HardScene(NamedTuple):
 
 
 def hard_scenes(field: str) -> list:
-    """Return the files of `tests/scenes` that have a given field, as parameters of a test.
+    """Return all files of `tests/scenes` that have a certain field, as test parameters.
 
-    The fields of a file are the lines "name: value" in the last paragraph of its first comment.
-    The paragraphs before it give the reason why the scene is hard to render.
+    A field is a line "name: value" in the last paragraph of a file's first comment.  The paragraphs
+    before it say why the scene is hard to render.
 
     Parameters
     ----------
@@ -93,14 +94,14 @@ def hard_scenes(field: str) -> list:
     Raises
     ------
     AssertionError
-        If the comment of any file gives no reason, or has a field that is not in `FIELDS`.
+        If the comment of any file does not say why, or has a field that is not in `FIELDS`.
     """
     parameters = []
     for path in sorted(HARD_SCENES.glob("*.xml")):
         comment = path.read_text(encoding="utf-8").partition("<!--")[2].partition("-->")[0]
         reason, _, lines = comment.strip().rpartition("\n\n")
         fields = dict(line.strip().split(": ") for line in lines.splitlines())
-        assert reason, f"{path}: the comment gives no reason"
+        assert reason, f"{path}: the comment does not say why the scene is hard to render"
         assert fields.keys() <= FIELDS.keys(), f"{path}: {fields.keys() - FIELDS.keys()}"
         if field in fields:
             marks = [pytest.mark.slow] * (fields.get("slow") == "yes")
@@ -109,7 +110,7 @@ def hard_scenes(field: str) -> list:
 
 
 def small_scene(name: str, width: int = 48, height: int = 27) -> Scene:
-    """Return a scene of this project with a small picture.
+    """Read a scene of this project, and make its picture small.
 
     Parameters
     ----------
@@ -121,27 +122,6 @@ def small_scene(name: str, width: int = 48, height: int = 27) -> Scene:
     Returns
     -------
     scene : Scene
-        The scene.  The height of its window is unchanged; the width is such that pixels are square.
+        The scene.  Its window has the height in the file, and a width that makes pixels square.
     """
     return resize_picture(load_scene(SCENES / f"{name}.xml"), width, height)
-
-
-def write_overflowing(small: Path) -> Path:
-    """Write a copy of a scene file whose radiance exceeds the largest float32 number.
-
-    Parameters
-    ----------
-    small : Path
-        The file from the fixture `small`.
-
-    Returns
-    -------
-    copy : Path
-        The new file `bright.xml` in the same folder: its object is brighter, and it has three more
-        lights.
-    """
-    light = "<light><position>3 5 4</position></light>"
-    text = small.read_text(encoding="utf-8").replace(".25 .5 .85", "3e38 0 0")
-    copy = small.with_name("bright.xml")
-    copy.write_text(text.replace("<image>", 3 * light + "<image>"), encoding="utf-8")
-    return copy

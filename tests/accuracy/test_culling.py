@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import chain, pairwise, product
+from itertools import pairwise, product
 from time import process_time, sleep
 from unittest.mock import patch
 
@@ -28,8 +28,7 @@ from tracer.geometry.sphere import Spheres
 from tracer.picture.render import RenderJob
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import light_geometry
-from tracer.trace.radiance import radiance_at, shade
+from tracer.trace.radiance import radiance_at
 from tracer.trace.samples import Scattered
 from tracer.world import light_grid, prepared_scene
 from tracer.world.light_grid import LightGrid
@@ -216,32 +215,6 @@ def test_lights_are_prepared_in_batches(monkeypatch):
         for image, samples in zip(expected, (1, 16), strict=True):
             assert np.array_equal(render(scene, samples), image)
     assert {*counts} == {9, 4, 1}
-    # The same if all lights have been prepared together before.
-    prepared = PreparedScene(scene)
-    sizes = [
-        {len(array) for array in (lights.grid.light[0], lights.side)}
-        for lights in chain([prepared.prepare_lights()], prepared.light_batches)
-    ]
-    assert sizes == [{9}, {4}, {4}, {1}]
-
-
-@np.errstate(all="ignore")
-def test_shading_can_be_read_between_lights():
-    scene = with_nine_lights(crowd(40, width=48, height=27))
-    prepared, samples = PreparedScene(scene), CENTERS.samples(slice(0, 27), slice(0, 48))
-    hits = radiance_module.nearest_hits(prepared, samples)
-    first, *others = prepared.light_batches
-    shading = shade(hits, [first])
-    partial = shading.radiance()
-    assert np.array_equal(shading.radiance(), partial)
-    for lights in others:
-        geometry = light_geometry(hits, lights)
-        is_lit = geometry.n_dot_l > 0
-        shading.add(geometry, is_lit & ~radiance_module.is_occluded(hits, lights, is_lit))
-    complete = shading.radiance()
-    assert np.array_equal(complete, radiance_at(prepared, samples))
-    assert (complete >= partial).all()
-    assert (complete > partial).any()
 
 
 def test_threads_share_prepared_lights(monkeypatch):

@@ -57,13 +57,6 @@ def test_order_of_lights(kind, samples):
         )
 
 
-@pytest.mark.parametrize("kind", ["scattered", "rooms", "enormous", "far"])
-def test_order_of_surfaces_that_do_not_coincide(kind):
-    for scene in scenes_of(kind, 1):
-        reversed_surfaces = replace(scene, surfaces=scene.surfaces[::-1])
-        assert np.array_equal(render(reversed_surfaces), render(scene))
-
-
 def has_ties(kind: str, scene: Scene) -> bool:
     """Return whether the inner side of the floor may be visible, with objects that stand on it."""
     return kind in ("touching", "duplicated") and -1 <= scene.camera.view_point[1] <= 0

@@ -36,18 +36,13 @@ def test_the_result_is_beside_the_scene_and_skipped_the_next_time(small, capsys,
     assert f"{scene}: skipped, because it is a converted scene\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("bad.xml", ":1: light: "), (".", ": "), ("/", ": "), ("loop", ": "), ("none.xml", ": ")],
-)
-def test_scenes_after_one_that_cannot_be_read_are_converted(tmp_path, capsys, name, message):
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    (tmp_path / "bad.xml").write_text("<scene><camera/><image>8 8</image><light/></scene>")
-    name = name if name in "./" else str(tmp_path / name)
-    assert main([name, *map(str, own_scenes()[:2]), "-o", f"{tmp_path}/made/"]) == 1
-    error = capsys.readouterr().err
-    assert error.startswith(f"{name}{message}")
-    assert error.count("\n") == 1
+def test_scenes_after_one_that_cannot_be_read_are_converted(tmp_path, capsys):
+    bad = tmp_path / "bad.xml"
+    bad.write_text("<scene><camera/><image>8 8</image><light/></scene>")
+    names = [str(bad), ".", "/"]
+    assert main([*names, *map(str, own_scenes()[:2]), "-o", f"{tmp_path}/made/"]) == 1
+    errors = capsys.readouterr().err.splitlines()
+    assert [error.partition(":")[0] for error in errors] == names
     expected = {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
     assert {*file_names(tmp_path / "made")} == expected
 

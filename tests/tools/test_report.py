@@ -144,17 +144,6 @@ def test_a_scene_is_described_by_its_first_comment(
     assert "ask somebody" not in html
 
 
-def test_scenes_that_cannot_be_compared_are_reported(small, report):
-    missing, page = small.with_name("missing.xml"), small.with_name("report.html")
-    status, error, text = report(page, small, missing)
-    reason = "No such file or directory; check the path and its permissions"
-    message = f"{missing}: cannot be read: {reason}"
-    assert (status, error) == (1, f"{message}\n")
-    assert "Where methods fail" not in text, "charts belong to the project's own scenes"
-    assert f"Not compared: {message}" in text
-    assert '<strong class="bad">1 agree.</strong>' in text
-
-
 def test_without_standard_error_the_page_is_written(small, report, monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     status, _, text = report(small.with_name("report.html"), small)
