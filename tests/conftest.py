@@ -20,17 +20,25 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option `--expect-skips`."""
-    text = (
-        "fail if a test is skipped, unless for lack of one of these programs, separated by commas"
+    """Add the option `--expect-skips` to the command line of pytest."""
+    help_text = (
+        "fail if a test is skipped, unless for lack of one of these programs: NAME[,NAME...]"
     )
-    parser.addoption("--expect-skips", metavar="PROGRAMS", help=text)
+    parser.addoption("--expect-skips", metavar="PROGRAMS", help=help_text)
 
 
 def find_program(program: str) -> str:
-    """Return the path of an installed program, or skip the test if the program is not installed.
+    """Return the path of an installed program; if it is not installed, skip the current test.
 
-    The option `--expect-skips` lists the programs that may be missing.
+    Parameters
+    ----------
+    program : str
+        Name of the program, for example "povray".
+
+    Returns
+    -------
+    path : str
+        The path of the executable file.
     """
     path = shutil.which(program)
     if path is None:
@@ -42,37 +50,42 @@ def find_program(program: str) -> str:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Make the test run fail if a test was skipped for an unexpected reason.
 
-    A skipped test may hide a failure.  Nothing is checked without the option `--expect-skips`,
-    which lists the programs that may be missing.  Each unexpected reason is printed, and the exit
-    status of the test run is then that of failed tests.
+    A skipped test may hide a failure.  With the option `--expect-skips`, which lists the programs
+    that may be missing, pytest calls this function at the end of the run.  The function prints each
+    unexpected reason, and changes the exit status to that of failed tests.
+
+    Parameters
+    ----------
+    session : pytest.Session
+        The test run.
     """
-    expected = session.config.getoption("--expect-skips")
+    missing_programs = session.config.getoption("--expect-skips")
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    if expected is None or reporter is None:
+    if missing_programs is None or reporter is None:
         return
-    # These are facts about the machine, which no installation changes.
-    known = {"Skipped: there is one processor", "Skipped: other C libraries do as they do"}
-    known |= {f"Skipped: {name} is not installed" for name in expected.split(",")}
+    # Two facts about the machine, which no installation changes, are also expected.
+    expected = {"Skipped: there is one processor", "Skipped: other C libraries do as they do"}
+    expected |= {f"Skipped: {name} is not installed" for name in missing_programs.split(",")}
     reasons = {report.longrepr[2] for report in reporter.stats.get("skipped", [])}
-    for reason in sorted(reasons - known):
+    for reason in sorted(reasons - expected):
         reporter.write_line(f"not expected: {reason}", red=True)
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture
 def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make antialiasing divide pixels that edges cross, however many objects the picture shows.
+    """Make antialiasing divide pixels at edges, even in pictures full of small objects.
 
-    Otherwise, if a picture is full of small objects, antialiasing samples all pixels uniformly.
+    Without this fixture, antialiasing samples all pixels of such pictures uniformly.
     """
     monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", math.inf)
 
 
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
-    """Write the file of a scene with 40 x 30 pixels into an empty folder, and return its path.
+    """Write the scene file `small.xml` into an empty folder, and return the path of the file.
 
-    The file is a copy of `scenes/one-sphere.xml`, with the name `small.xml`.
+    The scene is that of `scenes/one-sphere.xml`, with a picture of 40 x 30 pixels.
     """
     text = (Path(__file__).parents[1] / "scenes/one-sphere.xml").read_text(encoding="utf-8")
     path = tmp_path / "small.xml"
@@ -82,16 +95,16 @@ def small(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def odd_file(small: Path) -> Path:
-    """Return the path of a scene file whose name is not valid UTF-8, and contains a line break.
+    """Rename the file of the fixture `small`, and return its new path.
 
-    The file is that of the fixture `small`, which is renamed.
+    The new name is not valid UTF-8, and contains a line break.
     """
     return small.rename(small.with_name(os.fsdecode(b"\xff\n.xml")))
 
 
 @pytest.fixture
 def pipe_without_reader() -> Iterator[int]:
-    """Yield the file descriptor of a pipe's writing end, whose reading end is closed."""
+    """Yield a file descriptor for writing to a pipe whose reading end is closed."""
     read_end, write_end = os.pipe()
     os.close(read_end)
     yield write_end

@@ -1,4 +1,4 @@
-"""Build scenes of a few surfaces, and record the arguments with which functions are called."""
+"""Build scenes of a few surfaces, and record the arguments of function calls."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -48,7 +48,7 @@ def scene_of(
 
 
 def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) -> Scene:
-    """Build a scene of surfaces near the origin, seen from (0, 0, 5) through a narrow window.
+    """Build a scene that shows surfaces near the origin from (0, 0, 5), through a narrow window.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) ->
     light : (float, float, float)
         Position of the only light, which is white.
     **camera : object
-        More fields of the camera, other than `view_point`, `view_width` and `view_height`.
+        Other arguments of `Camera` than `view_point`, `view_width` and `view_height`.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def random_direction(rng: np.random.Generator) -> Floats:
 
 
 def rgb_lights(*positions: Vector) -> list[PointLight]:
-    """Return a red, a green and a blue light, so that each contributes to one colour channel.
+    """Return a red, a green and a blue light, each of which contributes to one colour channel.
 
     Parameters
     ----------
@@ -95,9 +95,7 @@ def rgb_lights(*positions: Vector) -> list[PointLight]:
 
 
 def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0)) -> Scene:
-    """Return a copy of a scene in which all lengths are scaled, and then all points shifted.
-
-    The copy has the same picture, except for rounding.
+    """Return a scaled and shifted copy of a scene, which has the same picture except for rounding.
 
     Parameters
     ----------
@@ -106,7 +104,7 @@ def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0))
     scale : float
         Factor on all lengths, greater than 0.
     shift : (float, float, float)
-        Vector that is added to all points after scaling.
+        Vector added to all points after scaling.
 
     Returns
     -------
@@ -138,7 +136,7 @@ def scale_and_shift(scene: Scene, scale: float, shift: Vector = (0.0, 0.0, 0.0))
 def record_calls(
     monkeypatch: pytest.MonkeyPatch, owner: object, name: str, summary: Callable[..., Any]
 ) -> list[Any]:
-    """Replace a function by one that also records a summary of the arguments of each call.
+    """Record a summary of the arguments whenever a function is called, until the test ends.
 
     Parameters
     ----------
@@ -154,13 +152,13 @@ def record_calls(
     Returns
     -------
     summaries : list
-        At first empty.  Each later call of the function appends the result of `summary`.
+        At first empty.  Each call of the function appends what `summary` returns.
     """
     summaries: list[Any] = []
     function = getattr(owner, name)
 
     def record(*arguments: Any) -> Any:
-        """Record a summary of the arguments, and call the original function."""
+        """Record a summary of the arguments, call the original function, and return its result."""
         summaries.append(summary(*arguments))
         return function(*arguments)
 

@@ -71,16 +71,16 @@ def scenes(
 ) -> Scene:
     """Let Hypothesis choose a scene, and print it as a scene file if the test fails.
 
-    The decorator passes the argument `draw`: a test calls this function without it, and receives a
-    strategy.
+    A test calls this function without the argument `draw`, which the decorator passes, and receives
+    a strategy.
 
     Parameters
     ----------
     draw : callable
         Returns a value of a strategy.
     kinds : iterable of str
-        What may make the scene hard to render: names in `FEW_OBJECTS`.  A crowd has too many
-        numbers for Hypothesis.
+        The kinds to choose from: names in `FEW_OBJECTS`.  A crowd has too many numbers for
+        Hypothesis.
     width, height : strategy of int
         Size of the picture, in pixels.
 
@@ -150,10 +150,22 @@ def _move(point: Vector, scale: float, direction: Vector) -> Vector:
 
 
 def _camera(random: Random, setting: Setting) -> Camera:
-    """Return a camera that looks at the setting's target from the distance `setting.reach`.
+    """Return a camera that looks at the target of a setting from a random direction.
 
-    Its direction and the shape of its window are random.  One in four cameras looks along an axis.
-    Four in ten have a window that is not perpendicular to the view direction.
+    One camera in four looks along an axis.  Four in ten have a window that is not perpendicular to
+    the view direction.
+
+    Parameters
+    ----------
+    random : Random
+        The source of all numbers.
+    setting : Setting
+        The target, and the camera's distance from it.
+
+    Returns
+    -------
+    camera : Camera
+        A camera whose window has a random shape.
     """
     x, y, z = _direction(random)
     up = _direction(random)
@@ -176,7 +188,7 @@ def _camera(random: Random, setting: Setting) -> Camera:
 
 
 def _light(random: Random, camera: Camera, setting: Setting) -> PointLight:
-    """Return a light in a random direction from the origin, or at a special position.
+    """Return a light at a random position, or at one where rendering is hard.
 
     One light in ten is at the eye.  At most one in ten is at the centre of a sphere, and at most
     one in ten is on the lower face of a box.
@@ -188,7 +200,7 @@ def _light(random: Random, camera: Camera, setting: Setting) -> PointLight:
     camera : Camera
         The camera, which has the position of the eye.
     setting : Setting
-        The surfaces, and the scale of the light's distance.
+        The surfaces, and the scale of the light's distance from the origin.
 
     Returns
     -------
@@ -233,9 +245,9 @@ def _box(random: Random, low: Vector, high: Vector) -> Box:
 
 
 def _ball_or_box(random: Random, spread: float, size: float) -> Surface:
-    """Return a ball or a box of random size, at a random place near the origin.
+    """Return a ball or a box of random size, at a random position near the origin.
 
-    Along each axis, one box in ten has the thickness 0.
+    Along each axis, one box in ten has no thickness.
 
     Parameters
     ----------
@@ -259,7 +271,7 @@ def _ball_or_box(random: Random, spread: float, size: float) -> Surface:
 
 
 def _balls_and_boxes(random: Random, count: int, spread: float, size: float = 1) -> list[Surface]:
-    """Return balls and boxes of random size, at random places near the origin.
+    """Return balls and boxes of random size, at random positions near the origin.
 
     Parameters
     ----------
@@ -281,7 +293,7 @@ def _balls_and_boxes(random: Random, count: int, spread: float, size: float = 1)
 
 
 def _scattered(random: Random) -> Setting:
-    """Return one to eight balls and boxes at random places, some of which cross."""
+    """Return one to eight balls and boxes at random positions, some of which intersect."""
     surfaces = _balls_and_boxes(random, random.randint(1, 8), 2)
     return Setting(surfaces, (0, 0, 0), _uniform(random, 1, 6))
 
@@ -314,7 +326,7 @@ def _nested(random: Random) -> Setting:
 
 
 def _duplicated(random: Random) -> Setting:
-    """Return the surfaces of another kind of scene, each of them twice, with equal copies."""
+    """Return the surfaces of another kind of scene, followed by an equal copy of each."""
     setting = random.choice([_scattered, _touching, _nested, _rooms])(random)
     copies = random.sample(setting.surfaces, len(setting.surfaces))
     return setting._replace(surfaces=setting.surfaces + copies)
@@ -330,7 +342,7 @@ def _enormous(random: Random) -> Setting:
 
 
 def _rooms(random: Random) -> Setting:
-    """Return a box or ball around the eye, and five surfaces, some of which cross its walls."""
+    """Return a box or ball around the eye, and five surfaces, some of which intersect it."""
     size = _eighths(random, 2, 4)
     is_round = random.randint(0, 1) == 0
     room = (
@@ -343,12 +355,12 @@ def _rooms(random: Random) -> Setting:
 
 
 def _far(random: Random) -> Setting:
-    """Return balls and boxes that are seen from up to 10^4 times their size."""
+    """Return balls and boxes that are seen from a distance of up to 10^4 times their size."""
     return Setting(_balls_and_boxes(random, 6, 1), (0, 0, 0), 10 ** _uniform(random, 1, 4))
 
 
 def _grazing(random: Random) -> Setting:
-    """Return a floor with a wall, balls and boxes, seen and lit from very low heights.
+    """Return a floor with a wall, balls and boxes, seen and lit from just above the floor.
 
     The heights of the eye and the lights over the floor may be as small as 10^-9 times their
     distances from the origin.

@@ -1,4 +1,4 @@
-"""The README, the pages and the scenes are true: examples run, links exist, figures are stored."""
+"""The pages and the scenes: examples run, links have targets, and figures are those stored."""
 
 import os
 import re
@@ -19,14 +19,15 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = ["README.md", ".github/CONTRIBUTING.md", *map(str, (ROOT / "reference").glob("*.md"))]
 
 
-def blocks(language: str) -> list[str]:
+def code_blocks(language: str) -> list[str]:
+    """Return the contents of the README's code blocks in a language, such as "python"."""
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
 
 
 def test_the_readme_is_one_page_with_two_commands():
     """One line each: `.ci/run` takes them from here, and runs them in a clean checkout."""
     assert README.count("\n") <= 160
-    first, last = (blocks("sh")[k].rstrip("\n") for k in (0, -1))
+    first, last = (code_blocks("sh")[k].rstrip("\n") for k in (0, -1))
     assert "\n" not in first + last
     assert first.endswith(" && tracer scenes/one-sphere.xml")
     assert last.endswith(" && python -m pytest -q -n auto")
@@ -35,7 +36,18 @@ def test_the_readme_is_one_page_with_two_commands():
 
 
 def stored_speedups(title: str) -> list[str]:
-    """Return the speedups over stock Mitsuba in one table of the stored benchmark, sorted."""
+    """Return the speedups over stock Mitsuba from one table of the stored benchmark.
+
+    Parameters
+    ----------
+    title : str
+        Title of the section with the table, in `reference/benchmark.md`.
+
+    Returns
+    -------
+    speedups : list of str
+        The factors as they are written, from the smallest to the largest.
+    """
     page = (ROOT / "reference/benchmark.md").read_text(encoding="utf-8")
     table = page.partition(f"## {title}\n")[2].partition("## ")[0]
     assert " | speedup over stock |\n" in table
@@ -52,9 +64,10 @@ def test_speeds_in_the_readme_are_those_of_the_benchmark():
 
 @pytest.fixture(scope="module")
 def example_folder(tmp_path_factory) -> Path:
-    """Run each Python block of the README as a file, under spawn; return the working folder.
+    """Run each Python block of the README as a program, and return the folder in which they ran.
 
-    The blocks render the project's scenes in small pictures.
+    The folder contains copies of the project's scenes, with small pictures.  Worker processes are
+    spawned, as on systems without fork.
     """
     folder = tmp_path_factory.mktemp("readme")
     (folder / "scenes").mkdir()
@@ -64,7 +77,7 @@ def example_folder(tmp_path_factory) -> Path:
     spawn = "import multiprocessing; multiprocessing.set_start_method('spawn')"
     (folder / "sitecustomize.py").write_text(spawn)
     environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
-    for number, block in enumerate(blocks("python")):
+    for number, block in enumerate(code_blocks("python")):
         file = folder / f"block{number}.py"
         file.write_text(block)
         assert run(file, python=(), cwd=folder, env=environment) == (0, "", "")
@@ -79,13 +92,13 @@ def test_python_blocks_of_the_readme_write_their_files(example_folder):
 
 
 def test_the_scene_file_in_the_readme_is_the_scene_built_in_python(example_folder):
-    (text,) = blocks("xml")
+    (text,) = code_blocks("xml")
     assert load_scene(BytesIO(text.encode())) == load_scene(example_folder / "ball.xml")
 
 
 def test_the_readme_shows_the_message_for_an_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (text,) = blocks("xml")
+    (text,) = code_blocks("xml")
     Path("bad.xml").write_text(text.replace("3 5 4", "3 five 4"))
     with pytest.raises(SceneFileError) as error:
         load_scene("bad.xml")
@@ -116,7 +129,7 @@ with open("scene.xml", "rb") as file:
 @pytest.mark.slow
 @pytest.mark.parametrize("checker", ["mypy --strict", f"pyright --pythonpath {sys.executable}"])
 def test_types_of_documented_usage(checker, tmp_path):
-    (tmp_path / "example.py").write_text("\n".join(blocks("python")))
+    (tmp_path / "example.py").write_text("\n".join(code_blocks("python")))
     (tmp_path / "uses.py").write_text(USES)
     files = tmp_path / "example.py", tmp_path / "uses.py"
     status, out, err = run(*files, python=("-m", *checker.split()), cwd=ROOT)
@@ -124,14 +137,14 @@ def test_types_of_documented_usage(checker, tmp_path):
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page):
+def test_links_have_targets(page):
     path = ROOT / page
     links = re.findall(r"\]\(([^)]+)\)", path.read_text(encoding="utf-8"))
     missing = [link for link in links if "://" not in link and not (path.parent / link).exists()]
     assert missing == []
 
 
-def test_the_commands_exist():
+def test_documented_commands_exist():
     text = "\n".join((ROOT / page).read_text(encoding="utf-8") for page in PAGES)
     modules = set(re.findall(r"-m ((?:tracer|converters|reference)[.\w]*)", text))
     assert len(modules) >= 5
@@ -159,20 +172,20 @@ def test_the_sheet_shows_every_scene(monkeypatch):
     assert regenerate.render_sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
 
 
-def test_what_is_converted_beside_scenes_is_none_of_them(tmp_path, monkeypatch):
+def test_converted_files_are_not_among_the_own_scenes(tmp_path, monkeypatch):
     monkeypatch.setattr("reference.command.SCENES", tmp_path)
     for name in ("room.xml", "room.mitsuba.xml", "ball.xml"):
         (tmp_path / name).touch()
     assert [path.name for path in own_scenes()] == ["ball.xml", "room.xml"]
 
 
+@pytest.mark.filterwarnings("error::tracer.SceneWarning")
 @pytest.mark.parametrize("path", own_scenes(), ids=lambda path: path.stem)
-def test_a_scene_says_what_it_shows_and_shows_something(path):
-    text = path.read_text(encoding="utf-8")
-    assert text.startswith("<!-- ")
-    assert text.index("-->") > 40
+def test_a_scene_is_described_and_exposed_well(path):
+    source = path.read_text(encoding="utf-8")
+    assert source.startswith("<!-- ")
+    assert source.index("-->") > 40
     image = render(load_scene(path))
-    seen = image.any(axis=2)
-    # Neither an empty picture nor one that is burnt out.
-    assert seen.mean() > 0.1
-    assert (image[seen].min(axis=1) > 1).mean() < 0.05
+    is_lit = image.any(axis=2)
+    assert is_lit.mean() > 0.1
+    assert (image[is_lit].min(axis=1) > 1).mean() < 0.05

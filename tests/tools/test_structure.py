@@ -8,6 +8,7 @@ import ast
 import io
 import re
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 from tokenize import COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL, generate_tokens
 from typing import NamedTuple
@@ -17,14 +18,20 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def budgets() -> dict[str, int]:
-    """Read the table of budgets in CONTRIBUTING: for folders, a module and a function, by name."""
+def read_budgets() -> dict[str, int]:
+    """Read the maximum numbers of lines of code from the table in CONTRIBUTING.
+
+    Returns
+    -------
+    budgets : dict of str to int
+        The limits.  A key is the name of a folder, "module" or "function".
+    """
     text = (ROOT / ".github/CONTRIBUTING.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (?:a |`)(\w+)(?:/`)? \| ([\d,]+) \|$", text, re.M)
     return {name: int(limit.replace(",", "")) for name, limit in rows}
 
 
-FOLDERS, BUDGET = ("tracer", "converters", "reference", "tests"), budgets()
+FOLDERS, BUDGET = ("tracer", "converters", "reference", "tests"), read_budgets()
 # Factor by which a folder may exceed its budget.
 TOLERANCE = 1.01
 # Maximum number of modules of the tracer in a chain in which each imports the next.
@@ -36,42 +43,80 @@ LAYERS += ["antialias", "picture", "command", "__init__", "__main__"]
 
 RULE = "see 'Budgets' in .github/CONTRIBUTING.md"
 
-BLANK = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}
+# Types of tokens that do not make a line a line of code.
+NO_CODE = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}
 
 
 class Module(NamedTuple):
-    """A module of the project, parsed."""
+    """A module of the project, parsed.
+
+    Attributes
+    ----------
+    tree : ast.Module
+        The syntax tree.
+    code_lines : set of int
+        The line numbers of all lines of code.
+    imports : set of str
+        Every `module` and `module.name` that the module imports, also inside functions.
+    """
 
     tree: ast.Module
-    code: set[int]
-    """Line numbers of the lines of code."""
+    code_lines: set[int]
     imports: set[str]
-    """Every `module` and `module.name` that the module imports, also inside functions."""
 
 
 @cache
-def modules(folder: str) -> dict[str, Module]:
-    """Parse all modules below a folder; return them by their dotted names."""
+def parse_folder(folder: str) -> dict[str, Module]:
+    """Parse all modules in a folder and its subfolders.
+
+    Parameters
+    ----------
+    folder : str
+        Name of a folder in the root of the project.
+
+    Returns
+    -------
+    modules : dict of str to Module
+        The modules by their names, such as "tracer.scene.model".
+    """
     paths = sorted((ROOT / folder).rglob("*.py"))
-    return {".".join(path.relative_to(ROOT).with_suffix("").parts): parse(path) for path in paths}
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
+    return dict(zip(names, map(parse_module, paths), strict=True))
 
 
-def parse(path: Path) -> Module:
-    """Parse one module."""
-    text = path.read_text(encoding="utf-8")
-    tree, code = ast.parse(text), set[int]()
-    for token in generate_tokens(io.StringIO(text).readline):
-        if token.type not in BLANK:
-            code |= {*range(token.start[0], token.end[0] + 1)}
+def parse_module(path: Path) -> Module:
+    """Parse a Python file, find its lines of code, and collect the names that it imports."""
+    source = path.read_text(encoding="utf-8")
+    tree, code_lines = ast.parse(source), set[int]()
+    for token in generate_tokens(io.StringIO(source).readline):
+        if token.type not in NO_CODE:
+            code_lines |= {*range(token.start[0], token.end[0] + 1)}
     for node in ast.walk(tree):
         # A string that stands alone is a docstring, or documents the attribute above it.
         if isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str):
-            code -= {*range(node.lineno, (node.end_lineno or 0) + 1)}
-    return Module(tree, code, imports(tree))
+            code_lines -= {*range(node.lineno, (node.end_lineno or 0) + 1)}
+    return Module(tree, code_lines, imported_names(tree))
 
 
-def imports(tree: ast.Module) -> set[str]:
-    """Return every `module` and `module.name` that a module imports, also inside functions."""
+def imported_names(tree: ast.Module) -> set[str]:
+    """Return the names of all modules, and of all objects in them, that a module imports.
+
+    Parameters
+    ----------
+    tree : ast.Module
+        The syntax tree of the module.  Imports inside functions are included, and so are constant
+        arguments of `import_module` and `run`.
+
+    Returns
+    -------
+    names : set of str
+        For "from package.module import name": "package.module" and "package.module.name".
+
+    Raises
+    ------
+    AssertionError
+        If the module contains a relative import.
+    """
     names: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -86,60 +131,71 @@ def imports(tree: ast.Module) -> set[str]:
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_no_folder_exceeds_its_budget(folder: str) -> None:
-    total, budget = sum(len(module.code) for module in modules(folder).values()), BUDGET[folder]
-    excess = f"{folder}/ has {total:,} lines of code, {total - budget:,} more than its budget"
-    assert 0 < total <= TOLERANCE * budget, f"{excess} of {budget:,}: {RULE}"
+    count, budget = sum(len(m.code_lines) for m in parse_folder(folder).values()), BUDGET[folder]
+    excess = f"{folder}/ has {count:,} lines of code, {count - budget:,} more than its budget"
+    assert 0 < count <= TOLERANCE * budget, f"{excess} of {budget:,}: {RULE}"
 
 
 def test_no_function_and_no_module_is_too_long() -> None:
     too_long = []
-    for name, (tree, code, _) in (item for folder in FOLDERS for item in modules(folder).items()):
-        too_long += [f"{name}: {len(code)}"] * (len(code) > BUDGET["module"])
+    modules = {name: m for folder in FOLDERS for name, m in parse_folder(folder).items()}
+    for name, (tree, code_lines, _) in modules.items():
+        too_long += [f"{name}: {len(code_lines)}"] * (len(code_lines) > BUDGET["module"])
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                count = len(code & {*range(node.lineno, (node.end_lineno or 0) + 1)})
+                count = len(code_lines & {*range(node.lineno, (node.end_lineno or 0) + 1)})
                 too_long += [f"{name}.{node.name}: {count}"] * (count > BUDGET["function"])
     assert too_long == [], f"too many lines of code: {RULE}"
 
 
-def layer(module: str) -> int:
-    """Return the height of a module's layer; a module may import others as high as itself."""
-    package, *inner = module.split(".")
+def layer_height(module: str) -> int:
+    """Return the height of the layer to which a module belongs.
+
+    A module may import modules of its own layer and of lower layers.  The lowest height is 0.
+
+    Parameters
+    ----------
+    module : str
+        Name of the module, such as "tracer.scene.model".
+    """
+    package, *inner_names = module.split(".")
     if package != "tracer":
         return len(LAYERS) + ["converters", "reference", "tests"].index(package)
-    return LAYERS.index(inner[0]) if inner else len(LAYERS)
+    return LAYERS.index(inner_names[0]) if inner_names else len(LAYERS)
 
 
 def test_no_module_imports_a_higher_layer() -> None:
-    names = {name.removesuffix(".__init__") for folder in FOLDERS for name in modules(folder)}
-    upwards = {
-        (name, used)
+    imports = {
+        name.removesuffix(".__init__"): module.imports
         for folder in FOLDERS
-        for name, module in modules(folder).items()
-        for used in module.imports & names
-        if layer(used) > layer(name.removesuffix(".__init__"))
+        for name, module in parse_folder(folder).items()
+    }
+    upwards = {
+        (name, imported)
+        for name in imports
+        for imported in imports[name] & imports.keys()
+        if layer_height(imported) > layer_height(name)
     }
     # A scene displays itself in a notebook as a picture.
     assert upwards == {("tracer.scene.model", "tracer.picture.render")}
 
 
 def test_imports_in_the_tracer_are_direct_and_form_no_cycle() -> None:
-    tracer = modules("tracer")
+    tracer = parse_folder("tracer")
     packages = {name.removesuffix(".__init__") for name in tracer if name.endswith(".__init__")}
-    uses = {name: module.imports & set(tracer) for name, module in tracer.items()}
-    uses["tracer.scene.model"] -= {"tracer.picture.render"}
+    imports = {name: module.imports & set(tracer) for name, module in tracer.items()}
+    imports["tracer.scene.model"] -= {"tracer.picture.render"}
 
-    @cache
-    def depth(name: str, above: tuple[str, ...] = ()) -> int:
-        assert name not in above, f"a cycle: {above}"
-        return 1 + max((depth(other, (*above, name)) for other in uses[name]), default=0)
-
-    # `__main__` is one import above the whole command.
-    assert max(map(depth, {*tracer} - {"tracer.__main__"})) <= MAX_DEPTH
+    del imports["tracer.__main__"]  # is one import above the whole command
+    # For each module, the number of modules in the longest chain of imports that begins with it.
+    depths = dict[str, int]()
+    for name in TopologicalSorter(imports).static_order():  # raises CycleError
+        depths[name] = 1 + max((depths[imported] for imported in imports[name]), default=0)
+    assert max(depths.values()) <= MAX_DEPTH
     # A name is imported from the module that defines it, not from its package.
     allowed = {*tracer, *packages, "tracer.__version__"}
     for name, module in tracer.items():
-        from_packages = {used for used in module.imports if used.rpartition(".")[0] in packages}
+        from_packages = {each for each in module.imports if each.rpartition(".")[0] in packages}
         assert from_packages <= allowed, name
 
 
@@ -152,23 +208,23 @@ def test_other_packages_use_only_public_names_of_the_tracer(folder: str) -> None
     # The certificate needs to know which surface each sample hits, and uses the light grid.
     # Illustrations show data structures of the tracer.
     internal = {"reference.judges.faces", "reference.illustrations"}
-    for name, module in modules(folder).items():
+    for name, module in parse_folder(folder).items():
         if name not in internal:
-            used = {each for each in module.imports if each.partition(".")[0] == "tracer"}
-            assert {each for each in used if not each.startswith(shared)} <= public, name
+            imported = {each for each in module.imports if each.partition(".")[0] == "tracer"}
+            assert {each for each in imported if not each.startswith(shared)} <= public, name
 
 
 @pytest.mark.parametrize("folder", ["converters", "reference"])
 def test_every_command_handles_signals_before_it_imports_the_rest(folder: str) -> None:
     start = ["from __future__ import annotations", "from tracer.command.process import run"]
     start += ["if __name__ == '__main__':\n    run(__spec__.name)"]
-    commands = 0
-    for name, module in modules(folder).items():
-        text = [ast.unparse(node) for node in module.tree.body]
+    command_count = 0
+    for name, module in parse_folder(folder).items():
+        statements = [ast.unparse(node) for node in module.tree.body]
         if any(getattr(node, "name", "") == "main" for node in module.tree.body):
-            assert text[1:4] == start, name
-            commands += 1
+            assert statements[1:4] == start, name
+            command_count += 1
         else:
-            assert not any("__main__" in line for line in text), name
-        assert "signal.signal" not in "".join(text), name
-    assert commands
+            assert not any("__main__" in statement for statement in statements), name
+        assert "signal.signal" not in "".join(statements), name
+    assert command_count
