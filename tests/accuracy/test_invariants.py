@@ -77,7 +77,7 @@ def test_order_of_surfaces_and_size_of_batches(kind, samples, monkeypatch):
         shuffled = replace(scene, surfaces=[surfaces[i] for i in order])
         assert np.array_equal(render(shuffled, samples), image)
         with monkeypatch.context() as context:
-            for tile_size, batch_size in ((25, 200), (50, refine._SAMPLES_PER_BATCH)):
+            for tile_size, batch_size in ((15, 200), (20, refine._SAMPLES_PER_BATCH)):
                 context.setattr(render_module, "_MAX_TILE_SAMPLES", tile_size)
                 assert len(render_module.RenderJob(shuffled, samples).tiles(shared=False)) > 1
                 context.setattr(refine, "_SAMPLES_PER_BATCH", batch_size)
