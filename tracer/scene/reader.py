@@ -105,13 +105,13 @@ class _Reader:
     ----------
     errors : list of (int, str)
         Line and message of each error so far; line 0 if the error concerns the whole file.
-    unique : dict of str to Element
+    unique_elements : dict of str to Element
         The elements that a file contains only once, by their tags: "scene" (the root), "camera" and
         "image".
     intended_tags : set of (str or None)
         Tags that the author of the file probably meant by unknown children of the scene.  An
         element with such a tag is not reported as missing.
-    empty : Scene
+    empty_scene : Scene
         A scene that has the size of the picture, but no content.
     cameras, lights : Table
         The cameras, of which a valid file has one, and the lights.
@@ -129,9 +129,9 @@ class _Reader:
 
     def __init__(self) -> None:
         self.errors: list[tuple[int, str]] = []
-        self.unique: dict[str, Element] = {}
+        self.unique_elements: dict[str, Element] = {}
         self.intended_tags: set[str | None] = set()
-        self.empty = Scene(width=1, height=1)
+        self.empty_scene = Scene(width=1, height=1)
         self.cameras, self.lights = Table(model.Camera), Table(model.PointLight)
         self.shaders = {kind.__name__: Table(kind) for kind in (model.Lambertian, model.Phong)}
         self.surfaces = {kind.__name__: Table(kind) for kind in (model.Sphere, model.Box)}
@@ -215,9 +215,9 @@ class _Reader:
             If the root is not that of a scene file, or there are more than `MAX_ERRORS` errors.
         """
         tag = element.tag
-        if tag == "surface" and self.unique:
+        if tag == "surface" and self.unique_elements:
             self.read_surface(element)
-        elif not self.unique:
+        elif not self.unique_elements:
             self.read_root(element)
         elif tag == "shader":
             self.read_shader(element)
@@ -226,11 +226,12 @@ class _Reader:
         elif tag == "light":
             self.read_row(self.lights, element)
         elif tag in ("camera", "image"):
-            if self.unique.setdefault(tag, element) is not element:
-                self.report_duplicate(element, self.unique[tag])
+            if self.unique_elements.setdefault(tag, element) is not element:
+                self.report_duplicate(element, self.unique_elements[tag])
             self.read_row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
-            self.intended_tags.add(self.report_unknown(element, self.unique["scene"], _SCENE_TAGS))
+            root = self.unique_elements["scene"]
+            self.intended_tags.add(self.report_unknown(element, root, _SCENE_TAGS))
 
     def read_root(self, element: Element) -> None:
         """Check and store the root element of the file.
@@ -252,10 +253,10 @@ class _Reader:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
             raise FatalError(element.line, message)
         self.report_attributes(element)
-        self.unique["scene"] = element
+        self.unique_elements["scene"] = element
 
     def read_image(self, element: Element) -> None:
-        """Read the size of the picture from the element <image>, and store it in `empty`.
+        """Read the size of the picture from the element <image>, and store it in `empty_scene`.
 
         If the element is invalid, its errors are added to the list of errors, and the size is not
         stored.
@@ -270,7 +271,7 @@ class _Reader:
             self.report(element, message if text.isascii() else explain_invalid_number(text))
             return
         try:
-            self.empty = Scene(width=int(match[1]), height=int(match[2]))
+            self.empty_scene = Scene(width=int(match[1]), height=int(match[2]))
         except SceneError as error:
             for line in error.lines:
                 self.report(element, line)
@@ -390,25 +391,25 @@ class _Reader:
             The known children of the element, by the names of the dataclass fields that they
             define.
         """
-        children, intended = self.read_children(element, table.field_of_tag, *attributes)
+        children, intended_names = self.read_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
-        for name, column in table.columns.items():
-            source = children.get(name)
-            if source is not None:
-                column.append(self.read_numbers(source, column.validator), source.line, source.tag)
+        for field_name, column in table.columns.items():
+            child = children.get(field_name)
+            if child is not None:
+                column.append(self.read_numbers(child, column.validator), child.line, child.tag)
                 continue
             tag = column.tags[0]
             column.append(column.default_row, 0, tag)
-            if column.default is MISSING and tag not in intended:
+            if column.default is MISSING and tag not in intended_names:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
 
     def read_children(
         self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
     ) -> tuple[dict[str, Element], set[str | None]]:
-        """Sort the children of an element by dataclass fields; report what is not allowed in it.
+        """Map the children of an element to the dataclass fields that they define.
 
-        Unknown attributes, unknown children and duplicate children are reported.
+        Unknown attributes, unknown children and duplicate children are reported as errors.
 
         Parameters
         ----------
@@ -423,23 +424,23 @@ class _Reader:
         -------
         children : dict of str to Element
             The known children, by the names of the fields that they define.
-        intended : set of (str or None)
+        intended_names : set of (str or None)
             The names that the author of the file probably meant by unknown attributes and tags.
-            Contains None if that is unclear for one of them.
+            Contains None if the intended name of an attribute or tag is unclear.
         """
-        intended: set[str | None] = set()
+        intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
-            intended = self.report_attributes(element, attributes, field_of_tag)
+            intended_names = self.report_attributes(element, attributes, field_of_tag)
         children: dict[str, Element] = {}
         for child in element:
-            name = field_of_tag.get(child.tag)
-            if name is None:
-                intended.add(self.report_unknown(child, element, field_of_tag))
-            elif name in children:
-                self.report_duplicate(child, children[name])
+            field_name = field_of_tag.get(child.tag)
+            if field_name is None:
+                intended_names.add(self.report_unknown(child, element, field_of_tag))
+            elif field_name in children:
+                self.report_duplicate(child, children[field_name])
             else:
-                children[name] = child
-        return children, intended
+                children[field_name] = child
+        return children, intended_names
 
     def read_numbers(self, element: Element, validator: Numbers) -> list[float]:
         """Parse the numbers in an element such as <center>, and report the element's errors.
@@ -486,12 +487,12 @@ class _Reader:
         *attributes : str
             Names of the attributes that are allowed in the element, in addition to `type`.
         """
-        intended = self.report_attributes(element, (*attributes, "type"))
+        intended_names = self.report_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
         if unknown_type is not None:
             remedy, _ = suggest_name(unknown_type, tables)
             self.report(element, f"unknown type {quoted(unknown_type)}; {remedy}")
-        elif "type" not in intended:
+        elif "type" not in intended_names:
             choice = " or ".join(f'type="{known_type}"' for known_type in tables)
             self.report(element, f"has no type; add {choice}")
 
@@ -553,32 +554,33 @@ class _Reader:
 
         Returns
         -------
-        intended : set of (str or None)
-            The attribute names and child tags that the author of the file probably meant.  Contains
-            None if that is unclear for an attribute.
+        intended_names : set of (str or None)
+            The attribute names and child tags that the author of the file probably meant by unknown
+            attributes.  Contains None if the intended name of an attribute is unclear.
         """
-        intended: set[str | None] = set()
+        intended_names: set[str | None] = set()
         for name, value in element.attrib.items():
             if name in allowed:
                 continue
-            remedy, meant = suggest_tag(name, (*allowed, *child_tags))
-            if meant == "shader":
+            remedy, intended = suggest_tag(name, (*allowed, *child_tags))
+            if intended == "shader":
                 remedy = f'write <shader ref="{shortened(value)}"/> in it'
-            elif meant in child_tags:
-                remedy = f"write <{meant}>{shortened(value)}</{meant}> in it"
-            elif meant is None:
+            elif intended in child_tags:
+                remedy = f"write <{intended}>{shortened(value)}</{intended}> in it"
+            elif intended is None:
                 remedy, _ = suggest_name(name, allowed)
-            intended.add(meant)
+            intended_names.add(intended)
             self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
-        return intended
+        return intended_names
 
     # From tables to a scene
 
     def report_missing(self) -> None:
         """Report a missing camera or image element, unless it is probably one that is misspelt."""
         for tag in ("camera", "image"):
-            if tag not in self.unique and tag not in self.intended_tags:
-                self.report(self.unique["scene"], f"has no {tag}; add <{tag}> ... </{tag}>")
+            if tag not in self.unique_elements and tag not in self.intended_tags:
+                message = f"has no {tag}; add <{tag}> ... </{tag}>"
+                self.report(self.unique_elements["scene"], message)
 
     def report_undefined_shaders(self) -> None:
         """Report each reference to a shader that the file does not define, with a suggested fix."""
@@ -617,4 +619,4 @@ class _Reader:
             line=np.concatenate([table.lines for table in tables]),
         )
         (camera,), lights = self.cameras.make_objects(), tuple(self.lights.make_objects())
-        return replace(self.empty, camera=camera, lights=lights, surfaces=surfaces)
+        return replace(self.empty_scene, camera=camera, lights=lights, surfaces=surfaces)
