@@ -32,10 +32,9 @@ from converters.mitsuba_xml import HEAD, ConversionError
 from tracer.command.arguments import (
     CommandParser,
     choose_output_paths,
-    file_name,
     make_output_folder,
-    module_docstring,
-    whole_number,
+    parse_path,
+    parse_positive_int,
 )
 from tracer.command.failure import Failure, describe_cause, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line
@@ -204,11 +203,11 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         The parser, to which SCENE.xml, -o and --variant are added.
     """
-    parser.add_argument("scenes", nargs="+", type=file_name, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
         "--output",
-        type=file_name,
+        type=parse_path,
         metavar="PATH",
         help="the file to write, or a folder for those of several scenes;"
         " a folder that ends in / is created if it is missing",
@@ -218,18 +217,14 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _command_line_parser() -> argparse.ArgumentParser:
+def _command_line_parser() -> CommandParser:
     """Build the command-line parser of `python -m converters.to_mitsuba`."""
-    parser = CommandParser(
-        prog="python -m converters.to_mitsuba",
-        description=module_docstring(__name__),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(__name__)
     add_scene_arguments(parser)
     parser.add_argument("--flavour", choices=("stock", "exact"), help="see above")
     parser.add_argument(
         "--samples",
-        type=whole_number(1),
+        type=parse_positive_int,
         metavar="N",
         help="samples per pixel, which may be rounded up (default: 64 in the stock flavour; one,"
         " at the pixel's centre, in the exact flavour)",

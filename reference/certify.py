@@ -32,7 +32,7 @@ from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_par
 from reference.judges.certificate import Certificate, certify
 from reference.pictures import Codes, read_picture
 from tracer import Scene, load_scene, to_codes, write_png
-from tracer.command.arguments import file_name
+from tracer.command.arguments import CommandParser, parse_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_result
 from tracer.command.progress import Progress
@@ -92,20 +92,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if wrong_count else 0
 
 
-def _make_command_parser() -> argparse.ArgumentParser:
+def _make_command_parser() -> CommandParser:
     """Make the command-line parser of this module."""
     command_parser = make_parser("reference.certify")
     add = command_parser.add_argument
-    add("scene", type=file_name, metavar="SCENE.xml", help="the scene file")
+    add("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
     default = f"{_DEFAULT_ERROR}; {_DEFAULT_ERROR_OF_CODES} with --codes"
     text = f"permitted error of a pixel's mean radiance ({default})"
     add("--error", type=_positive_fraction, metavar="E", help=text)
     text = "also accept a pixel as soon as only one 8-bit code per channel is possible"
     add("--codes", action="store_true", help=text)
     text = "the picture to write (SCENE.xml.certified.png)"
-    add("-o", "--output", type=file_name, metavar="OUT.png", help=text)
+    add("-o", "--output", type=parse_path, metavar="OUT.png", help=text)
     text = "a picture of the scene, whose certainly wrong 8-bit codes are counted"
-    add("--judge", type=file_name, metavar="PICTURE.png", help=text)
+    add("--judge", type=parse_path, metavar="PICTURE.png", help=text)
     return command_parser
 
 

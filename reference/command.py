@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from tracer.command.arguments import OTHER_NAME, CommandParser, module_docstring, real_path
+from tracer.command.arguments import OTHER_NAME, CommandParser, real_path
 from tracer.command.process import MISUSED
-from tracer.messages import printable
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
@@ -29,7 +27,7 @@ def build_path(name: str) -> Path:
     return BUILD / name
 
 
-def make_parser(module: str, quick: str | None = None) -> argparse.ArgumentParser:
+def make_parser(module: str, quick: str | None = None) -> CommandParser:
     """Create a command-line parser whose help text is the docstring of a module.
 
     Parameters
@@ -41,21 +39,17 @@ def make_parser(module: str, quick: str | None = None) -> argparse.ArgumentParse
 
     Returns
     -------
-    parser : ArgumentParser
+    parser : CommandParser
         A parser without arguments, apart from ``--quick``; the caller adds them.
     """
-    parser = CommandParser(
-        prog=f"python -m {module}",
-        description=module_docstring(module),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(module)
     if quick:
         parser.add_argument("--quick", action="store_true", help=f"{quick}; write to build/")
     return parser
 
 
 def forbid_overwriting_inputs(
-    command_parser: argparse.ArgumentParser, outputs: Iterable[Path], inputs: Iterable[Path]
+    command_parser: CommandParser, outputs: Iterable[Path], inputs: Iterable[Path]
 ) -> None:
     """Reject a command line on which an output file is also an input file.
 
@@ -63,7 +57,7 @@ def forbid_overwriting_inputs(
 
     Parameters
     ----------
-    command_parser : ArgumentParser
+    command_parser : CommandParser
         The parser, which prints an error message, and ends the process with exit status 2.
     outputs : iterable of Path
         Files that the command will write.
@@ -80,5 +74,4 @@ def forbid_overwriting_inputs(
     input_paths = {real_path(path, status=MISUSED) for path in inputs}
     for output in outputs:
         if real_path(output, status=MISUSED) in input_paths:
-            message = f"{output}: this would replace an input; {OTHER_NAME}"
-            command_parser.error(printable(message))
+            command_parser.error(f"{output}: this would replace an input; {OTHER_NAME}")

@@ -46,7 +46,7 @@ from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
 from reference.pictures import Codes, read_picture
 from tracer import load_scene
-from tracer.command.arguments import OTHER_NAME, file_name, is_folder
+from tracer.command.arguments import OTHER_NAME, is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_result
 from tracer.command.progress import track
@@ -103,8 +103,8 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     add("--ssim", type=tolerance, metavar="S", help="minimum SSIM that is tolerated")
     add("--max", type=tolerance, metavar="M", help="maximum linear difference that is tolerated")
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
-    add("-o", "--output", type=file_name, metavar="PATH", help=output_help)
-    add("--html", type=file_name, metavar="OUT.html", help="write one page that shows all of them")
+    add("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
+    add("--html", type=parse_path, metavar="OUT.html", help="write one page that shows all of them")
     formats = command_parser.add_mutually_exclusive_group()
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
     add_format("--json", const=format_json, help="print a list with an object per picture")

@@ -32,7 +32,7 @@ from reference.figures import amplify_difference
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
-from tracer.command.arguments import file_name, is_folder
+from tracer.command.arguments import is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
@@ -211,9 +211,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     add = command_parser.add_argument
     add("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="scene files (all scenes/)")
     help_text = "the page to write, or a folder for it, which may end in / (build/report.html)"
-    add(
-        "-o", "--output", type=file_name, metavar="PATH", help=help_text, default=str(BUILD / _NAME)
-    )
+    default_path = str(BUILD / _NAME)
+    add("-o", "--output", type=parse_path, metavar="PATH", help=help_text, default=default_path)
     add("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or own_scenes())})

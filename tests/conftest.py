@@ -10,6 +10,7 @@ import pytest
 from hypothesis import settings
 
 from tracer.antialias import refine as antialias
+from tracer.picture import render
 
 # Numbers of examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
 # tries the same examples in every run.  The thorough profile tries others, which the seed from
@@ -79,6 +80,14 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     Without this fixture, antialiasing samples all pixels of such pictures uniformly.
     """
     monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", math.inf)
+
+
+@pytest.fixture
+def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Divide pictures into many tiles, and share even the smallest pictures with an executor."""
+    monkeypatch.setattr(render, "MIN_SHARED_SECONDS", 0)
+    monkeypatch.setattr(render, "_MAX_TILE_SAMPLES", 1000)
+    monkeypatch.setattr(render, "_CLASSIFIED_FACTOR", 1)
 
 
 @pytest.fixture

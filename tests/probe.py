@@ -47,6 +47,19 @@ def scene_of(
     )
 
 
+def sphere_scene(width: int = 300, height: int = 200) -> Scene:
+    """Build a scene of a sphere, visible in all of the picture but its corners, and two lights.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of the picture, in pixels.
+    """
+    camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
+    lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
+    return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
+
+
 def close_up(*surfaces: Surface, light: Vector = (3, 4, 5), **camera: object) -> Scene:
     """Build a scene that shows surfaces near the origin from (0, 0, 5), through a narrow window.
 

@@ -9,7 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import tracer
+from tracer.picture.parallel import count_processors
 
 # A scene file for `str.format`, which takes the columns and the rows of the picture.  The window
 # has the same size, so pixels are square.
@@ -93,6 +96,19 @@ def run(*arguments: object, input: Any = None, **options: Any) -> tuple[int, Any
     with start_process(*arguments, **options) as process:
         out, err = process.communicate(input)
     return process.returncode, out, err
+
+
+needs_two = pytest.mark.skipif(count_processors() < 2, reason="there is one processor")
+"""Mark of tests that need two processors."""
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[int]:
+    """Return the ids of all child processes of a running process; none if it has ended."""
+    try:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text()
+    except OSError:
+        return []
+    return [*map(int, children.split())]
 
 
 def wait_until(condition: Callable[[], bool]) -> None:

@@ -6,7 +6,7 @@ from tracer.command.process import run
 
 
 def main() -> NoReturn:
-    """Run the command line of the tracer, and end the process with its exit status."""
+    """Run the command ``tracer``, and end the process with its exit status."""
     run("tracer.command.cli")
 
 

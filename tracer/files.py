@@ -19,10 +19,8 @@ _part_files: set[str] = set()
 
 
 @contextmanager
-def atomic_file(
-    path: str | os.PathLike[str], magic: bytes, *, needs_name: bool = False
-) -> Iterator[IO[bytes]]:
-    """Write a file in a with block; it gets its name only if the block ends without an error.
+def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
+    """Write a file in a with block, and put it in place only if the block ends without an error.
 
     At the end of the block, the new file replaces the file at `path`, and takes over its
     permissions.  After an error in the block, the new file is deleted, and the file at `path` is
@@ -35,14 +33,12 @@ def atomic_file(
         same kind: begin with `magic`.
     magic : bytes
         The first bytes of files of this kind.  If empty, a file of any kind is replaced.
-    needs_name : bool
-        Whether the new file must have a temporary path while it is written (its attribute `name`),
-        so that a library can open it by that path.
 
     Yields
     ------
     file : binary file
-        The new file, empty and open for writing.
+        The new file, empty and open for writing.  Its attribute `name` is a temporary path, or the
+        file descriptor if it has none.
 
     Raises
     ------
@@ -52,10 +48,10 @@ def atomic_file(
     FileExistsError
         If a file of another kind exists at `path`.  (This is a subclass of OSError.)
     """
-    target, mode = os.path.realpath(path), None
+    target, old_mode = os.path.realpath(path), None
     with suppress(FileNotFoundError):
-        mode = os.stat(target).st_mode
-        if not stat.S_ISREG(mode):
+        old_mode = os.stat(target).st_mode
+        if not stat.S_ISREG(old_mode):
             raise OSError(errno.EINVAL, "not a regular file", target)
         # Opened for writing, as a file without permission to write must not be replaced.
         with open(target, "r+b") as existing:
@@ -66,13 +62,13 @@ def atomic_file(
     part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
     _part_files.add(part_path)
     try:
-        with open(part_path, "xb") if needs_name else _open_nameless(folder, part_path) as file:
+        with _open_nameless(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
-                nameless = f"/proc/self/fd/{file.fileno()}"
-                os.link(nameless, part_path, src_dir_fd=0, follow_symlinks=True)
-        if mode is not None:
-            os.chmod(part_path, stat.S_IMODE(mode))
+                descriptor_path = f"/proc/self/fd/{file.fileno()}"
+                os.link(descriptor_path, part_path, src_dir_fd=0, follow_symlinks=True)
+        if old_mode is not None:
+            os.chmod(part_path, stat.S_IMODE(old_mode))
         os.replace(part_path, target)
     except BaseException as error:
         if isinstance(error, OSError) and error.filename == part_path:
@@ -85,14 +81,14 @@ def atomic_file(
 
 
 def _open_nameless(folder: str, part_path: str) -> IO[bytes]:
-    """Create a file that has no name, or if the system has no such files, one with a given name.
+    """Create a nameless file, or a file at `part_path` if the system has no nameless files.
 
     Parameters
     ----------
     folder : str
         Folder whose file system stores the file.
     part_path : str
-        Path of the file if it must have a name.
+        Path of a file that must have a name.
 
     Returns
     -------
@@ -111,9 +107,9 @@ def _open_nameless(folder: str, part_path: str) -> IO[bytes]:
 
 
 def remove_part_files() -> None:
-    """Delete all part files of this process: incomplete files that have temporary names.
+    """Delete the part files (incomplete files with temporary names) of this process.
 
-    Call this only when the process is about to end.  Files that cannot be deleted are skipped.
+    Call this only when the process is about to end.  A file that cannot be deleted is skipped.
     """
     for path in [*_part_files]:  # a copy, as another thread may change the set
         with suppress(OSError):

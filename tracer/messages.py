@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    """Return a text with its unprintable characters escaped: a line break becomes ``\\n``.
+    """Escape the unprintable characters of a text: a line break becomes ``\\n``, for example.
 
     The result is a single line without control characters, so it is safe to show in a terminal.
     """
@@ -14,10 +14,10 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """Limit a text to 40 characters: the end of a longer text is replaced by "..."."""
+    """Shorten a text to at most 40 characters, replacing the end of a longer text by "..."."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
 def quoted(text: str) -> str:
-    """Return a text in quotes, limited to 40 characters, with unprintable characters escaped."""
+    """Shorten a text to at most 40 characters, escape unprintable ones, and put it in quotes."""
     return repr(shortened(text))

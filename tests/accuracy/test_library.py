@@ -84,9 +84,9 @@ def view_of(*surfaces: Surface) -> Scene:
 
 
 def test_first_hits_in_closed_form():
-    # Rays through the centre of the picture, in the direction (.5, -.5, -1), which misses the
-    # sphere, and through two positions outside the picture.  Of two equal surfaces, the first in
-    # the file is hit.
+    # The rays pass through the centre of the picture, in the direction (.5, -.5, -1), which misses
+    # the sphere, and through two positions outside the picture.  If two surfaces are equal, the
+    # first one in the file is hit.
     hits = first_hits(view_of(WALL, SPHERE, WALL, SPHERE), [2, 3, 2, -2], [2, 3, -2, 2])
     assert hits.surface.tolist() == [1, 0, 0, 0]
     wall_distances = 10 * np.sqrt([1.5, 5, 5])

@@ -19,7 +19,7 @@ PRECIOUS = MAGIC + b": precious"
 
 @pytest.fixture(params=["nameless", "named"])
 def target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Path:
-    """Create a file to be replaced by a new one, which has no name until then, or has one."""
+    """Create a file to replace; new files are nameless, or have temporary names, until then."""
     if request.param == "named":
         monkeypatch.delattr(os, "O_TMPFILE", raising=False)
     path = tmp_path / "target"

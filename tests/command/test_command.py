@@ -89,7 +89,7 @@ def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkey
     (gone := tmp_path / "gone").mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    text = "the working folder cannot be found: No such file or directory; change to another"
+    text = "the working folder: cannot be found: No such file or directory; change to another"
     with pytest.raises(Failure) as caught:
         main(arguments)
     assert (str(caught.value), caught.value.status) == (text, status)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from probe import scene_of
+from probe import sphere_scene
 from running import SCENE, run
 
-from tracer import Camera, PointLight, Scene, Sphere, render
+from tracer import Scene, render
 from tracer.picture import parallel
 from tracer.picture import render as render_module
 from tracer.picture.render import RenderJob
@@ -29,23 +29,11 @@ some_or_many = pytest.mark.parametrize(
 )
 
 
-def picture(width: int = 300, height: int = 200) -> Scene:
-    """Return a scene of a sphere, visible in all of the picture except its corners."""
-    camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
-    lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
-    return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
-
-
-@pytest.fixture(autouse=True)
-def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let pictures have many tiles, and share even the smallest pictures."""
-    monkeypatch.setattr(render_module, "MIN_SHARED_SECONDS", 0)
-    monkeypatch.setattr(render_module, "_MAX_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render_module, "_CLASSIFIED_FACTOR", 1)
+pytestmark = pytest.mark.usefixtures("small_tiles")
 
 
 class Wrapped(Executor):
-    """An executor that passes calls to another one, keeps the futures, and waits for the first."""
+    """An executor that passes calls to another one, stores futures, and waits for the first one."""
 
     def __init__(self, executor: Executor) -> None:
         self.executor, self.futures = executor, list[Future[Any]]()
@@ -56,14 +44,22 @@ class Wrapped(Executor):
         return self.futures[-1]
 
 
-def executor_of(kind: str, stack: ExitStack) -> Executor:
-    """Start an executor of a certain kind, which is shut down when `stack` is closed."""
+def start_executor(kind: str, stack: ExitStack) -> Executor:
+    """Start an executor with two workers; it is shut down when `stack` is closed.
+
+    Parameters
+    ----------
+    kind : str
+        "threads", "loky", "dask", or the start method of a ProcessPoolExecutor.
+    stack : ExitStack
+        Receives the call that shuts the executor down.
+    """
     if kind == "threads":
         return stack.enter_context(Threads(2))
     if kind == "loky":
         loky = pytest.importorskip("loky", reason="loky is not installed")
         pool = loky.ProcessPoolExecutor(2)
-        stack.callback(pool.shutdown, kill_workers=True)
+        stack.callback(pool.shutdown)
         return pool
     if kind == "dask":
         distributed = pytest.importorskip("distributed", reason="distributed is not installed")
@@ -78,8 +74,9 @@ def executor_of(kind: str, stack: ExitStack) -> Executor:
 @pytest.mark.parametrize("kind", ["fork", "spawn", "forkserver", "threads", "loky", "dask"])
 def test_any_executor_renders_the_same_picture(kind, capfd):
     with ExitStack() as stack:
-        executor = Wrapped(executor_of(kind, stack))
-        for scene, samples in ((picture(), 1), (picture(400, 3), 1), (picture(90, 60), 16)):
+        executor = Wrapped(start_executor(kind, stack))
+        for size, samples in (((300, 200), 1), ((400, 3), 1), ((90, 60), 16)):
+            scene = sphere_scene(*size)
             alone = render(scene, samples)
             executor.futures.clear()
             assert np.array_equal(render(scene, samples, executor=executor), alone)
@@ -91,7 +88,7 @@ def test_any_executor_renders_the_same_picture(kind, capfd):
 
 def test_without_an_executor_nothing_is_started():
     before = threading.active_count()
-    render(picture())
+    render(sphere_scene())
     assert threading.active_count() == before
     assert multiprocessing.active_children() == []
 
@@ -100,27 +97,33 @@ def test_a_small_picture_is_not_given_to_the_executor(monkeypatch):
     monkeypatch.undo()
     with Threads(1) as pool:
         executor = Wrapped(pool)
-        render(picture(40, 30), executor=executor)
+        render(sphere_scene(40, 30), executor=executor)
         assert executor.futures == []
-        render(picture(1280, 720), executor=executor)
+        render(sphere_scene(1280, 720), executor=executor)
         assert executor.futures != []
 
 
 @pytest.mark.parametrize("executor", [3, "pool", object()])
 def test_an_object_that_is_no_executor_is_refused(executor):
     with pytest.raises(TypeError, match=r"^executor must be a concurrent\.futures\.Executor, is "):
-        render(picture(), executor=executor)
+        render(sphere_scene(), executor=executor)
 
 
-def outcome(value: object) -> Callable[[Future[Any]], None]:
-    """Return a function that ends a future with an exception or a result."""
+def end_with(value: object) -> Callable[[Future[Any]], None]:
+    """Return a function that ends the future that it is given.
+
+    Parameters
+    ----------
+    value : object
+        The exception, or otherwise the result, of the future.
+    """
     if isinstance(value, BaseException):
         return lambda future: future.set_exception(value)
     return lambda future: future.set_result(value)
 
 
 def refuse(error: Exception) -> Callable[[Future[Any]], None]:
-    """Return a function that raises an error, as `submit`."""
+    """Return a function that ignores the future that it is given, and raises an error."""
 
     def fail(_: Future[Any]) -> None:
         raise error
@@ -131,8 +134,8 @@ def refuse(error: Exception) -> Callable[[Future[Any]], None]:
 NO_TILES = [None, 0, True, "tile", [], np.zeros((1, 1, 3)), np.zeros(3), Scene(width=1, height=1)]
 ERRORS = [MemoryError(), SystemExit(143), KeyboardInterrupt(), CancelledError()]
 FAILURES: dict[str, list[Callable[[Future[Any]], object]]] = {
-    "no tile": [outcome(value) for value in NO_TILES],
-    "an error": [outcome(error) for error in (*ERRORS, asyncio.CancelledError(), GeneratorExit())],
+    "no tile": [end_with(value) for value in NO_TILES],
+    "an error": [end_with(error) for error in (*ERRORS, asyncio.CancelledError(), GeneratorExit())],
     "cancelled": [Future.cancel],
     "never begun": [lambda _: None],
     "never ended": [Future.set_running_or_notify_cancel],
@@ -164,7 +167,7 @@ class Unreliable(Executor):
 @pytest.mark.parametrize("kind", FAILURES)
 @some_or_many
 def test_calls_that_an_executor_fails_to_make_are_made_here(kind, count):
-    scene = picture(90, 60)
+    scene = sphere_scene(90, 60)
     alone = render(scene)
     executors = [Unreliable(FAILURES[kind], seed) for seed in range(count)]
     for executor in executors:
@@ -176,7 +179,7 @@ def test_calls_that_an_executor_fails_to_make_are_made_here(kind, count):
 def test_an_executor_that_is_shut_down():
     pool = Threads(1)
     pool.shutdown()
-    assert np.array_equal(render(picture(), executor=pool), render(picture()))
+    assert np.array_equal(render(sphere_scene(), executor=pool), render(sphere_scene()))
 
 
 @pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt, SystemExit])
@@ -190,12 +193,12 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)
             with pytest.raises(error):
-                render(picture(), executor=never)
+                render(sphere_scene(), executor=never)
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_renders_in_threads_may_share_the_pool_of_these_threads(count):
-    scene, alone = picture(), render(picture())
+    scene, alone = sphere_scene(), render(sphere_scene())
     with Threads(count) as pool:
         futures = [pool.submit(render, scene, executor=pool) for _ in range(count)]
         images = [future.result() for future in futures]
@@ -225,7 +228,7 @@ class Waiting(Executor):
         return future
 
     def finish(self, *_: Any) -> bool:
-        """Make the first unfinished call; this replaces `Distribution._wait_for_any`."""
+        """Make the first unfinished call, and return True, as `Distribution._wait_for_any` does."""
         future, call = self.unfinished.pop(0)
         future.set_result(call())
         return True
@@ -237,8 +240,8 @@ def test_each_processor_has_two_calls_to_make_and_no_more(processors, monkeypatc
         monkeypatch.setattr(module, "count_processors", lambda: processors)
     waiting = Waiting()
     monkeypatch.setattr(parallel.Distribution, "_wait_for_any", waiting.finish)
-    assert np.array_equal(render(picture(), executor=waiting), render(picture()))
-    tiles = len(RenderJob(picture()).tiles(shared=True))
+    assert np.array_equal(render(sphere_scene(), executor=waiting), render(sphere_scene()))
+    tiles = len(RenderJob(sphere_scene()).tiles(shared=True))
     share = tiles * processors // (processors + 1)
     assert waiting.max_unfinished == min(2 * processors, share)
     assert waiting.unfinished == []
@@ -253,8 +256,8 @@ def test_a_call_that_takes_as_long_as_here_is_not_repeated():
         return -item
 
     with Threads(1) as pool:
-        work = parallel.Distribution(wait, range(4), pool, wait, lambda *_: True, workers=1)
-        assert dict(work) == {0: 0, 1: -1, 2: -2, 3: -3}
+        work = parallel.Distribution(wait, wait, range(4), 1, pool)
+        assert [*work] == [0, -1, -2, -3]
     assert sorted(calls) == [0, 1, 2, 3]
 
 

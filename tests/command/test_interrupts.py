@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import INTERRUPTS, SCENE, drop_jit, run, start_process, wait_until
+from running import INTERRUPTS, SCENE, drop_jit, run, start_process, wait_until, workers_of
 
 from tracer import write_png
 
@@ -45,7 +45,7 @@ COMMANDS = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Create a folder with all files that the commands above read."""
+    """Create a folder with all files that `COMMANDS` read."""
     (tmp_path / "named_files.py").write_text(NAMED_FILES)
     (tmp_path / "spawned.py").write_text(SPAWNED)
     for name in MANY:
@@ -62,17 +62,17 @@ def folder(tmp_path: Path) -> Path:
 
 
 def running_processes() -> set[str]:
-    """Return the numbers of the processes that commands of this test have started."""
-    numbers, mark = set(), f"INTERRUPTED_BY={os.getpid()}".encode()
+    """Return the ids of all running processes that commands of these tests have started."""
+    ids, mark = set(), f"INTERRUPTED_BY={os.getpid()}".encode()
     for path in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):
             if mark in path.read_bytes():
-                numbers.add(path.parent.name)
-    return numbers
+                ids.add(path.parent.name)
+    return ids
 
 
 def start(command: str, folder: Path) -> subprocess.Popen[str]:
-    """Start a command, and wait until it handles signals, which Python itself does not."""
+    """Start a command in a folder, and wait until it has installed its signal handlers."""
     environment = {"TMPDIR": str(folder / "tmp"), "INTERRUPTED_BY": str(os.getpid())}
     python = ["-m", *command.split()]
     process = start_process(python=python, cwd=folder, env=environment, start_new_session=True)
@@ -95,7 +95,8 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
     moment : float
         Seconds after which the command is interrupted.
     number : int
-        Chooses the signal, how often it is sent, and whether to all processes of the command.
+        Determines the signal, how often it is sent, and whether all processes of the command
+        receive it.
     folder : Path
         The working folder.
     """
@@ -159,6 +160,17 @@ def test_spawned_workers_end_without_a_warning(folder):
     with start(f"spawned large.xml {' '.join(MANY)} --processes 2", folder) as process:
         assert process.stdout.readline().startswith("large.xml.png: ")
         process.send_signal(signal.SIGTERM)
+        assert (process.wait(20), process.stderr.read()) == (130, "")
+    wait_until(lambda: not running_processes())
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.04, 0.08, 0.12])
+def test_ctrl_c_while_spawned_workers_start(delay, folder):
+    """The signal reaches all processes, and Python prints a traceback if it is not yet handled."""
+    with start("spawned large.xml --processes 2", folder) as process:
+        wait_until(lambda: len(workers_of(process)) == 2)  # a worker, and Python's resource tracker
+        time.sleep(delay)
+        os.killpg(process.pid, signal.SIGINT)
         assert (process.wait(20), process.stderr.read()) == (130, "")
     wait_until(lambda: not running_processes())
 

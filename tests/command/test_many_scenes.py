@@ -13,19 +13,18 @@ from typing import Any
 
 import pytest
 from PIL import Image
-from running import SCENE, run, start_process, wait_until
+from running import SCENE, needs_two, run, start_process, wait_until, workers_of
 
 from tracer.command import batch, cli, progress
 from tracer.command.batch import Batch, Job, Settings
 from tracer.command.progress import Progress, track
 
-needs_two = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor")
 SETTINGS = Settings(samples=1, size=None, file_format="png", quiet=True)
 
 
 @pytest.fixture
 def scenes(tmp_path: Path) -> list[Path]:
-    """Forty scenes of different sizes, the last ones the smallest."""
+    """Write forty scene files; the later the file, the smaller its picture."""
     paths = [tmp_path / f"{k:02}.xml" for k in range(40)]
     for k, path in enumerate(paths):
         path.write_text(SCENE.format(440 - 10 * k, 400))
@@ -56,15 +55,15 @@ def test_lines_and_errors_come_in_the_order_of_the_arguments(scenes, processes):
         assert Path(f"{path}.png").exists() != (path.stem in ("03", "05", "20", "38"))
 
 
-def counted_pool(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Return a list to which the name of each function that a pool gets is appended."""
+def record_submissions(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Record calls of `WorkerPool.submit`: return a list that receives the functions' names."""
     submitted, submit = [], batch.WorkerPool.submit
 
-    def counting(self: Any, function: Any, *arguments: Any) -> Any:
+    def recording_submit(self: Any, function: Any, *arguments: Any) -> Any:
         submitted.append(function.func.__name__)
         return submit(self, function, *arguments)
 
-    monkeypatch.setattr(batch.WorkerPool, "submit", counting)
+    monkeypatch.setattr(batch.WorkerPool, "submit", recording_submit)
     return submitted
 
 
@@ -85,7 +84,7 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
     paths = [tmp_path / f"{k}.xml" for k in range(count)]
     for path in paths:
         path.write_text(SCENE.format(*size))
-    submitted = counted_pool(monkeypatch)
+    submitted = record_submissions(monkeypatch)
     batch_of_two = Batch(SETTINGS, 2)
     assert batch_of_two.render([Job(str(path), f"{path}.png") for path in paths])
     batch_of_two.close()
@@ -96,7 +95,7 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
 def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
     monkeypatch.setattr(batch, "_MAX_UNSHARED_SECONDS", 0.05)
     scenes[30].write_text(SCENE.format(4000, 2000))
-    submitted = counted_pool(monkeypatch)
+    submitted = record_submissions(monkeypatch)
     batch_of_two = Batch(SETTINGS, 2)
     assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
     batch_of_two.close()
@@ -113,7 +112,7 @@ def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
 
 
 def test_one_process_if_the_user_wants_no_more(scenes, monkeypatch):
-    submitted = counted_pool(monkeypatch)
+    submitted = record_submissions(monkeypatch)
     assert cli.main([*map(str, scenes), "--processes", "1", "--quiet"]) == 0
     assert submitted == []
 
@@ -128,7 +127,7 @@ def test_this_process_repeats_what_workers_cannot_do(scenes, monkeypatch):
         return load(path)
 
     monkeypatch.setattr(batch, "load_scene", load_in_parent)
-    submitted = counted_pool(monkeypatch)
+    submitted = record_submissions(monkeypatch)
     batch_of_two = Batch(SETTINGS, 2)
     assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
     batch_of_two.close()
@@ -143,14 +142,6 @@ def test_standard_input_among_many_scenes(scenes):
     ended = run(*arguments, cwd=scenes[0].parent, input=SCENE.format(7, 5))
     assert ended == (0, "", "")
     assert codes(scenes[0].parent / "new" / "-")[0] == (7, 5)
-
-
-def workers_of(process: Any) -> list[int]:
-    """Return the process numbers of a command's workers."""
-    with suppress(OSError):
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-        return [int(number) for number in children.read_text().split()]
-    return []
 
 
 @needs_two

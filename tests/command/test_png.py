@@ -22,7 +22,10 @@ def codes_of(values) -> np.ndarray:
 
 
 def exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
-    """Return round(255 clip(x, 0, 1)^(q/p)), computed in rationals, for gamma = p / q."""
+    """Compute the code round(255 clip(x, 0, 1)^(q/p)) of x in exact arithmetic.
+
+    The pair `gamma` = (p, q) is the numerator and the denominator of the gamma value.
+    """
     p, q = gamma
     power = Fraction(min(max(x, 0.0), 1.0)) ** q
     return sum(power >= Fraction(2 * code - 1, 510) ** p for code in range(1, 256))
@@ -77,8 +80,8 @@ def test_names_of_pictures(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
-def checked(file) -> np.ndarray:
-    """Verify all checksums of a PNG file, and return its codes."""
+def read_verified_codes(file) -> np.ndarray:
+    """Verify all checksums of a PNG file in memory, and return its codes (height, width, 3)."""
     data = file.getvalue()
     Image.open(file).verify()
     # Pillow ignores the checksum of the compressed stream; zlib does not.
@@ -98,7 +101,7 @@ def test_pillow_reads_what_was_written(tmp_path, size):
     image = np.random.default_rng(size).uniform(-0.2, 1.2, (*size, 3))
     image[: size[0] // 2] = 0.25  # can be compressed well
     write_png(file := io.BytesIO(), image)
-    assert (checked(file) == to_codes(image)).all()
+    assert (read_verified_codes(file) == to_codes(image)).all()
     write_png(path := tmp_path / "picture.png", image)
     assert path.read_bytes() == file.getvalue()
     write_png(str(path), np.zeros((1000, 1000, 3)))
@@ -115,7 +118,7 @@ def test_tiles_make_the_picture(rows, columns):
         for column in range(0, 50, columns)
     )
     write_tiles(file := io.BytesIO(), 50, 300, tiles)
-    assert (checked(file) == to_codes(image)).all()
+    assert (read_verified_codes(file) == to_codes(image)).all()
 
 
 @pytest.mark.parametrize("size", [(2, 4), (4, 4), (3, 5)])

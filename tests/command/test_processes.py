@@ -7,7 +7,6 @@ import pickle
 import random
 import resource
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -21,10 +20,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from PIL import Image
-from probe import scene_of
-from running import ROOT, SCENE, run, start_process, wait_until
+from probe import scene_of, sphere_scene
+from running import ROOT, SCENE, needs_two, run, start_process, wait_until, workers_of
 
-from tracer import Camera, PointLight, Scene, Sphere, load_scene, render, save_scene
+from tracer import Camera, Scene, Sphere, load_scene, render, save_scene
 from tracer.command import cli
 from tracer.picture import parallel
 from tracer.picture import render as render_module
@@ -32,24 +31,6 @@ from tracer.picture.parallel import WorkerPool
 from tracer.picture.render import RenderJob, render_tiles
 
 SCENES = ROOT / "scenes"
-
-
-def picture(width: int = 300, height: int = 200) -> Scene:
-    """Return a scene of a sphere, visible in all of the picture except its corners."""
-    camera = Camera(view_point=(0, 0, 4), proj_distance=4, view_width=2.2, view_height=2.2)
-    lights = [PointLight(position=(1, 2, 3)), PointLight(position=(3, 2, 3))]
-    return scene_of(Sphere(), camera=camera, size=(width, height), lights=lights)
-
-
-needs_two = pytest.mark.skipif(parallel.count_processors() < 2, reason="there is one processor")
-
-
-@pytest.fixture
-def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let pictures have many tiles, and share even the smallest pictures."""
-    monkeypatch.setattr(render_module, "MIN_SHARED_SECONDS", 0)
-    monkeypatch.setattr(render_module, "_MAX_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render_module, "_CLASSIFIED_FACTOR", 1)
 
 
 @pytest.mark.parametrize("processors", [2, 16])
@@ -79,7 +60,7 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
 
 
 def test_the_estimated_time_grows_with_samples_and_lights():
-    scene = picture()
+    scene = sphere_scene()
     more_light = replace(scene, lights=[*scene.lights] * 3)
     seconds = RenderJob(scene, 4).seconds
     assert RenderJob(scene, 400).seconds > 2 * seconds
@@ -88,7 +69,7 @@ def test_the_estimated_time_grows_with_samples_and_lights():
 
 def test_a_worker_caches_the_jobs_of_several_pictures():
     """Each of four pictures that are rendered alternately is prepared once."""
-    jobs = [RenderJob(picture(), samples) for samples in (1, 4, 9, 16)]
+    jobs = [RenderJob(sphere_scene(), samples) for samples in (1, 4, 9, 16)]
     first, second = ([pickle.loads(pickle.dumps(job)) for job in jobs] for _ in range(2))
     assert [*map(id, first)] == [*map(id, second)]
     assert not {*map(id, first)} & {*map(id, jobs)}
@@ -123,12 +104,12 @@ def test_a_program_with_threads_is_not_forked():
 def tile_data(scene: Scene, samples: int, workers: int) -> list[bytes]:
     """Render a scene with a pool, and return the compressed pixels of each tile."""
     with closing(WorkerPool(workers)) as pool:
-        return [tile.data.data for tile in render_tiles(RenderJob(scene, samples), pool)]
+        return [tile.data for tile, _ in render_tiles(RenderJob(scene, samples), pool)]
 
 
 @pytest.mark.parametrize("samples", [1, 16])
 def test_the_pool_of_the_command_renders_the_same_picture(samples, small_tiles):
-    alone, *shared = (tile_data(picture(), samples, workers) for workers in (0, 1, 2))
+    alone, *shared = (tile_data(sphere_scene(), samples, workers) for workers in (0, 1, 2))
     assert shared[0] == shared[1]
     assert len(shared[0]) > 3
     if samples == 1:  # otherwise, the tiles of a picture that is shared are smaller
@@ -140,7 +121,7 @@ def test_a_small_picture_starts_no_process(size, starts, monkeypatch, tmp_path):
     monkeypatch.setattr(cli, "count_processors", lambda: 2)
     start = Mock(side_effect=OSError)
     monkeypatch.setattr(WorkerPool, "_new_executor", start)
-    save_scene(picture(*size), tmp_path / "scene.xml")
+    save_scene(sphere_scene(*size), tmp_path / "scene.xml")
     assert cli.main([str(tmp_path / "scene.xml"), "--quiet"]) == 0
     assert start.call_count == starts
 
@@ -150,7 +131,7 @@ def test_a_picture_of_which_some_tiles_are_black_is_not_black(y, small_tiles, tm
     """The first tile is black, or the last one, but not both."""
     camera = Camera(view_point=(0, 0, 10), view_width=0.6, view_height=0.6)
     scene = scene_of(Sphere(center=(0, y, 0)), camera=camera, size=(90, 90), lights=(3, 4, 9))
-    black = [not tile.exposure.lit_count for tile in render_tiles(RenderJob(scene))]
+    black = [not exposure.lit_count for _, exposure in render_tiles(RenderJob(scene))]
     assert black[0] != black[-1]
     save_scene(scene, tmp_path / "scene.xml")
     assert cli.main([str(tmp_path / "scene.xml")]) == 0
@@ -160,14 +141,15 @@ def test_a_picture_of_which_some_tiles_are_black_is_not_black(y, small_tiles, tm
 
 def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
     with closing(WorkerPool(1)) as pool:
-        next(render_tiles(RenderJob(picture()), pool))
+        next(render_tiles(RenderJob(sphere_scene()), pool))
     wait_until(lambda: not multiprocessing.active_children())
 
 
 def limit_processes(limit: int) -> None:
-    """Limit the number of processes and threads of this process's user: `preexec_fn` of a child.
+    """Limit the number of processes and threads of this process's user.
 
-    The limit does not apply to root.  So root becomes a new user, who may still read all files.
+    Call this in a child process, as its `preexec_fn`.  The limit does not apply to root, so root
+    becomes a new user, who may still read all files.
     """
     resource.setrlimit(resource.RLIMIT_NPROC, (limit, limit))
     if os.getuid() == 0:
@@ -194,15 +176,6 @@ def large(tmp_path: Path) -> Path:
     path = tmp_path / "large.xml"
     path.write_text(SCENE.format(6000, 5000))
     return path
-
-
-def workers_of(process: subprocess.Popen[str]) -> list[int]:
-    """Return the process ids of the workers of a running command; none if it has ended."""
-    try:
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text()
-    except FileNotFoundError:
-        return []
-    return [*map(int, children.split())]
 
 
 @needs_two

@@ -4,39 +4,42 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
-from tracer.command.failure import Failure, describe_cause, errors_as_failure
+from tracer.command.failure import errors_as_failure
 from tracer.messages import printable
 
 OTHER_NAME = "choose another with -o"
 """Suggested fix for a result that cannot be written."""
 
 
-def module_docstring(module: str) -> str:
-    """Read the docstring of a module from its source, because `python -OO` does not keep it.
+class CommandParser(argparse.ArgumentParser):
+    """A command-line parser whose help is the docstring of a module.
 
     Parameters
     ----------
     module : str
-        Full name of a module that has been imported.
-
-    Returns
-    -------
-    docstring : str
-        The docstring; "" if the module has none.
+        Full name of the command's module, which has been imported.
+    prog : str, optional
+        How users call the command; by default, ``python -m module``.
     """
-    import ast  # importing it takes milliseconds, which the tracer's own command does not need
 
-    path = sys.modules[module].__file__
-    with open(path or "", encoding="utf-8") as file:
-        return ast.get_docstring(ast.parse(file.read())) or ""
+    def __init__(self, module: str, prog: str | None = None) -> None:
+        formatter = argparse.RawDescriptionHelpFormatter
+        super().__init__(prog=prog or f"python -m {module}", formatter_class=formatter)
+        self._module = module
 
+    def format_help(self) -> str:
+        """Return the text for the option ``--help``: usage, docstring of the module, options."""
+        import ast  # importing it takes milliseconds
 
-class CommandParser(argparse.ArgumentParser):
-    """A command-line parser whose error messages explain how to write names that begin with "-"."""
+        # From the source, because `python -OO` does not keep docstrings.
+        with open(sys.modules[self._module].__file__ or "", encoding="utf-8") as file:
+            self.description = ast.get_docstring(ast.parse(file.read()))
+        return super().format_help()
 
     def error(self, message: str) -> NoReturn:
         """Print a message about wrong usage, and end the process with exit status 2.
@@ -44,27 +47,28 @@ class CommandParser(argparse.ArgumentParser):
         Parameters
         ----------
         message : str
-            What is wrong.  If names that begin with "-" may be the cause, a suggested fix is added.
+            What is wrong.  Unprintable characters are escaped.  If names that begin with "-" may be
+            the cause, a suggested fix is added.
         """
         if message.endswith("expected one argument"):
             message += "; a value that begins with - is joined to its option by ="
         for word in sys.argv[1:]:
             if word.startswith("-") and len(word) > 1 and os.path.lexists(word):
-                message += printable(f"; for the file named {word}, write ./{word}")
-        super().error(message)
+                message += f"; for the file named {word}, write ./{word}"
+        super().error(printable(message))
 
 
-def file_name(text: str) -> str:
-    """Check a command-line argument that names a file or a folder.
+def parse_path(argument: str) -> str:
+    """Return a command-line argument that is the path of a file or folder, unless it is empty.
 
     Parameters
     ----------
-    text : str
+    argument : str
         The argument.
 
     Returns
     -------
-    name : str
+    path : str
         The same text.
 
     Raises
@@ -72,52 +76,49 @@ def file_name(text: str) -> str:
     argparse.ArgumentTypeError
         If the argument is empty.
     """
-    if not text:
+    if not argument:
         raise argparse.ArgumentTypeError("the name is empty; name a file")
-    return text
+    return argument
 
 
-def whole_number(minimum: int) -> Callable[[str], int]:
-    """Return a function that converts a command-line argument to a whole number.
+def parse_positive_int(argument: str) -> int:
+    """Convert a command-line argument to an integer from 1 to 999,999,999.
 
     Parameters
     ----------
-    minimum : int
-        The smallest number that is accepted.  The largest is 999,999,999.
+    argument : str
+        The argument.
 
     Returns
     -------
-    parse : callable
-        Called with the text of the argument, it returns the number as an int, or raises
-        argparse.ArgumentTypeError.
+    number : int
+        The number.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If the argument is anything but one to nine ASCII digits, of which the first is not 0.
     """
-
-    def parse(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= minimum):
-            rule = f"must be a whole number from {minimum} to 999999999"
-            raise argparse.ArgumentTypeError(f"{rule}, is {text!r}")
-        return int(text)
-
-    return parse
+    if not re.fullmatch("[1-9][0-9]{0,8}", argument):
+        rule = "must be a whole number from 1 to 999999999"
+        raise argparse.ArgumentTypeError(f"{rule}, is {argument!r}")
+    return int(argument)
 
 
 def is_folder(path: str) -> bool:
-    """Test whether a path names a folder.
-
-    It does if it ends in a slash, or if there is a folder of this name.
-    """
+    """Test whether a path ends in a slash, or is the path of an existing folder."""
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
 
 
 def make_output_folder(output: str | None) -> None:
-    """Create the folder for results if the option -o names a folder that does not exist.
+    """Create the output folder if the option -o names one that does not exist.
 
-    Parent folders are created, too.  If the option names a file, nothing is done.
+    Missing parent folders are created, too.  If the option names a file, nothing is done.
 
     Parameters
     ----------
     output : str or None
-        The argument of the option; None if the option is not given.
+        The argument of the option -o; None if the option is missing.
 
     Raises
     ------
@@ -144,41 +145,38 @@ def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
     Failure
         If the path is relative, and the working folder has been deleted.
     """
-    try:
+    with errors_as_failure("the working folder", "found", "change to another", status=status):
         return os.path.realpath(path)
-    except OSError as error:
-        what = f"the working folder cannot be found: {describe_cause(error)}"
-        raise Failure("", what, "change to another", status) from error
 
 
 def choose_output_paths(
-    parser: argparse.ArgumentParser,
+    parser: CommandParser,
     scenes: Sequence[str],
     output: str | None,
     default_paths: Sequence[str],
-    files_of: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda path: (path,),
+    list_files: Callable[[str], Iterable[str | os.PathLike[str]]] = lambda path: (path,),
 ) -> list[str]:
-    """Choose the path of the result of each scene, so that no file is overwritten by mistake.
+    """Choose the path of each scene's result, and refuse to overwrite scenes or other results.
 
-    If (1) two scenes would have the same file as their result, (2) a result would replace a scene,
-    or (3) the results of several scenes cannot be one file, the parser prints an error and ends the
-    process with exit status 2.
+    The parser prints an error and ends the process with exit status 2 if (1) two scenes would have
+    the same result file, (2) a result would replace a scene, or (3) the results of several scenes
+    would be one file.
 
     Parameters
     ----------
-    parser : ArgumentParser
+    parser : CommandParser
         Its method `error` is called for wrong usage.
     scenes : sequence of str
         Paths of the scene files.
     output : str or None
-        The argument of the option ``-o``: a file, or a folder for the results of several scenes.
-        None if the option is not given.
+        The argument of the option -o: a file, or a folder for the results of several scenes.  None
+        if the option is missing.
     default_paths : sequence of str
-        For each scene, the path of its result without the option ``-o``.  If that names a folder,
-        the last part of this path is the name of the result in the folder.
-    files_of : callable
+        For each scene, the path of its result without the option -o.  If that option names a
+        folder, the last component of the default path is the name of the result in that folder.
+    list_files : callable
         Called with the path of a result, it returns the paths of all files that are written for the
-        result.  By default, that is the result alone.
+        result.  By default, the result is the only file.
 
     Returns
     -------
@@ -197,17 +195,19 @@ def choose_output_paths(
     elif len(scenes) == 1:
         result_paths = [output]
     else:
-        rule = "several scenes need a folder; to have it made, end it in"
-        parser.error(printable(f"-o {output}: {rule} {os.sep}"))
+        parser.error(
+            f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
+        )
     scene_paths, scene_of_file = {real_path(scene) for scene in scenes}, dict[str, str]()
     for scene, result_path in zip(scenes, result_paths, strict=True):
-        for path in files_of(result_path):
-            absolute = real_path(path)
-            if absolute in scene_paths:
-                problem = f"this would replace a scene; {OTHER_NAME}"
-                parser.error(printable(f"{path}: {problem}"))
-            if absolute in scene_of_file:
-                problem = f"{scene_of_file[absolute]} and {scene} would both be written there"
-                parser.error(printable(f"{path}: {problem}; do them one by one"))
-            scene_of_file[absolute] = scene
+        for path in list_files(result_path):
+            absolute_path = real_path(path)
+            if absolute_path in scene_paths:
+                parser.error(f"{path}: this would replace a scene; {OTHER_NAME}")
+            if absolute_path in scene_of_file:
+                scenes_text = f"{scene_of_file[absolute_path]} and {scene}"
+                parser.error(
+                    f"{path}: {scenes_text} would both be written there; do them one by one"
+                )
+            scene_of_file[absolute_path] = scene
     return result_paths

@@ -20,6 +20,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from operator import add
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.linear import EXR, NPY, encode_raw, write_exr, write_npy
 from tracer.picture.lint import Exposure, scene_warnings
-from tracer.picture.parallel import Distribution, WorkerPool, restore_order
+from tracer.picture.parallel import Distribution, WorkerPool
 from tracer.picture.png import PNG, compress_tile, write_tiles
 from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, render_tiles
 from tracer.scene.model import Scene
@@ -88,14 +89,14 @@ class Job(NamedTuple):
         Path of the scene file; "-" is standard input.
     output_path : str
         Path of the picture; "-" is standard output.
-    max_seconds : float
-        If the estimated time of rendering is shorter than this, in seconds, one process renders the
-        picture.  Otherwise all processes share it.
+    min_shared_seconds : float
+        Minimum estimated rendering time, in seconds, for which all processes share the picture.  A
+        picture that takes less time is rendered by a single process.
     """
 
     scene_path: str
     output_path: str
-    max_seconds: float = MIN_POOL_SECONDS
+    min_shared_seconds: float = MIN_POOL_SECONDS
 
 
 class Report(NamedTuple):
@@ -104,23 +105,16 @@ class Report(NamedTuple):
     Attributes
     ----------
     pixel_count : int
-        Number of pixels of the picture; 0 if it was not written.
+        Number of pixels of the picture; 0 if it could not be written.
     line : str
         The line about the picture; empty if it was not written, or the command is quiet.
     notices : tuple of str
         Lines for standard error: why the picture was not written, or warnings about the scene.
-    is_failure : bool
-        Whether the picture could not be written.
     """
 
     pixel_count: int = 0
     line: str = ""
     notices: tuple[str, ...] = ()
-    is_failure: bool = False
-
-
-class _Obsolete(Exception):  # noqa: N818
-    """The signal to stop repeating a scene, because a worker has meanwhile finished it."""
 
 
 class Batch:
@@ -137,17 +131,16 @@ class Batch:
     """
 
     def __init__(self, settings: Settings, processes: int) -> None:
-        self._settings = settings
-        self._pool = WorkerPool(processes - 1, end_on_signals)
+        self._settings, self._pool = settings, WorkerPool(processes - 1, end_on_signals)
         # The scenes to render; None in a worker process, which renders only single scenes.
-        self._work: Distribution[Job, Any] | None = None
-        # Numbers of pictures that are finished or not, and of pixels of the finished pictures.
-        self._finished_count = self._remaining_count = self._pixel_count = 0
+        self._work: Distribution[Job, Report] | None = None
+        # Numbers of finished pictures, and of their pixels.
+        self._finished_count = self._pixel_count = 0
 
     def render(self, jobs: Sequence[Job]) -> bool:
         """Render scenes, write their pictures, and print a line about each, in the order of `jobs`.
 
-        A scene that cannot be rendered does not keep the others from being rendered.
+        If a scene cannot be rendered, an error is printed, and the other scenes are still rendered.
 
         Parameters
         ----------
@@ -159,28 +152,19 @@ class Batch:
         has_succeeded : bool
             Whether all pictures were written.
         """
-        self._finished_count, self._remaining_count, self._pixel_count = 0, len(jobs), 0
-        has_succeeded = True
+        self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
         # The last scenes are fewer than the processes, so the large ones among them are shared.
         unshared_count = len(jobs) - len(jobs) % (self._pool.workers + 1)
-        unshared = [
-            job._replace(max_seconds=_MAX_UNSHARED_SECONDS) for job in jobs[:unshared_count]
-        ]
-        self._work = Distribution(
-            self._render,
-            [*unshared, *jobs[unshared_count:]],
-            None,
-            partial(_render_in_worker, self._settings),
-            # This process repeats what a worker could not do, for example for lack of memory.
-            lambda _, report: isinstance(report, Report) and not report.is_failure,
-            workers=self._pool.workers,
-        )
+        items = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
+        items[unshared_count:] = jobs[unshared_count:]
+        # This process repeats what a worker could not do, for example for lack of memory.
+        render_in_worker = partial(_render_in_worker, self._settings)
+        self._work = Distribution(self._render, render_in_worker, items, self._pool.workers)
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
-            for job, report in zip(jobs, restore_order(self._work), strict=True):
+            for job, report in zip(jobs, self._work, strict=True):
                 self._finished_count += 1
-                self._remaining_count -= 1
                 self._pixel_count += report.pixel_count
-                has_succeeded &= not report.is_failure
+                has_succeeded &= report.pixel_count > 0
                 self._show_progress(0, 0)
                 for line in report.notices:
                     print_line(sys.stderr, line)
@@ -192,8 +176,8 @@ class Batch:
         """End the worker processes, if there are any."""
         self._pool.close()
 
-    def _render(self, job: Job) -> Report | None:
-        """Read a scene, render it, and write the picture; report a failure instead of raising it.
+    def _render(self, job: Job) -> Report:
+        """Read a scene, render it and write the picture, or report why this failed.
 
         Parameters
         ----------
@@ -202,19 +186,18 @@ class Batch:
 
         Returns
         -------
-        report : Report or None
-            What to print about the scene.  None if a worker has meanwhile written the picture; or
-            if this is a worker process, but all processes should share the picture.
+        report : Report
+            What to print about the scene.
         """
         try:
             return self._write_picture(job)
-        except _Obsolete:
-            return None  # the worker's report is used instead
         except Failure as failure:
-            return Report(notices=(str(failure),), is_failure=True)
+            return Report(notices=(str(failure),))
 
-    def _write_picture(self, job: Job) -> Report | None:
+    def _write_picture(self, job: Job) -> Report:
         """Read a scene, render it, and write the picture.
+
+        While the main process renders, it shows the progress and submits scenes to the workers.
 
         Parameters
         ----------
@@ -223,97 +206,73 @@ class Batch:
 
         Returns
         -------
-        report : Report or None
-            What to print about the picture.  None if this is a worker process, but all processes
-            should share the picture; then nothing is written.
+        report : Report
+            What to print about the picture.
 
         Raises
         ------
         Failure
-            If the scene cannot be read or rendered, or the picture cannot be written.
-        _Obsolete
-            If a worker has meanwhile written the picture.
+            If the scene cannot be read or rendered, or the picture cannot be written; or if all
+            processes should share the picture, but this is a worker process, which cannot share it.
         """
-        start, (samples, size, file_format, quiet) = perf_counter(), self._settings
+        start_time, (samples, size, file_format, quiet) = perf_counter(), self._settings
         scene, exposure = read_scene(job.scene_path, size), Exposure()
-        pixel_count = scene.width * scene.height
         magic, encode, write = FORMATS[file_format]
 
-        def encoded_tiles(picture: RenderJob, pool: WorkerPool | None) -> Iterator[Any]:
+        def encoded_tiles(pool: WorkerPool | None) -> Iterator[Any]:
             nonlocal exposure
-            rendered_count = 0
-            for tile in render_tiles(picture, pool, encode):
-                yield tile.data
-                exposure = exposure.merged(tile.exposure)
-                rendered_count += tile.pixel_count
-                self._after_tile(rendered_count, pixel_count)
+            for data, tile_exposure in render_tiles(render_job, pool, encode):
+                yield data
+                exposure = Exposure(*map(add, exposure, tile_exposure))
+                if self._work is not None:
+                    fraction = exposure.pixel_count / (scene.width * scene.height)
+                    self._show_progress(fraction, exposure.pixel_count)
+                    self._work.submit()
 
         with errors_as_failure(
             job.scene_path, "rendered", _BUG, memory_remedy=_SMALLER, error_types=(ValueError,)
         ):
-            picture = RenderJob(scene, samples)
-            is_large = picture.seconds >= job.max_seconds
-            if self._work is None and is_large:
-                return None
-            remaining_seconds = (picture.seconds + _SECONDS_PER_SCENE) * self._remaining_count
-            if self._work and remaining_seconds >= MIN_POOL_SECONDS:
-                self._work.executor = self._pool
-                self._work.submit()
+            render_job = RenderJob(scene, samples)
+            is_large = render_job.seconds >= job.min_shared_seconds
+            if self._work is not None:
+                remaining_count = len(self._work.items) - self._finished_count
+                if (render_job.seconds + _SECONDS_PER_SCENE) * remaining_count >= MIN_POOL_SECONDS:
+                    self._work.executor = self._pool
+                    self._work.submit()
+            elif is_large:
+                raise Failure(job.scene_path, "all processes should share this picture")
             with (
                 errors_as_failure(job.output_path, "written", OTHER_NAME, memory_remedy=_SMALLER),
                 open(1, "wb", closefd=False)
                 if job.output_path == "-"
-                else atomic_file(job.output_path, magic, needs_name=magic == EXR) as file,
+                else atomic_file(job.output_path, magic) as file,
             ):
-                tiles = encoded_tiles(picture, self._pool if is_large else None)
+                tiles = encoded_tiles(self._pool if is_large else None)
                 write(file, scene.width, scene.height, tiles)
         if quiet:
-            return Report(pixel_count)
-        seconds = perf_counter() - start
+            return Report(exposure.pixel_count)
+        seconds = perf_counter() - start_time
         line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
-        warnings = scene_warnings(scene, picture.prepared, exposure)
+        warnings = scene_warnings(scene, render_job.prepared, exposure)
         warning_lines = (printable(f"{job.scene_path}: warning: {warning}") for warning in warnings)
-        return Report(pixel_count, printable(line), tuple(warning_lines))
-
-    def _after_tile(self, rendered_count: int, pixel_count: int) -> None:
-        """Show the progress after a tile was rendered, and submit more scenes to the workers.
-
-        In a worker process, this does nothing.
-
-        Parameters
-        ----------
-        rendered_count : int
-            Number of pixels of the current picture that have been rendered.
-        pixel_count : int
-            Number of all pixels of the current picture.
-
-        Raises
-        ------
-        _Obsolete
-            If a worker has meanwhile written the picture.
-        """
-        if self._work is not None:
-            self._show_progress(rendered_count / pixel_count, rendered_count)
-            self._work.submit()
-            if self._work.is_obsolete:
-                raise _Obsolete
+        return Report(exposure.pixel_count, printable(line), tuple(warning_lines))
 
     def _show_progress(self, fraction: float, rendered_count: int) -> None:
-        """Show the number of finished pictures in the progress bar, with a part of the current one.
+        """Show how many pictures and pixels are finished, with a part of the current picture.
 
         Parameters
         ----------
         fraction : float
-            Fraction of the current picture that has been rendered, from 0 to 1.
+            Rendered fraction of the current picture, from 0 to 1.
         rendered_count : int
-            Number of pixels of the current picture that have been rendered.
+            Number of pixels in this part of the current picture.
         """
         note = f"{(self._pixel_count + rendered_count) / 1e6:.3g} million pixels"
         self._progress.update(self._finished_count + fraction, note)
 
 
-def _render_in_worker(settings: Settings, job: Job) -> Report | None:
-    """Read a scene, render it, and write the picture, all in this worker process.
+def _render_in_worker(settings: Settings, job: Job) -> Report:
+    """Read a scene, render it and write the picture, in a worker process.
 
     Parameters
     ----------
@@ -324,15 +283,22 @@ def _render_in_worker(settings: Settings, job: Job) -> Report | None:
 
     Returns
     -------
-    report : Report or None
-        What to print about the scene.  None if the main process must render the scene, because the
-        scene comes from standard input, or because all processes should share the picture.
+    report : Report
+        What to print about the scene.
+
+    Raises
+    ------
+    Failure
+        If this fails, or the main process must render the scene: the scene comes from standard
+        input, or all processes should share the picture.
     """
-    return None if job.scene_path == "-" else Batch(settings, processes=1)._render(job)
+    if job.scene_path == "-":
+        raise Failure("<stdin>", "cannot be read: a worker process has no standard input")
+    return Batch(settings, processes=1)._write_picture(job)
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
-    """Read a scene from a file or from standard input, and set the size of its picture.
+    """Read a scene from a file or standard input, and change the size of its picture if requested.
 
     Parameters
     ----------
@@ -345,7 +311,7 @@ def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
     Returns
     -------
     scene : Scene
-        The scene, with the size that is requested.
+        The scene, with the requested size.
 
     Raises
     ------

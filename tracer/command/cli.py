@@ -1,31 +1,5 @@
-"""The command line: render scenes to pictures, watch them, or explain a pixel."""
+"""Render scenes.  Each picture is written beside its scene, as SCENE.xml.png.
 
-from __future__ import annotations
-
-import argparse
-import os
-import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing
-from importlib import import_module
-from time import sleep
-
-from tracer.command.arguments import (
-    CommandParser,
-    choose_output_paths,
-    file_name,
-    is_folder,
-    make_output_folder,
-    whole_number,
-)
-from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
-from tracer.command.failure import Failure, errors_as_failure
-from tracer.command.process import FAILED, attempt, print_line, print_result
-from tracer.messages import printable
-from tracer.picture.parallel import count_processors
-from tracer.version import __version__
-
-_EXAMPLES = """\
 examples:
   tracer scenes/one-sphere.xml          write scenes/one-sphere.xml.png
   tracer scenes/*.xml -o pictures/      write all pictures to a folder
@@ -43,6 +17,32 @@ exit status:
   130  interrupted
   141  the reader of standard output went away
 """
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from importlib import import_module
+from time import sleep
+
+from tracer.command.arguments import (
+    CommandParser,
+    choose_output_paths,
+    is_folder,
+    make_output_folder,
+    parse_path,
+    parse_positive_int,
+)
+from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
+from tracer.command.failure import Failure, errors_as_failure
+from tracer.command.process import FAILED, attempt, print_line, print_result
+from tracer.messages import printable
+from tracer.picture.parallel import count_processors
+from tracer.version import __version__
 
 _HELP = {
     "scenes": "a scene file; - for standard input",
@@ -102,79 +102,67 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make_parser() -> CommandParser:
-    """Create the command-line parser, with all options and their help texts."""
-    parser = CommandParser(
-        prog="tracer",
-        description="Render scenes; each picture is written beside its scene, as SCENE.xml.png.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add, count = parser.add_argument, whole_number(1)
-    size = _separated_numbers("x", 1, (1, 2), "width and height in pixels, as 640x360 or 640")
-    pixel = _separated_numbers(",", 0, (2,), "column and row, as 160,90")
-    add("scenes", nargs="+", type=file_name, metavar="SCENE.xml", help=_HELP["scenes"])
-    add("-o", "--output", type=file_name, metavar="PATH", help=_HELP["output"])
+    """Create the command-line parser of ``tracer``, with all options and their help texts."""
+    parser = CommandParser(__name__, prog="tracer")
+    add = parser.add_argument
+    digits = "([1-9][0-9]{0,8})"
+    size = _int_parser(f"{digits}(?:x{digits})?", "width and height in pixels, as 640x360 or 640")
+    pixel = _int_parser("([0-9]{1,9}),([0-9]{1,9})", "column and row, as 160,90")
+    add("scenes", nargs="+", type=parse_path, metavar="SCENE.xml", help=_HELP["scenes"])
+    add("-o", "--output", type=parse_path, metavar="PATH", help=_HELP["output"])
     add("--format", choices=FORMATS, help=_HELP["format"])
-    add("--samples", type=count, default=1, metavar="N", help=_HELP["samples"])
+    add("--samples", type=parse_positive_int, default=1, metavar="N", help=_HELP["samples"])
     add("--size", type=size, metavar="W[xH]", help=_HELP["size"])
     add("--watch", action="store_true", help=_HELP["watch"])
-    add("--processes", type=count, metavar="N", help=_HELP["processes"])
+    add("--processes", type=parse_positive_int, metavar="N", help=_HELP["processes"])
     add("--pixel", type=pixel, metavar="X,Y", help=_HELP["pixel"])
     add("--quiet", action="store_true", help=_HELP["quiet"])
     add("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
 
-def _separated_numbers(
-    separator: str, minimum: int, counts: tuple[int, ...], rule: str
-) -> Callable[[str], tuple[int, ...]]:
-    """Return a function that converts a command-line argument such as "640x360" to whole numbers.
+def _int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
+    """Return a function that extracts integers from a command-line argument such as "640x360".
 
     Parameters
     ----------
-    separator : str
-        The text between two numbers.
-    minimum : int
-        The smallest number that is accepted.  The largest is 999,999,999.
-    counts : tuple of int
-        The accepted counts of numbers.
+    pattern : str
+        Regular expression that a valid argument matches.  Its groups match the digits of the
+        integers; a group that matches nothing is skipped.
     rule : str
-        Completes "must be ..." in the message about a wrong argument.
+        Describes valid arguments: completes "must be ..." in an error message.
 
     Returns
     -------
     parse : callable
-        Called with the text of the argument, it returns a tuple of ints, or raises
-        argparse.ArgumentTypeError.
+        Called with an argument, it returns a tuple of ints.  If the argument is not valid, it
+        raises argparse.ArgumentTypeError.
     """
 
-    def parse(text: str) -> tuple[int, ...]:
-        try:
-            numbers = tuple(map(whole_number(minimum), text.split(separator)))
-        except argparse.ArgumentTypeError:
-            numbers = ()
-        if len(numbers) not in counts:
-            raise argparse.ArgumentTypeError(f"must be {rule}, is {text!r}")
-        return numbers
+    def parse(argument: str) -> tuple[int, ...]:
+        match = re.fullmatch(pattern, argument)
+        if match is None:
+            raise argparse.ArgumentTypeError(f"must be {rule}, is {argument!r}")
+        return tuple(int(digits) for digits in match.groups() if digits is not None)
 
     return parse
 
 
 def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
-    """Choose the format of the pictures by the option --format, or by the suffix of -o.
+    """Choose the picture format from the option --format or the file name suffix of -o.
 
     Parameters
     ----------
     parser : CommandParser
-        Prints an error and ends the process with exit status 2 if the suffix of -o belongs to no
-        format, or not to that of the option --format.
+        Prints an error and ends the process with exit status 2 if the suffix is not that of a
+        format, or contradicts the option --format.
     arguments : Namespace
         The parsed arguments of the command.
 
     Returns
     -------
     file_format : str
-        A key of `FORMATS`; "png" if neither option determines another format.
+        A key of `FORMATS`; "png" if neither option determines the format.
     """
     output = arguments.output or ""
     allowed = [arguments.format] if arguments.format else list(FORMATS)
@@ -183,8 +171,7 @@ def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
         return allowed[0]
     if suffix[1:].lower() not in allowed:
         endings = ", ".join(f".{name}" for name in allowed)
-        problem = f"pictures end in {endings}; name it {stem}.{allowed[0]}"
-        parser.error(printable(f"-o {output}: {problem}"))
+        parser.error(f"-o {output}: pictures end in {endings}; name it {stem}.{allowed[0]}")
     return suffix[1:].lower()
 
 
@@ -215,7 +202,7 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
     for scene in scenes:
         if os.path.splitext(scene)[1][1:].lower() in FORMATS:
-            parser.error(printable(f"{scene}: a picture is no scene; to write it, use -o {scene}"))
+            parser.error(f"{scene}: a picture is no scene; to write it, use -o {scene}")
     if "-" in scenes and (output is None or watch):
         parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
     if output == "-":
@@ -227,17 +214,16 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
             parser.error("-o -: standard output is a terminal; write the picture to a file")
         return [Job(scenes[0], output)]
     if output and os.path.exists(output) and not (os.path.isfile(output) or is_folder(output)):
-        parser.error(printable(f"-o {output}: not a regular file; for standard output, use -o -"))
+        parser.error(f"-o {output}: not a regular file; for standard output, use -o -")
     default_paths = [f"{scene}.{file_format}" for scene in scenes]
     paths = choose_output_paths(parser, scenes, output, default_paths)
     return [Job(scene, path) for scene, path in zip(scenes, paths, strict=True)]
 
 
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
-    """Print, for each scene, which numbers lead to the colour of one pixel.
+    """Print, for each scene, the numbers from which the colour of one pixel is computed.
 
-    After a failure in one scene, which is printed to standard error, the others are still
-    explained.
+    A failure is printed to standard error; then the next scene is explained.
 
     Parameters
     ----------
@@ -291,24 +277,28 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     if not quiet:
         scene_count = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
         print_line(sys.stderr, f"watching {scene_count}; press Ctrl-C to end")
-    # A version is the time, size and number of a file; None if the file is missing.
-    seen_version, rendered_version = dict[str, object](), dict[str, object]()
+    seen_version = {job: _file_version(job.scene_path) for job in jobs}
+    rendered_version = dict[Job, object]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
-        changed = []
-        for job in jobs:
-            try:
-                status = os.stat(job.scene_path)
-                version = status.st_mtime_ns, status.st_size, status.st_ino
-            except OSError:
-                version = None
-            # An editor may write a file in pieces: wait until it stops changing.
-            is_settled = seen_version.get(job.scene_path, version) == version
-            seen_version[job.scene_path] = version
-            # Not None, which would mean that a scene not yet rendered is missing.
-            if is_settled and rendered_version.get(job.scene_path, ()) != version:
-                rendered_version[job.scene_path] = version
-                changed.append(job)
+        version = {job: _file_version(job.scene_path) for job in jobs}
+        # An editor may write a file in pieces: wait until it stops changing.
+        settled = {job: version[job] for job in jobs if version[job] == seen_version[job]}
+        changed = [job for job in settled if (job, version[job]) not in rendered_version.items()]
+        seen_version = version
+        rendered_version |= settled
         if changed:
             batch.render(changed)
         sleep(_POLL_SECONDS)
     return 0
+
+
+def _file_version(path: str) -> tuple[int, int, int] | None:
+    """Return the modification time, size and inode number of a file: they change when it is saved.
+
+    If the file cannot be accessed, return None.
+    """
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino

@@ -1,7 +1,7 @@
-"""The exception for a task that a command cannot do for a cause outside the program.
+"""The exception for a task that fails for a reason outside the program.
 
 Examples are a missing file, a full disk, and a scene that is too large.  The user needs one line
-about such a cause.  `errors_as_failure` turns an exception into a `Failure` where it arises,
+about such a reason.  `errors_as_failure` turns an exception into a `Failure` where it arises,
 because only that place knows which file was in use, and for what.  `tracer.command.process` prints
 every failure, and ends the command with the failure's exit status.
 """
@@ -42,24 +42,24 @@ class Failure(Exception):  # noqa: N818
 @contextmanager
 def errors_as_failure(
     where: str | os.PathLike[str],
-    action: str,
+    participle: str,
     remedy: str = "",
     *,
     memory_remedy: str = "make the image smaller",
     status: int = 1,
     error_types: tuple[type[BaseException], ...] = (),
 ) -> Iterator[None]:
-    """Run a with block, and convert errors with a cause outside the program to a Failure.
+    """Convert errors of a with block to a Failure if their cause is outside the program.
 
-    The text of the failure is ``where: cannot be ACTION: reason; remedy``.  A SceneFileError has
-    a complete line for each error in the scene, so its text becomes that of the failure.
+    The text of the failure is ``WHERE: cannot be PARTICIPLE: reason; REMEDY``.  A SceneFileError
+    already has a complete line for each error in the scene, so its text is that of the failure.
 
     Parameters
     ----------
     where : str or path-like
         The file or stream that the block uses.
-    action : str
-        What the block does with the file, as a participle: "read", "written", "compared".
+    participle : str
+        What the block does with the file: "read", "written" or "compared", for example.
     remedy : str
         What the user can do about the failure, for example "choose another with -o".
     memory_remedy : str
@@ -72,7 +72,7 @@ def errors_as_failure(
     Raises
     ------
     Failure
-        If the block raises an error of these classes, or a Failure, which is not changed.
+        If the block raises an error of these classes, or a Failure, which is passed on unchanged.
     BrokenPipeError
         If the block raises it.  It is not converted, because a command must end silently when the
         reader of its output has gone away.
@@ -90,24 +90,24 @@ def errors_as_failure(
             raise
         if is_lack_of_memory(error):
             remedy = memory_remedy
-        what = f"cannot be {action}: {describe_cause(error)}"
+        what = f"cannot be {participle}: {describe_cause(error)}"
         raise Failure(os.fspath(where), what, remedy, status) from error
 
 
 def is_lack_of_memory(error: BaseException) -> bool:
     """Test whether an error means that there was not enough memory.
 
-    That is true of a MemoryError, of a ChildProcessError (the system ends processes that take too
-    much memory), and of a RuntimeError that was raised from one of these.
+    It does if it is a MemoryError, a ChildProcessError (the system ends processes that take too
+    much memory), or a RuntimeError that was raised from one of these.
     """
     return isinstance(_root_cause(error), (MemoryError, ChildProcessError))
 
 
 def describe_cause(error: BaseException) -> str:
-    """Describe the cause of an error on one line, for example "No such file or directory".
+    """Describe the cause of an error in one line, for example "No such file or directory".
 
-    The line is the system's text for an OSError, otherwise the text of the error, or the name of
-    its class if it has no text.  Unprintable characters are escaped.
+    The line is the system's message if the cause is an OSError; otherwise the text of the error, or
+    the name of its class if the text is empty.  Unprintable characters are escaped.
     """
     if is_lack_of_memory(error):
         return "not enough memory"
@@ -117,9 +117,9 @@ def describe_cause(error: BaseException) -> str:
 
 
 def _root_cause(error: BaseException) -> BaseException:
-    """Return the first error in a chain of RuntimeErrors of which each was raised from another.
+    """Follow a chain of RuntimeErrors, each raised from another error, to the original error.
 
-    An error that is no RuntimeError, or has no cause, is returned unchanged.
+    Other errors, and errors that were not raised from another one, are returned unchanged.
     """
     # Dr.Jit raises such chains.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:

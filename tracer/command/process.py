@@ -87,10 +87,10 @@ def run(module_name: str) -> NoReturn:
 
 
 def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | Failure:
-    """Call a function, and print a Failure that it raises to standard error instead of raising it.
+    """Call a function; if it raises a Failure, print the failure to standard error and return it.
 
-    A command that processes many files uses this for each file, so that it continues with the other
-    files after a failure.
+    A command that processes many files calls this for each file, so that a failure does not keep it
+    from processing the other files.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 
 
 def print_line(stream: TextIO | None, text: str) -> None:
-    """Print a line immediately, above a progress bar if one is shown; ignore errors.
+    """Print a line immediately, above the progress bar if one is shown, and ignore errors.
 
     Use this for notices: a command must not fail because a notice cannot be printed.
 
@@ -128,9 +128,9 @@ def print_line(stream: TextIO | None, text: str) -> None:
 
 
 def print_result(stream: TextIO | None, text: str) -> None:
-    """Print a line immediately, above a progress bar if one is shown; raise an error if this fails.
+    """Print a line immediately, above the progress bar if one is shown.
 
-    After an error, the stream is closed.
+    If the line cannot be printed, the stream is closed and an error is raised.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def print_result(stream: TextIO | None, text: str) -> None:
 
 
 def end_on_signals() -> None:
-    """Set the handlers of signals so that they end this process immediately, without a message.
+    """Install signal handlers that end this process immediately, without a message.
 
     The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  A signal that is ignored stays
     ignored, for example under nohup or in the background of a script.  When a signal arrives, the

@@ -51,7 +51,7 @@ class Progress:
             self._bar.close()
 
     def update(self, done: float, note: str = "") -> None:
-        """Show the amount of finished work; do nothing during the first second.
+        """Update the bar with the amount of finished work, except during the first second of work.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class Progress:
             self._bar.update(round(done, 2) - self._bar.n)
 
     def _new_bar(self, seconds: float) -> Any:
-        """Create a progress bar with tqdm.
+        """Create a tqdm progress bar.
 
         Parameters
         ----------
@@ -78,8 +78,8 @@ class Progress:
         Returns
         -------
         bar : tqdm.tqdm or False
-            False if tqdm is not installed, or the environment contains invalid settings for tqdm:
-            the command must not fail for that.
+            The bar; False if tqdm is not installed, or environment variables contain invalid
+            settings for tqdm, because a command must not fail for that.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tracer.arrays import Ints, Vector, take3
+from tracer.picture.lint import indexed_name
 from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, PointLight, Scene, normalize
 from tracer.trace.first_hits import FirstHits
@@ -55,7 +56,7 @@ class SurfaceRef:
         return cls(index, type(surface).__name__, surface.line)
 
     def __str__(self) -> str:
-        return f"{self.kind} {self.index}{_line_suffix(self.line)}"
+        return indexed_name(self.kind, self.index, self.line)
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ class Explanation:
     codes: tuple[int, int, int]
 
     def __str__(self) -> str:
-        return "\n".join(self._lines())
+        return "\n".join(self._text_lines())
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         """Show the explanation as text in IPython and in notebooks, which call this method.
@@ -154,24 +155,24 @@ class Explanation:
         """
         printer.text(str(self))
 
-    def _lines(self) -> Iterator[str]:
-        """Yield the lines of the explanation as text, without line breaks."""
+    def _text_lines(self) -> Iterator[str]:
+        """Yield the explanation as text, line by line, without line breaks."""
         yield f"pixel     {self.x},{self.y}"
-        yield f"ray       from {_vector_text(self.eye)} towards {_vector_text(self.direction)}"
+        yield f"ray       from {_format_vector(self.eye)} towards {_format_vector(self.direction)}"
         yield f"surface   {self.surface or 'none: the ray meets nothing'}"
         if self.surface:
             yield f"distance  {self.distance:.9g}"
-            yield f"point     {_vector_text(self.point)}"
-            yield f"normal    {_vector_text(self.normal)}"
-            kd, ks = _vector_text(self.kd), _vector_text(self.ks)
+            yield f"point     {_format_vector(self.point)}"
+            yield f"normal    {_format_vector(self.normal)}"
+            kd, ks = _format_vector(self.kd), _format_vector(self.ks)
             yield f"shader    kd {kd}, ks {ks}, exponent {self.exponent:g}"
         for index, light in enumerate(self.lights):
-            yield from self._light_lines(index, light)
-        yield f"radiance  {_vector_text(self.radiance)}"
+            yield from self._light_text_lines(index, light)
+        yield f"radiance  {_format_vector(self.radiance)}"
         yield f"codes     {' '.join(map(str, self.codes))}"
 
-    def _light_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
-        """Yield the lines about one light, without line breaks.
+    def _light_text_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
+        """Yield the explanation of one light as text, line by line, without line breaks.
 
         Parameters
         ----------
@@ -183,44 +184,39 @@ class Explanation:
         Yields
         ------
         line : str
-            First the cosines, and what blocks the light; then, if nothing does, a line with the
-            diffuse term and a line with the specular term.
+            First a line with the cosines and the surfaces that block the light.  If there are none,
+            a line with the diffuse term and a line with the specular term follow.
         """
         occluders = [str(ref) for ref in light.occluders if ref != self.surface]
         occluders = occluders or ["the surface itself"] * len(light.occluders)
         outcome = f"blocked by {', '.join(occluders)}" if occluders else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
-        name = f"light {light_index}{_line_suffix(light.line)}"
+        name = indexed_name("light", light_index, light.line)
         yield f"{name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
         if not occluders:
-            intensity, kd, ks = map(_vector_text, (light.intensity, self.kd, self.ks))
+            intensity, kd, ks = map(_format_vector, (light.intensity, self.kd, self.ks))
             power = f"{n_dot_h}^{self.exponent:g}"
-            yield f"  diffuse   {_vector_text(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
-            yield f"  specular  {_vector_text(light.specular)} = {intensity} * {ks} * {power}"
-
-
-def _line_suffix(line: int | None) -> str:
-    """Return " (line N)", to append to the name of an element; "" if the line is None."""
-    return "" if line is None else f" (line {line})"
+            yield f"  diffuse   {_format_vector(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
+            yield f"  specular  {_format_vector(light.specular)} = {intensity} * {ks} * {power}"
 
 
 def _to_vector(values: ArrayLike) -> Vector:
-    """Convert an array-like of three numbers to a tuple of three floats."""
+    """Convert three numbers in an array-like to a tuple of three floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return x, y, z
 
 
-def _vector_text(vector: Vector) -> str:
-    """Return the components of a vector as text, such as "0 1.5 -2", with up to nine digits each.
+def _format_vector(vector: Vector) -> str:
+    """Format a vector as text such as "0 1.5 -2", with up to nine digits for each component.
 
-    The component -0 is written as 0.
+    A component -0 is written as 0.
     """
     return " ".join(f"{component + 0.0:.9g}" for component in vector)
 
 
 @np.errstate(all="ignore")
 def explain(scene: Scene, x: int, y: int) -> Explanation:
-    """Explain the colour of a pixel in a picture with one sample per pixel.
+    """Explain how the colour of a pixel is computed, for a picture with one sample per pixel.
 
     Parameters
     ----------
@@ -251,15 +247,16 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     hits = nearest_hits(prepared, samples)
     radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
-    index = first_hit.surface.item()
-    ray = samples.ray_s(frame), frame.ray_g(samples.y), np.array([frame.depth])
-    shader = scene.surfaces[index].shader if index >= 0 else Lambertian(diffuse=(0, 0, 0))
+    surface_index = first_hit.surface.item()
+    ray_vector = samples.ray_s(frame), frame.ray_g(samples.y), np.array([frame.depth])
+    has_hit = surface_index >= 0
+    shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
         x=x,
         y=y,
         eye=_to_vector(frame.eye),
-        direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray)))),
-        surface=SurfaceRef.from_index(scene, index) if index >= 0 else None,
+        direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray_vector)))),
+        surface=SurfaceRef.from_index(scene, surface_index) if has_hit else None,
         distance=first_hit.distance.item(),
         point=_to_vector(first_hit.point[0]),
         normal=_to_vector(first_hit.normal[0]),
@@ -268,7 +265,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
             _explain_light(scene, hits, first_hit, light, prepared.prepare_lights(slice(i, i + 1)))
-            for i, light in enumerate(scene.lights if index >= 0 else ())
+            for i, light in enumerate(scene.lights if has_hit else ())
         ),
         radiance=_to_vector(radiance),
         codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
@@ -278,7 +275,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
 def _explain_light(
     scene: Scene, hits: Hits, first_hit: FirstHits, light: PointLight, prepared_light: Lights
 ) -> LightPart:
-    """Compute the contribution of one light to the colour of a pixel.
+    """Compute the contribution of one light to the colour of a pixel, for a pixel with a hit.
 
     Parameters
     ----------
@@ -306,13 +303,13 @@ def _explain_light(
         specular[channel] = 0 if specular_term is None else specular_term.item()
     point, normal = first_hit.point[0], first_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
-    half = normalize(to_light + normalize(hits.prepared.frame.eye - point))
+    half_vector = normalize(to_light + normalize(hits.prepared.frame.eye - point))
     file_index = scene.surfaces.file_index[occluders].tolist()
     return LightPart(
         line=light.line,
         intensity=_to_vector(light.intensity),
         n_dot_l=float(normal @ to_light),
-        n_dot_h=float(normal @ half),
+        n_dot_h=float(normal @ half_vector),
         occluders=tuple(SurfaceRef.from_index(scene, index) for index in file_index),
         diffuse=_to_vector(diffuse),
         specular=_to_vector(specular),

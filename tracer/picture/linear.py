@@ -17,15 +17,15 @@ NPY, EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 
 
 def encode_raw(radiance: Floats, *, from_left: bool = True) -> bytes:
-    """Convert the radiance of a tile (a rectangle of pixels) to bytes, without loss.
+    """Convert the radiance of a tile (a rectangle of pixels) to bytes, exactly.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of the pixels.
     from_left : bool
-        Ignored.  Functions that encode tiles are called with this argument: whether the tile begins
-        at the left side of the picture.
+        Whether the tile begins at the left side of the picture.  It makes no difference here, but
+        all functions that encode tiles have this parameter.
 
     Returns
     -------
@@ -36,9 +36,9 @@ def encode_raw(radiance: Floats, *, from_left: bool = True) -> bytes:
 
 
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write a picture as a .npy file, from which `numpy.load` returns the array that was rendered.
+    """Write a picture as a .npy file, from which `numpy.load` returns its linear radiance.
 
-    Its shape is (height, width, 3), its type float64.
+    The loaded array has shape (height, width, 3) and type float64.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        The pixels of the picture from top to bottom and from left to right, as `encode_raw` encodes
-        them.  Their number is not checked.
+        The pixels of the picture from top to bottom and from left to right, as bytes of float64
+        RGB values (the results of `encode_raw`).  The number of pixels is not checked.
 
     Raises
     ------
@@ -62,20 +62,20 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
 
 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write a picture as an OpenEXR file with channels R, G and B.
+    """Write a picture as an OpenEXR file with the channels R, G and B.
 
-    Values are rounded to float32; values beyond the range of float32 become infinite.
+    Values are rounded to float32; values too large for float32 become infinite.
 
     Parameters
     ----------
     file : binary file
-        An open file whose attribute `name` is its path: the package OpenEXR opens that path again,
-        and replaces the content.
+        Open for writing; the package OpenEXR opens the same file again, and replaces the content.
+        The attribute `name` of the file is a path or a file descriptor.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        The pixels of the picture from top to bottom and from left to right, as `encode_raw` encodes
-        them.
+        The pixels of the picture from top to bottom and from left to right, as bytes of float64
+        RGB values (the results of `encode_raw`).
 
     Raises
     ------
@@ -92,8 +92,10 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with np.errstate(over="ignore"):
         channels = {"RGB": image.astype(np.float32)}
+    # A file without a path is opened by its descriptor: on Linux, where alone such files exist.
+    path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
     try:
-        OpenEXR.File(header, channels).write(file.name)
+        OpenEXR.File(header, channels).write(path)
     except RuntimeError as error:
-        reason = str(error).rpartition(f'"{file.name}". ')[2].rstrip(".")
+        reason = str(error).rpartition(f'"{path}". ')[2].rstrip(".")
         raise OSError(reason) from error

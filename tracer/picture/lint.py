@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import BATCH_SIZE, Floats, Ints, indices
-from tracer.geometry.rounding import INSIDE, LIGHT_TOLERANCE
-from tracer.scene.model import Phong, Scene, Shader, Surfaces, VectorLike
+from tracer.geometry.rounding import LIGHT_TOLERANCE
+from tracer.scene.model import Phong, Scene, Surfaces, VectorLike
 from tracer.scene.schema import format_number
 from tracer.trace.samples import pixel_centers
 from tracer.trace.visibility import nearest_hits
@@ -26,8 +26,8 @@ _MIN_CODE = 10
 # Pixels look stretched by mistake if their width and height differ by more than this factor.
 _MAX_ASPECT = 1.05
 
-# Maximum number of pairs of a light and a surface for which a picture that is not black is searched
-# for lights inside surfaces.
+# Lights inside surfaces are searched for if there are at most this many pairs of a light and a
+# surface.
 _MAX_PAIRS = BATCH_SIZE
 
 # In rectangles of more than this many pixels, one in `_EXAMINATION_STEP` pixels is examined for
@@ -47,6 +47,8 @@ class Exposure(NamedTuple):
 
     Attributes
     ----------
+    pixel_count : int
+        Number of pixels.
     lit_count : int
         Number of pixels that are not black.  It is 0 only if all pixels are black.
     clipped_count : int
@@ -54,16 +56,17 @@ class Exposure(NamedTuple):
 
     Notes
     -----
-    In rectangles of more than `_MIN_ESTIMATED_PIXELS` pixels, the counts are estimates from one in
-    `_EXAMINATION_STEP` pixels.
+    In rectangles of more than `_MIN_ESTIMATED_PIXELS` pixels, the numbers of lit and clipped pixels
+    are estimates from one in `_EXAMINATION_STEP` pixels.
     """
 
+    pixel_count: int = 0
     lit_count: int = 0
     clipped_count: int = 0
 
     @classmethod
     def from_radiance(cls, radiance: Floats) -> Exposure:
-        """Count the lit and the clipped pixels in a rectangle of a picture.
+        """Count all pixels, lit pixels and clipped pixels in a rectangle of a picture.
 
         Parameters
         ----------
@@ -79,29 +82,12 @@ class Exposure(NamedTuple):
         step = _EXAMINATION_STEP if len(pixels) > _MIN_ESTIMATED_PIXELS else 1
         red, green, blue = pixels[::step].T
         maximum = np.maximum(np.maximum(red, green), blue)
-        # Row by row, because this search ends at the first row that is not black.
-        lit_count = step * int(np.count_nonzero(maximum)) or int(any(row.any() for row in radiance))
-        return cls(lit_count, step * int(np.count_nonzero(maximum > 1)))
-
-    def merged(self, other: Exposure) -> Exposure:
-        """Return the exposure of this and another part of a picture together.
-
-        Parameters
-        ----------
-        other : Exposure
-            The exposure of the other part.
-
-        Returns
-        -------
-        exposure : Exposure
-            The sums of the counts of both parts.
-        """
-        lit_count = self.lit_count + other.lit_count
-        return Exposure(lit_count, self.clipped_count + other.clipped_count)
+        lit_count = step * int(np.count_nonzero(maximum)) or int(radiance.any())
+        return cls(len(pixels), lit_count, step * int(np.count_nonzero(maximum > 1)))
 
 
 def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) -> Iterator[str]:
-    """Yield a warning for each property of a scene or of its picture that looks like a mistake.
+    """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
     Parameters
     ----------
@@ -115,33 +101,31 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     Yields
     ------
     warning : str
-        One line: what looks wrong, where, and a suggested fix.
+        One line of text: what looks wrong, where, and a suggested fix.
     """
-    code_warnings = [*islice(_code_warnings(scene), 1)]
-    yield from code_warnings
+    range_warnings = [*islice(_color_range_warnings(scene), 1)]
+    yield from range_warnings
     yield from _shader_warnings(scene.surfaces)
     yield from _aspect_warnings(scene)
+    yield from _light_warnings(scene, prepared)
     if not exposure.lit_count:
         reason, remedy = _explain_black(scene, prepared)
         yield f"{reason}: the picture is black; {remedy}"
-        return
-    yield from _light_warnings(scene, prepared)
-    if not code_warnings and 2 * exposure.clipped_count > exposure.lit_count:
+    elif not range_warnings and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
-        brightest = intensities.index(max(intensities))
+        brightest = _light_name(scene, intensities.index(max(intensities)))
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
-        remedy = f"lower the intensities, first that of {_light_name(scene, brightest)}"
         yield (
             f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
-            f"in a PNG file; {remedy}"
+            f"in a PNG file; lower the intensities, first that of {brightest}"
         )
 
 
 def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
-    """Yield a warning for the first light of intensity 0, and for the first inside a surface.
+    """Yield a warning for the first light of intensity 0, and for the first light in a surface.
 
-    Lights inside surfaces are searched for only if the scene has at most `_MAX_PAIRS` pairs of a
-    light and a surface.
+    A light inside a surface has no effect if the eye is outside that surface.  Such lights are
+    searched for only if the scene has at most `_MAX_PAIRS` pairs of a light and a surface.
 
     Parameters
     ----------
@@ -153,53 +137,34 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     Yields
     ------
     warning : str
-        One line: what looks wrong, where, and a suggested fix.
+        One line of text: what looks wrong, where, and a suggested fix.
     """
-    dark_lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
-    for light_index in dark_lights[:1]:
-        yield f"{_light_name(scene, light_index)} has intensity 0 0 0: it has no effect; remove it"
-    if len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
-        for light_index, enclosing in islice(_enclosed_lights(prepared), 1):
-            light, surface = _light_name(scene, light_index), _surface_name(scene, enclosing)
-            yield f"{light} is inside {surface}: it has no effect; move it out"
-
-
-def _enclosed_lights(prepared: PreparedScene) -> Iterator[tuple[int, Ints]]:
-    """Find the lights that are inside an object while the eye is outside that object.
-
-    Such a light illuminates nothing that is visible.  Lights of intensity 0 are skipped.
-
-    Parameters
-    ----------
-    prepared : PreparedScene
-        The scene, prepared for its camera.
-
-    Yields
-    ------
-    light_index : int
-        Index of the light in the scene.
-    enclosing : (k,) int array
-        Indices of the objects that contain the light, but not the eye; k is at least 1.
-    """
-    start = 0
-    for lights in prepared.light_batches:
-        encloses = (lights.side == INSIDE) & ~prepared.is_eye_inside
-        for row in np.flatnonzero(encloses.any(axis=1) & lights.intensity.any(axis=1)).tolist():
+    is_dark = np.array([not any(light.intensity) for light in scene.lights], dtype=np.bool_)
+    for light_index in indices(is_dark)[:1].tolist():
+        name = _light_name(scene, light_index)
+        yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
+    if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
+        return
+    x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
+    is_enclosed = np.concatenate(
+        [
             # A light that is inside by less than the tolerance is treated as on the surface.
-            is_deep = [
-                shape.signed_distance(shape.objects.indices(), (*lights.position[row],))
-                < -LIGHT_TOLERANCE * shape.coordinate_size
-                for shape in prepared.shapes
-            ]
-            enclosing = indices(encloses[row] & np.concatenate(is_deep))
-            if enclosing.size:
-                yield start + row, enclosing
-        start += len(lights.position)
+            shape.signed_distance(shape.objects.indices(), (x, y, z))
+            < -LIGHT_TOLERANCE * shape.coordinate_size
+            for shape in prepared.shapes
+        ],
+        axis=1,
+    )
+    is_enclosed &= ~prepared.is_eye_inside & ~is_dark[:, None]
+    for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
+        light = _light_name(scene, light_index)
+        surface = _surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
+        yield f"{light} is inside {surface}: it has no effect; move it out"
 
 
 @np.errstate(all="ignore")
 def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
-    """Find out why the picture of a scene is black.
+    """Find out why the picture of a scene is black, and suggest a fix.
 
     Parameters
     ----------
@@ -217,62 +182,28 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     """
     if not scene.lights:
         return "the scene has no light", "add <light>"
-    visible = _visible_objects(prepared)
+    visible = _find_visible_objects(prepared)
+    see_camera = "see viewPoint, viewDir and the window"
     if not visible.size:
-        return _explain_empty(scene, prepared)
+        if prepared.bounds.in_picture(prepared.frame).any():
+            return "no pixel's centre sees an object", f"try --samples 16, or {see_camera}"
+        return "no object is in view", see_camera
     see_shader = f"see the shader of {_surface_name(scene, visible)}"
     is_reflected = (prepared.diffuse[:, visible] > 0) | (prepared.specular[:, visible] > 0)
+    is_emitted = np.array([light.intensity for light in scene.lights]) > 0
     if not is_reflected.any():
         return "all surfaces in view are black", see_shader
-    is_emitted = np.array([light.intensity for light in scene.lights]) > 0
-    if not is_emitted.any():
-        return "all lights have intensity 0 0 0", f"increase that of {_light_name(scene, 0)}"
-    if not is_reflected[is_emitted.any(axis=0)].any():
+    if is_emitted.any() and not is_reflected[is_emitted.any(axis=0)].any():
         return "the surfaces in view reflect no colour of the lights", see_shader
-    unlit = "no light reaches anything in view"
+    remedy = "see the lights' positions and intensities"
     around_eye = visible[prepared.is_eye_inside[visible]]
     if around_eye.size:
         name = _surface_name(scene, around_eye)
-        return unlit, f"viewPoint is inside {name}: move it out, or a light in"
-    enclosed = [*_enclosed_lights(prepared)]
-    if len(enclosed) < np.count_nonzero(is_emitted.any(axis=1)):
-        return unlit, "see the lights' positions"
-    light_index, enclosing = enclosed[0]
-    name = _light_name(scene, light_index)
-    return unlit, f"{name} is inside {_surface_name(scene, enclosing)}: move it out"
+        remedy = f"viewPoint is inside {name}: move it out, or a light in"
+    return "no light reaches anything in view", remedy
 
 
-def _explain_empty(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
-    """Find out why no object is visible at the centre of any pixel.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    prepared : PreparedScene
-        The same scene, prepared for its camera.
-
-    Returns
-    -------
-    reason : str
-        Why no object is visible.
-    remedy : str
-        A suggested fix.
-    """
-    (top, bottom, left, right), frame = prepared.bounds, prepared.frame
-    is_in_view = (top < frame.height) & (bottom > 0) & (left < frame.width) & (right > 0)
-    is_in_view &= (top <= bottom) & (left <= right)
-    if not is_in_view.any():
-        return "no object is in view", "see viewPoint, viewDir and the window"
-    narrow = indices(is_in_view & (np.minimum(bottom - top, right - left) < 1))
-    if not narrow.size:
-        remedy = "see viewPoint, viewDir and the window, or try --samples 16"
-        return "no pixel's centre sees an object", remedy
-    name = _surface_name(scene, narrow)
-    return "no pixel's centre sees an object", f"{name} is narrower than a pixel: try --samples 16"
-
-
-def _visible_objects(prepared: PreparedScene) -> Ints:
+def _find_visible_objects(prepared: PreparedScene) -> Ints:
     """Find the objects that are visible at the centre of at least one pixel.
 
     Parameters
@@ -295,10 +226,10 @@ def _visible_objects(prepared: PreparedScene) -> Ints:
 
 
 def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
-    """Yield a warning for shaders that no surface uses, and one for exponents without effect.
+    """Warn of all shaders that no surface uses, and of all exponents that have no effect.
 
-    An exponent has no effect if the specular colour is 0.  Only shaders from a file are reported,
-    because others have no line number by which the warning could name them.
+    An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
+    skipped, because the warning names shaders by their lines in the file.
 
     Parameters
     ----------
@@ -308,107 +239,101 @@ def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
     Yields
     ------
     warning : str
-        One line: what looks wrong, in which lines of the file, and a suggested fix.
+        One line of text: what looks wrong, in which lines of the file, and a suggested fix.  There
+        are at most two warnings.
     """
-    is_used = np.zeros(len(surfaces.shaders), dtype=np.bool_)
-    is_used[surfaces.shader_index] = True
-    unused_lines: list[int] = []
-    matte_lines: list[int] = []
-    for shader, used in zip(surfaces.shaders, is_used.tolist(), strict=True):
+    used = set(surfaces.shader_index.tolist())
+    unused_lines, matte_lines = list[int](), list[int]()
+    for index, shader in enumerate(surfaces.shaders):
         if shader.line is None:
             continue
-        if not used:
+        if index not in used:
             unused_lines.append(shader.line)
         elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
             matte_lines.append(shader.line)
     if unused_lines:
-        names, remedy = _shader_names(unused_lines), 'write <shader ref="..."/> with the name in a'
+        names, remedy = _name_shaders(unused_lines), 'write <shader ref="..."/> with the name in a'
         yield f"no surface refers to the {names}; {remedy} surface, or remove the definition"
     if matte_lines:
-        names, reason = _shader_names(matte_lines), "because specularColor is 0 0 0"
+        names, reason = _name_shaders(matte_lines), "because specularColor is 0 0 0"
         yield f"exponent has no effect in the {names}, {reason}; add <specularColor>"
 
 
-def _shader_names(lines: list[int]) -> str:
-    """Name one or more shaders by the lines of the file that define them.
+def _name_shaders(lines: list[int]) -> str:
+    """Name shaders by their lines in the file: "shader of line 3", or "shaders of lines 3, 7".
 
-    At most nine lines are listed: "shader of line 3", or "shaders of lines 3, 7".
+    At most nine lines are listed.
     """
-    numbers = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
-    return f"shader of line {numbers}" if len(lines) == 1 else f"shaders of lines {numbers}"
+    listed_lines = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
+    return f"shader of line {lines[0]}" if len(lines) == 1 else f"shaders of lines {listed_lines}"
 
 
 def _aspect_warnings(scene: Scene) -> Iterator[str]:
-    """Yield a warning if the width and height of pixels differ by more than a tolerance.
+    """Yield a warning if the width and height of pixels differ by a factor above `_MAX_ASPECT`.
 
-    The tolerance is the factor `_MAX_ASPECT`.  The warning suggests another `viewWidth`, or another
-    number of columns.
+    The warning suggests the value of `viewWidth`, or the number of columns, with which pixels would
+    be square.
     """
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
     if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
-        window = f"{format_number(view_width)} x {format_number(view_height)}"
-        picture = f"{width} x {height} pixels show a window of {window}, stretched"
+        window_size = f"{format_number(view_width)} x {format_number(view_height)}"
+        problem = f"{width} x {height} pixels show a window of {window_size}, stretched"
         columns = max(1, round(height * view_width / view_height))
         remedy = f"viewWidth {view_height * width / height:.6g}, or {columns} columns,"
-        yield f"{picture}; {remedy} would make them square"
+        yield f"{problem}; {remedy} would make them square"
 
 
-def _indexed_name(kind: str, index: int, line: int | None) -> str:
-    """Name a light or a surface by its index in the scene, and by its line if it is from a file.
+def indexed_name(kind: str, index: int, line: int | None) -> str:
+    """Name a light or surface by its index, and its line in the file: "light 0 (line 12)".
 
-    For example, the name of a light is "light 0", or "light 0 (line 12)".
+    Without a line, which means that it does not come from a file, the name is "light 0".
     """
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 
 def _light_name(scene: Scene, index: int) -> str:
-    """Name the light `scene.lights[index]` by its index, and by its line if it is from a file."""
-    return _indexed_name("light", index, scene.lights[index].line)
+    """Name the light `scene.lights[index]` by its index, and its line in the file if it has one."""
+    return indexed_name("light", index, scene.lights[index].line)
 
 
 def _surface_name(scene: Scene, object_index: Ints) -> str:
-    """Name one of several surfaces: the one that comes first in the file.
+    """Name the first of several surfaces, in the order of the file, by its index and line.
 
     Parameters
     ----------
     scene : Scene
         The scene with the surfaces.
     object_index : (n,) int array
-        Indices of the surfaces in the order in which the scene stores objects, which is not that of
+        Indices of the surfaces among all objects of the prepared scene, whose order is not that of
         the file; n is at least 1.
     """
     index = scene.surfaces.file_index[object_index].min().item()
-    return _indexed_name("surface", index, scene.surfaces[index].line)
+    return indexed_name("surface", index, scene.surfaces[index].line)
 
 
-def _tagged_colors(shader: Shader) -> Iterator[tuple[str, VectorLike]]:
-    """Yield each colour of a shader as a pair: its XML tag, and its value."""
-    yield "diffuseColor", shader.diffuse
-    if isinstance(shader, Phong):
-        yield "specularColor", shader.specular
+def _color_range_warnings(scene: Scene) -> Iterator[str]:
+    """Yield a warning for each colour that seems to be in the range 0 to 255 instead of 0 to 1.
 
-
-def _code_warnings(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1.
-
-    This is so if its components are whole numbers up to 255, and the largest is at least
-    `_MIN_CODE`.  Each warning names the light, or the first surface with the colour, and suggests
-    the colour in the range from 0 to 1.
+    Such a colour consists of integers up to 255, of which the largest is at least `_MIN_CODE`.  The
+    warning names the light, or the first surface with the colour, and suggests the same colour in
+    the range 0 to 1.
     """
     surfaces = scene.surfaces
-    colors = [
-        ("intensity", light.intensity, _light_name(scene, index))
-        for index, light in enumerate(scene.lights)
+    colors: list[tuple[str, VectorLike, str, int]] = [
+        ("intensity", light.intensity, "light", index) for index, light in enumerate(scene.lights)
     ]
     # Each shader is named by the first surface in the file that uses it.
-    shaders, users = np.unique(surfaces.shader_index[surfaces.file_order], return_index=True)
-    for shader, user in zip(shaders.tolist(), users.tolist(), strict=True):
-        for tag, color in _tagged_colors(surfaces.shaders[shader]):
-            if max(color) >= _MIN_CODE:
-                colors.append((tag, color, _indexed_name("surface", user, surfaces[user].line)))
-    for tag, color, owner in colors:
+    shader_indices, users = np.unique(surfaces.shader_index[surfaces.file_order], return_index=True)
+    for shader_index, user in zip(shader_indices.tolist(), users.tolist(), strict=True):
+        shader = surfaces.shaders[shader_index]
+        colors.append(("diffuseColor", shader.diffuse, "surface", user))
+        if isinstance(shader, Phong):
+            colors.append(("specularColor", shader.specular, "surface", user))
+    for tag, color, kind, index in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
+            element = scene.lights[index] if kind == "light" else surfaces[index]
+            owner = indexed_name(kind, index, element.line)
             codes = " ".join(map(format_number, color))
             fractions = " ".join(f"{value / 255:.3g}" for value in color)
             yield f"{tag} {codes} of {owner} looks like 0 to 255; for 0 to 1, write {fractions}"

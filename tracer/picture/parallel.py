@@ -15,7 +15,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -31,12 +33,11 @@ _Result = TypeVar("_Result")
 # Maximum number of submitted but unfinished items for each worker: enough to keep the worker busy.
 _ITEMS_PER_WORKER = 2
 
-# Maximum number of starts of a pool.  It is started again if a worker has died.
+# Maximum number of starts of a pool: it is started again if a worker has died.
 _MAX_STARTS = 4
 
-# Maximum time, in seconds, to wait for the end of a pool.  Usually the end takes milliseconds, but
-# a worker that dies while it sends a result leaves half of a message, and then a thread of the pool
-# waits for the rest.
+# Maximum time, in seconds, to wait for the end of a pool's threads.  Usually they end within
+# milliseconds, but if a worker has died while it sent a result, a thread waits for the rest.
 _MAX_END_SECONDS = 0.5
 
 
@@ -65,11 +66,12 @@ class Executor(Protocol):
         """
 
 
+@dataclass(eq=False)
 class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and an executor process together.
 
-    To do the work, iterate over the instance once.  Each step yields the index of an item and the
-    result for the item, in nearly the order of the items; `restore_order` restores the order.
+    Iterate over the instance once: that does the work, and yields the results in the order of the
+    items.
 
     This process and the executor both take items from the front of the list.  When no item is left
     to take, this process repeats the items that the executor has not finished, first those that no
@@ -82,76 +84,57 @@ class Distribution(Generic[_Item, _Result]):
     function : callable
         Processes an item in this process: called with the item, it returns the result.  Its
         exceptions end the iteration.
-    items : sequence
-        The items to process.
-    executor : Executor or None
-        Processes a part of the items.  If None, this process does all the work.
     remote_function : callable
         Processes an item in the executor: called with the item, it returns the result.  If the
         executor uses other processes, the function, the items and the results must be picklable.
-    accepts : callable
-        Validates a result of the executor: called with the item and the result.  If it returns
-        False, this process processes the item instead.
+    items : sequence
+        The items to process.
     workers : int
         Number of workers of the executor, which determines how many items are submitted to it.
+    executor : Executor, optional
+        Processes a part of the items.  By default, this process does all the work.
+    accepts : callable
+        Validates a result of the executor: called with the item and the result.  If it returns
+        False, this process processes the item instead.  By default, all results are accepted.
 
-    Attributes
-    ----------
-    executor : Executor or None
-        As above.  It can be set at any time, to share the remaining items.
+    Notes
+    -----
+    `executor` can be set at any time, to share the remaining items.
     """
 
-    def __init__(
-        self,
-        function: Callable[[_Item], _Result],
-        items: Sequence[_Item],
-        executor: Executor | None,
-        remote_function: Callable[[_Item], _Result],
-        accepts: Callable[[_Item, Any], bool],
-        *,
-        workers: int,
-    ) -> None:
-        self._function, self._remote_function = function, remote_function
-        self._items, self._accepts = items, accepts
-        self.executor, self._workers = executor, workers
-        self._next_index = 0
-        # Futures whose results have not been yielded, in order of submission.  The key is the index
-        # of the item.
-        self._futures = dict[int, "Future[_Result]"]()
-        # The index of the item that this process is repeating, and the future of the same item.
-        self._repeated: tuple[int, Future[_Result]] | None = None
-        # The longest time that an item has taken in this process.
-        self._max_seconds = 0.0
+    function: Callable[[_Item], _Result]
+    remote_function: Callable[[_Item], _Result]
+    items: Sequence[_Item]
+    workers: int
+    executor: Executor | None = None
+    accepts: Callable[[_Item, Any], bool] = lambda _item, _result: True
 
-    def __iter__(self) -> Iterator[tuple[int, _Result]]:
-        """Process all items, and yield each result when it is available.
+    # Index of the first item that nobody has taken.
+    _next_index: int = field(default=0, init=False)
+    # Futures of items whose results have not been collected, in order of submission, and results
+    # that have not been yielded.  The keys are the indices of the items.
+    _futures: dict[int, Future[_Result]] = field(default_factory=dict, init=False)
+    _results: dict[int, _Result] = field(default_factory=dict, init=False)
+    # The longest time, in seconds, that an item has taken in this process.
+    _max_seconds: float = field(default=0.0, init=False)
+
+    def __iter__(self) -> Iterator[_Result]:
+        """Process all items, and yield their results in the order of the items.
 
         If the caller stops early, submitted items that no worker has begun are cancelled.
 
         Yields
         ------
-        index : int
-            Index of the item.
         result : object
-            What `function` or `remote_function` returned for the item.
+            What `function` or `remote_function` returned for the next item.
         """
         try:
-            while self._next_index < len(self._items) or self._futures:
-                self.submit()
-                if self._next_index < len(self._items):
-                    self._next_index += 1
-                    yield self._process(self._next_index - 1)
-                elif self._futures:
-                    # The item submitted last is the least likely to have been begun.
-                    index, future = next(reversed(self._futures.items()))
-                    if future.cancel() or not self._wait_for_any():
-                        self._repeated = index, self._futures.pop(index)
-                        yield self._process(index)
-                        self._repeated = None
-                for index in [key for key, value in self._futures.items() if value.done()]:
-                    future = self._futures.pop(index)
-                    is_accepted = self._is_accepted(index, future)
-                    yield (index, future.result()) if is_accepted else self._process(index)
+            for index in range(len(self.items)):
+                while index not in self._results:
+                    self.submit()
+                    self._process_next()
+                    self._collect_results()
+                yield self._results.pop(index)
         finally:
             for future in self._futures.values():
                 future.cancel()
@@ -159,82 +142,65 @@ class Distribution(Generic[_Item, _Result]):
     def submit(self) -> None:
         """Submit items to the executor until there are enough to keep all its workers busy.
 
-        The iteration calls this after each item.  If one item takes long in this process, its
-        `function` should call this method from time to time.
+        The iteration calls this before each item that this process processes.  If one item takes
+        long, `function` should also call this method from time to time.
 
         If the executor raises an error, this method ends silently and sets `executor` to None, so
         that this process does all the remaining work.
         """
+        if self.executor is None:
+            return
         unfinished_count = sum(not future.done() for future in self._futures.values())
         # Not more than the workers' share of the remaining items: this process needs work, too.
-        share = (len(self._items) - self._next_index) * self._workers // (self._workers + 1)
-        for _ in range(min(_ITEMS_PER_WORKER * self._workers - unfinished_count, share)):
-            if self.executor is None:
-                return
-            index = self._next_index
-            try:
-                future = self.executor.submit(self._remote_function, self._items[index])
-            except Exception:  # a worker has died, none can be started, or anything else
-                self.executor = None
-                return
-            self._futures[index] = future
+        share = (len(self.items) - self._next_index) * self.workers // (self.workers + 1)
+        try:
+            for _ in range(min(_ITEMS_PER_WORKER * self.workers - unfinished_count, share)):
+                item = self.items[self._next_index]
+                future = self.executor.submit(self.remote_function, item)
+                self._futures[self._next_index] = future
+                self._next_index += 1
+        except Exception:  # a worker has died, none can be started, or anything else
+            self.executor = None
+
+    def _process_next(self) -> None:
+        """Process the next item in this process, or repeat one that the executor has not finished.
+
+        Do nothing if all items are finished, or if a worker finishes an item while this process
+        waits for it.
+        """
+        if self._next_index < len(self.items):
             self._next_index += 1
+            self._process(self._next_index - 1)
+        elif self._futures:
+            # The item submitted last is the least likely to have been begun.
+            index, future = next(reversed(self._futures.items()))
+            if future.cancel() or not self._wait_for_any():
+                del self._futures[index]
+                self._process(index)
 
-    @property
-    def is_obsolete(self) -> bool:
-        """True if this process repeats an item that a worker has meanwhile finished.
-
-        If so, `function` can return immediately, with any result: the worker's result is used.
-        """
-        return self._repeated is not None and self._is_accepted(*self._repeated)
-
-    def _process(self, index: int) -> tuple[int, _Result]:
-        """Process one item in this process, and measure the time that it takes.
-
-        Parameters
-        ----------
-        index : int
-            Index of the item.
-
-        Returns
-        -------
-        index : int
-            The same index.
-        result : object
-            What `function` returned for the item.  If a worker has finished the same item in the
-            meantime, this is the worker's result instead.
-        """
+    def _process(self, index: int) -> None:
+        """Process the item with the given index in this process, and measure the time it takes."""
         start = perf_counter()
-        result = self._function(self._items[index])
+        self._results[index] = self.function(self.items[index])
         self._max_seconds = max(self._max_seconds, perf_counter() - start)
-        if self._repeated is not None and self.is_obsolete:
-            _, future = self._repeated
-            result = future.result()
-        return index, result
 
-    def _is_accepted(self, index: int, future: Future[_Result]) -> bool:
-        """Test whether a worker has processed an item with an acceptable result.
+    def _collect_results(self) -> None:
+        """Store the results of all items that the executor has finished.
 
-        Parameters
-        ----------
-        index : int
-            Index of the item.
-        future : Future
-            The future that the executor returned for the item.
-
-        Returns
-        -------
-        is_accepted : bool
-            False if the future is unfinished, is cancelled or has an exception; otherwise what
-            `accepts` returns for the item and its result.
+        If an item was cancelled, or has an exception or a result that `accepts` refuses, process it
+        in this process.
         """
-        # An exception may be a worker's KeyboardInterrupt: it must not be raised here.
-        if not future.done() or future.cancelled() or future.exception() is not None:
-            return False
-        return self._accepts(self._items[index], future.result())
+        for index in [index for index, future in self._futures.items() if future.done()]:
+            future = self._futures.pop(index)
+            # An exception may be a worker's KeyboardInterrupt: it must not be raised here.
+            has_result = not future.cancelled() and future.exception() is None
+            if has_result and self.accepts(self.items[index], future.result()):
+                self._results[index] = future.result()
+            else:
+                self._process(index)
 
     def _wait_for_any(self) -> bool:
-        """Wait until the executor finishes any item that is submitted.
+        """Wait until the executor finishes any of the submitted items.
 
         The maximum wait is the longest time that an item has taken in this process.
 
@@ -247,28 +213,6 @@ class Distribution(Generic[_Item, _Result]):
 
         futures = self._futures.values()
         return bool(wait(futures, self._max_seconds, return_when=FIRST_COMPLETED).done)
-
-
-def restore_order(results: Iterable[tuple[int, _Result]]) -> Iterator[_Result]:
-    """Put results that arrive in any order into the order of their indices.
-
-    Parameters
-    ----------
-    results : iterable of (int, object)
-        Pairs of an index and a result, in any order.  The indices are 0, 1, 2, ... without gaps.
-
-    Yields
-    ------
-    result : object
-        The results in the order of their indices, each as soon as all results before it have
-        arrived.
-    """
-    finished, next_index = dict[int, _Result](), 0
-    for index, result in results:
-        finished[index] = result
-        while next_index in finished:
-            yield finished.pop(next_index)
-            next_index += 1
 
 
 class WorkerPool:
@@ -304,7 +248,7 @@ class WorkerPool:
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Schedule the call ``fn(*args)`` in a worker.
 
-        The workers are started if there are none, or if one of them has died.
+        Workers are started if there are none, or if one of them has died.
 
         Parameters
         ----------
@@ -323,18 +267,25 @@ class WorkerPool:
         OSError, ImportError
             If the system has no semaphores, or too few files can be open.
         RuntimeError
-            If no worker can be started, or workers have died `_MAX_STARTS` times.
+            If no worker can be started, or workers have been started `_MAX_STARTS` times.
         """
         if self._executor is None:
             if self._start_count == _MAX_STARTS:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._start_count += 1
             self._executor = self._new_executor()
+        # A worker that starts inherits the blocked signal: if the user presses Ctrl-C before the
+        # worker can ignore it, Python would print a traceback.
+        if sys.platform != "win32":
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return self._executor.submit(fn, *args)
         except Exception:  # a worker has died, or none can be started
             self.close()
             return self.submit(fn, *args)
+        finally:
+            if sys.platform != "win32":
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def _new_executor(self) -> ProcessPoolExecutor:
         """Create an executor whose processes are forked if this is safe, and spawned otherwise.
@@ -364,8 +315,7 @@ class WorkerPool:
     def close(self) -> None:
         """Kill the workers, and wait at most `_MAX_END_SECONDS` until their executor has ended.
 
-        Unfinished work is lost.  Without workers, this method does nothing.  Later work starts new
-        workers, unless the executor has not ended.
+        Unfinished work is lost.  Without workers, do nothing.  Later work starts new workers.
         """
         if self._executor is None:
             return
@@ -375,25 +325,21 @@ class WorkerPool:
             process.kill()
         shut_down = threading.Thread(target=self._executor.shutdown, daemon=True)
         self._executor = None
-        try:
+        with suppress(RuntimeError):  # the system has no thread left
             shut_down.start()
             shut_down.join(_MAX_END_SECONDS)
-        except RuntimeError:  # the system has no thread left
-            self._start_count = _MAX_STARTS
-        if shut_down.is_alive():  # no process can be forked while the pool's own thread runs
-            self._start_count = _MAX_STARTS
 
 
 def _begin_worker(initializer: Callable[[], None] | None) -> None:
-    """Make this process a worker: ignore SIGINT, and start a thread that ends it with its parent.
+    """Prepare a new worker process: ignore SIGINT, and end with the parent process.
 
-    This is the first call in each worker process.  If the thread cannot be started, the process
-    ends immediately with status 1.
+    This is the first call in each worker process.  It starts a thread that waits for the end of the
+    parent; if the thread cannot be started, the worker ends immediately with status 1.
 
     Parameters
     ----------
     initializer : callable or None
-        Called without arguments after that.
+        Called without arguments at the end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -99,12 +99,12 @@ class CompressedTile(NamedTuple):
 
 
 def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile:
-    """Encode the radiance of a tile as 8-bit codes, and compress the codes for a PNG file.
+    """Encode a tile (a rectangle of pixels) as 8-bit codes, and compress them for a PNG file.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
-        Linear RGB radiance of whole rows of the picture, or of a part of one row.
+        Linear RGB radiance of the tile: of whole rows of the picture, or of a part of one row.
     from_left : bool
         Whether the tile begins at the left side of the picture.  If so, each row is preceded by a
         byte 0, which means that the row is not filtered (PNG, 9.2).
@@ -176,10 +176,11 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
 
 
 def _combine_adler(first_checksum: int, second_checksum: int, second_size: int) -> int:
-    """Compute the Adler-32 checksum of two joined byte strings from the checksums of both.
+    """Combine the Adler-32 checksums of two byte strings to that of the joined string.
 
-    The lower 16 bits of an Adler-32 checksum are a, which is 1 plus the sum of all bytes; the upper
-    16 bits are b, the sum of the values of a after each byte.  Both are modulo 65521 (RFC 1950).
+    An Adler-32 checksum has two halves of 16 bits, both modulo 65521 (RFC 1950).  The lower half,
+    a, is 1 plus the sum of all bytes; the upper half, b, is the sum of the values of a after each
+    byte.
 
     Parameters
     ----------
@@ -201,7 +202,7 @@ def _combine_adler(first_checksum: int, second_checksum: int, second_size: int) 
 
 
 def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
-    """Encode linear RGB radiance x as 8-bit codes: round(255 clip(x, 0, 1)^(1/2.2)).
+    """Encode linear RGB radiance as 8-bit codes: the code of x is round(255 clip(x, 0, 1)^(1/2.2)).
 
     Parameters
     ----------
@@ -235,7 +236,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
 
 
 def _validate_radiance(image: ArrayLike) -> Floats:
-    """Check that an image contains linear radiance, and convert it to a contiguous float64 array.
+    """Check that an image can be linear radiance, and convert it to a contiguous float64 array.
 
     Parameters
     ----------
@@ -277,11 +278,11 @@ _CELL_BITS = 52 - 7
 
 @cache
 def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
-    """Compute tables to look up the 8-bit code of any radiance from `min_value` to 1.
+    """Compute lookup tables for the 8-bit codes of radiance values from `min_value` to 1.
 
-    The values from `min_value` to 1 are divided into cells: a cell is a range of float64 values
-    with the same leading bits, that is, all but the last `_CELL_BITS` bits.  The tables are
-    computed at the first call, and then cached.
+    The values from `min_value` to 1 are divided into cells.  A cell is a range of float64 values
+    with the same leading bits: all bits but the last `_CELL_BITS`.  The tables are computed at the
+    first call, and then cached.
 
     Returns
     -------
@@ -296,29 +297,20 @@ def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
         For each code, the smallest float64 that has a larger code; infinite for the last code.
     """
     codes = range(1, _MAX_CODE + 1)
-    next_threshold = np.array([_threshold(code) for code in codes] + [np.inf])
-    min_value = 2.0 ** _exponent_below_thresholds()
+    next_threshold = np.array([_compute_threshold(code) for code in codes] + [np.inf])
+    min_value = 2.0 ** (math.frexp(next_threshold[0])[1] - 1)
     first_cell, last_cell = (np.array([min_value, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
     smallest: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
     cell_code = next_threshold.searchsorted(smallest, side="right").astype(np.uint8)
     return min_value, first_cell, cell_code, next_threshold
 
 
-def _exponent_below_thresholds() -> int:
-    """Return e such that 2^e is the largest power of two with code 0.
-
-    It is the largest power of two below (0.5 / 255)^gamma, the smallest value with code 1.
-    """
-    p, q = _GAMMA
-    return math.frexp((0.5 / _MAX_CODE) ** (p / q))[1] - 1
-
-
-def _threshold(code: int) -> float:
-    """Compute the smallest float64 whose code is at least `code`.
+def _compute_threshold(code: int) -> float:
+    """Compute the smallest float64 radiance whose 8-bit code is at least `code`.
 
     A value x has at least this code if 255 x^(q/p) >= code - 1/2, where p / q is gamma.  To avoid
-    rounding, both sides are doubled and raised to the power p: 510^p x^q >= (2 code - 1)^p.
-    Scaling x by a sufficient power of two makes both sides integers, so the comparison is exact.
+    rounding, both sides are doubled and raised to the power p: 510^p x^q >= (2 code - 1)^p.  With
+    x = a / b, both sides multiplied by b^q are integers, so the comparison is exact.
 
     Parameters
     ----------
@@ -335,8 +327,10 @@ def _threshold(code: int) -> float:
     # An approximation of the threshold.  It is closer than base**(p / q), because the fractional
     # exponent is small, and so is the error of its rounding.
     estimate: float = base ** (p // q) * base ** (p % q / q)
-    # Every candidate is a multiple of 2^-bits.
-    bits = 52 - _exponent_below_thresholds()
-    limit = (2 * code - 1) ** p << q * bits
-    candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))
-    return next(x for x in candidates if int(x * 2.0**bits) ** q * (2 * _MAX_CODE) ** p >= limit)
+
+    def has_code(x: float) -> bool:
+        """Test whether the code of x is at least `code`."""
+        a, b = x.as_integer_ratio()
+        return bool((2 * _MAX_CODE) ** p * a**q >= (2 * code - 1) ** p * b**q)
+
+    return next(filter(has_code, (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))))

@@ -5,8 +5,6 @@ tile
     that its arrays stay in the CPU cache, and so large that the overhead of NumPy calls is
     negligible.  Its pixels depend only on the scene, the samples and the offset, so the picture is
     the same to the last bit, whichever process renders the tile.
-block
-    A part of a tile whose samples fit into memory.
 classified
     A picture is classified if pixels are sampled adaptively: edges are found first, and only pixels
     that edges cross are sampled more than once.  Otherwise all pixels have the same samples.
@@ -22,13 +20,12 @@ from __future__ import annotations
 import io
 import operator
 import pickle
-import threading
 import warnings
 from collections.abc import Callable, Iterator
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise, product
 from math import isqrt, sqrt
-from typing import Any, NamedTuple, SupportsFloat, SupportsIndex, TypeAlias
+from typing import Any, SupportsFloat, SupportsIndex, TypeAlias
 
 import numpy as np
 
@@ -37,13 +34,7 @@ from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
 from tracer.picture.memory import keep_heap
-from tracer.picture.parallel import (
-    Distribution,
-    Executor,
-    WorkerPool,
-    count_processors,
-    restore_order,
-)
+from tracer.picture.parallel import Distribution, Executor, WorkerPool, count_processors
 from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import radiance_at
@@ -159,12 +150,12 @@ def render(
     def accepts(rectangle: Rectangle, result: object) -> bool:
         return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
 
-    work = Distribution[Rectangle, Any](
-        render_here, tiles, executor, job.render_tile, accepts, workers=count_processors()
+    radiance_of_tiles = Distribution[Rectangle, Any](
+        render_here, job.render_tile, tiles, count_processors(), executor, accepts
     )
-    for index, radiance in work:
+    for rectangle, radiance in zip(tiles, radiance_of_tiles, strict=True):
         if radiance is not None:
-            image[tiles[index]] = radiance
+            image[rectangle] = radiance
     for warning in scene_warnings(scene, job.prepared, Exposure.from_radiance(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
@@ -198,27 +189,9 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
     return file.getvalue()
 
 
-class Tile(NamedTuple):
-    """A rendered tile (a rectangle of pixels), encoded for a file.
-
-    Attributes
-    ----------
-    data : object
-        What the function that encodes tiles returned for this one.
-    pixel_count : int
-        Number of pixels in the tile.
-    exposure : Exposure
-        Counts of lit and clipped pixels in the tile.
-    """
-
-    data: Any
-    pixel_count: int
-    exposure: Exposure
-
-
 def render_tiles(
     job: RenderJob, pool: WorkerPool | None = None, encode: Callable[..., Any] = compress_tile
-) -> Iterator[Tile]:
+) -> Iterator[tuple[Any, Exposure]]:
     """Render a picture, and yield its encoded tiles from top to bottom and from left to right.
 
     Parameters
@@ -236,27 +209,15 @@ def render_tiles(
 
     Yields
     ------
-    tile : Tile
-        A rectangle of pixels, encoded.
+    data : object
+        What `encode` returned for a tile (a rectangle of pixels).
+    exposure : Exposure
+        Counts of pixels, lit pixels and clipped pixels in the tile.
     """
     workers = pool.workers if pool else 0
-    if workers:
-        _ = [*job.prepared.light_batches]  # prepares the lights once, before the process forks
-        _cache_job(job)
     render_tile = partial(job.render_encoded_tile, encode)
-    tiles = Distribution(
-        render_tile,
-        job.tiles(shared=workers > 0),
-        pool,
-        render_tile,
-        lambda _, result: isinstance(result, Tile),
-        workers=workers,
-    )
-    try:
-        yield from restore_order(tiles)
-    finally:
-        if workers:
-            _cached_jobs.pop(job.pickled_arguments, None)
+    tiles = job.tiles(shared=workers > 0)
+    yield from Distribution(render_tile, render_tile, tiles, workers, pool)
 
 
 def _samples_per_side(samples: SupportsIndex) -> int:
@@ -338,9 +299,8 @@ class RenderJob:
         has_lattice = is_antialiased and is_supersampling_cheaper(self.prepared, self._per_side)
         self._is_classified = is_antialiased and not has_lattice
         self._lattice = Lattice.at_least(self._per_side) if has_lattice else CENTERS
-        self._max_samples = _MAX_TILE_SAMPLES * (_CLASSIFIED_FACTOR if self._is_classified else 1)
-        block_samples = self.prepared.batch_size(self._max_samples)
-        self._max_block_pixels = max(1, block_samples // self._lattice.size)
+        max_samples = _MAX_TILE_SAMPLES * (_CLASSIFIED_FACTOR if self._is_classified else 1)
+        self._max_samples = self.prepared.batch_size(max_samples)
         self.seconds = self._seconds_per_pixel * scene.width * scene.height
 
     @cached_property
@@ -383,8 +343,8 @@ class RenderJob:
         if shared:
             balanced_size = width * height / (_TILES_PER_PROCESSOR * count_processors())
             tile_size = min(tile_size, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_size))
-        row_ranges = _divide(slice(0, height), max(1, int(tile_size / width)))
-        return list(product(row_ranges, _divide(slice(0, width), max(1, int(tile_size)))))
+        row_ranges = _divide(height, max(1, int(tile_size / width)))
+        return list(product(row_ranges, _divide(width, max(1, int(tile_size)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Define what pickle stores: only the arguments, not the prepared scene."""
@@ -395,7 +355,9 @@ class RenderJob:
         """The pickled arguments (scene, samples, offset), which identify the job in any process."""
         return pickle.dumps(self._arguments)
 
-    def render_encoded_tile(self, encode: Callable[..., Any], rectangle: Rectangle) -> Tile:
+    def render_encoded_tile(
+        self, encode: Callable[..., Any], rectangle: Rectangle
+    ) -> tuple[Any, Exposure]:
         """Render one tile, and encode it for a file.
 
         Parameters
@@ -408,12 +370,14 @@ class RenderJob:
 
         Returns
         -------
-        tile : Tile
-            The encoded tile.
+        data : object
+            What `encode` returned.
+        exposure : Exposure
+            Counts of pixels, lit pixels and clipped pixels in the tile.
         """
         radiance = self.render_tile(rectangle)
         data = encode(radiance, from_left=rectangle[1].start == 0)
-        return Tile(data, radiance.size // 3, Exposure.from_radiance(radiance))
+        return data, Exposure.from_radiance(radiance)
 
     @_QUIET
     def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
@@ -434,63 +398,32 @@ class RenderJob:
         """
         keep_heap()
         rows, columns = rectangle
-        width = columns.stop - columns.start
-        radiance = np.zeros((rows.stop - rows.start, width, 3)) if out is None else out
-        visible_rows = _overlap(rows, self.prepared.window[0])
-        row_ranges = _divide(visible_rows, max(1, self._max_block_pixels // width))
-        for block in product(row_ranges, _divide(columns, self._max_block_pixels)):
-            block_rows, block_columns = map(_relative_to_start, block, rectangle)
-            self._render_block(*block, out=radiance[block_rows, block_columns])
+        size = rows.stop - rows.start, columns.stop - columns.start
+        radiance = np.zeros((*size, 3)) if out is None else out
+        visible_rows, visible_columns = map(_overlap, rectangle, self.prepared.window)
+        if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
+            return radiance
+        visible_radiance = radiance[_relative_to_start(visible_rows, rows)]
+        if self._is_classified:
+            visible_radiance[:, _relative_to_start(visible_columns, columns)] = refine_pixels(
+                self.prepared, visible_rows, visible_columns, self._per_side
+            )
+            return radiance
+        samples = self._lattice.samples(visible_rows, columns)
+        if self._lattice.size > 1:
+            sample_radiance = radiance_at(self.prepared, samples)
+            visible_radiance[:] = self._lattice.mean(sample_radiance, size[1])
+        else:
+            radiance_at(self.prepared, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
-    def _render_block(self, rows: slice, columns: slice, out: Floats) -> None:
-        """Render a block: a rectangle of pixels so small that its samples fit into memory.
 
-        Parameters
-        ----------
-        rows, columns : slice
-            Rows and columns of the block in the picture.
-        out : (rows, columns, 3) float array
-            Receives the linear RGB radiance.  It must be all zeros: pixels in which no object is
-            visible are not written.
-        """
-        if self._is_classified:
-            visible = _overlap(columns, self.prepared.window[1])
-            if visible.start < visible.stop:
-                mean = refine_pixels(self.prepared, rows, visible, self._per_side)
-                out[:, _relative_to_start(visible, columns)] = mean
-            return
-        samples = self._lattice.samples(rows, columns)
-        if self._lattice.size > 1:
-            out[:] = self._lattice.mean(radiance_at(self.prepared, samples), out.shape[1])
-        else:
-            radiance_at(self.prepared, samples, out=out.reshape(-1, 3).T)
-
-
-_cached_jobs = dict[bytes, RenderJob]()
-"""The latest jobs of this process, by their pickled arguments, in order of last use."""
-
-_cache_lock = threading.Lock()
-
-
-def _cache_job(job: RenderJob) -> None:
-    """Put a render job into this process's cache of jobs, which is inherited by forked processes.
-
-    A cached job need not prepare its scene again.  The cache keeps the `_MAX_CACHED_JOBS` jobs that
-    were used last.
-    """
-    with _cache_lock:
-        _cached_jobs.pop(job.pickled_arguments, None)
-        _cached_jobs[job.pickled_arguments] = job
-        if len(_cached_jobs) > _MAX_CACHED_JOBS:
-            del _cached_jobs[next(iter(_cached_jobs))]
-
-
+@lru_cache(_MAX_CACHED_JOBS)
 def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
-    """Return the render job with the given arguments, from this process's cache if possible.
+    """Create a render job from its pickled arguments, or return the same job as last time.
 
-    If the job is not in the cache, it is created and cached.  That prepares the scene, which may
-    take longer than to render a tile.
+    The latest `_MAX_CACHED_JOBS` jobs of this process are cached: a job prepares its scene, and
+    that may take longer than to render a tile.
 
     Parameters
     ----------
@@ -500,11 +433,9 @@ def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
     Returns
     -------
     job : RenderJob
-        The job.  Equal arguments give the same object as long as it is in the cache.
+        The job.  Equal arguments give the same object as long as it is cached.
     """
-    job = _cached_jobs.get(pickled_arguments) or RenderJob(*pickle.loads(pickled_arguments))
-    _cache_job(job)
-    return job
+    return RenderJob(*pickle.loads(pickled_arguments))
 
 
 def _overlap(first: slice, second: slice) -> slice:
@@ -523,42 +454,42 @@ def _overlap(first: slice, second: slice) -> slice:
     return slice(max(first.start, second.start), min(first.stop, second.stop))
 
 
-def _relative_to_start(inner: slice, outer: slice) -> slice:
-    """Convert a range of rows or columns of the picture to rows or columns of a part of it.
+def _relative_to_start(pixel_range: slice, tile_range: slice) -> slice:
+    """Count a range of picture rows or columns from the start of a tile.
 
     For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
 
     Parameters
     ----------
-    inner : slice
-        The range, in the picture.
-    outer : slice
-        The range of the part, in the picture.  It contains `inner`.
+    pixel_range : slice
+        The range of rows or columns, counted from the start of the picture.
+    tile_range : slice
+        The rows or columns of the tile, counted from the start of the picture.  They contain the
+        range.
 
     Returns
     -------
-    relative : slice
-        The range `inner`, counted from the start of `outer`.
+    relative_range : slice
+        The same rows or columns, counted from the start of the tile.
     """
-    return slice(inner.start - outer.start, inner.stop - outer.start)
+    return slice(pixel_range.start - tile_range.start, pixel_range.stop - tile_range.start)
 
 
-def _divide(whole: slice, max_length: int) -> list[slice]:
-    """Divide a range into consecutive ranges whose lengths differ by at most 1.
+def _divide(length: int, max_length: int) -> list[slice]:
+    """Divide the range from 0 to `length` into consecutive slices of almost equal lengths.
 
     Parameters
     ----------
-    whole : slice
-        The range to divide, from `start` to `stop`.  It may be empty: stop <= start.
+    length : int
+        Length of the whole range; at least 1.
     max_length : int
-        Maximum length of each part.
+        Maximum length of a slice; at least 1.
 
     Returns
     -------
-    parts : list of slice
-        As few parts as possible, in ascending order; an empty list if the range is empty.
+    slices : list of slice
+        As few slices as possible, in ascending order.  Their lengths differ by at most 1.
     """
-    size = whole.stop - whole.start
-    count = -(-size // max_length)
-    bounds = [whole.start + size * k // max(count, 1) for k in range(count + 1)]
+    slice_count = -(-length // max_length)
+    bounds = [length * k // slice_count for k in range(slice_count + 1)]
     return [slice(start, stop) for start, stop in pairwise(bounds)]
