@@ -16,16 +16,16 @@ from reference.measured.measurements import Task, Timing
 from tracer import render
 
 
-def test_tasks_alternate_and_only_short_ones_get_more_rounds():
+def test_tasks_alternate_and_only_short_ones_get_more_rounds_and_warm_up():
     order: list[str] = []
 
     def task(name: str, seconds: float) -> Callable[[], None]:
         return lambda: (order.append(name), sleep(seconds))[1]
 
-    tasks = {"a": task("a", 0.03), "b": task("b", 0)}
-    timings = measurements.time_interleaved(tasks, 2, min_seconds=0.05)
-    assert order[:6] == ["a", "b"] * 3  # the first two runs are not timed
-    assert set(order[6:]) == {"b"}
+    tasks = {"a": task("a", 0.2), "b": task("b", 0)}
+    timings = measurements.time_interleaved(tasks, 2, min_seconds=0.3)
+    assert order[:8] == ["a", "b", *["a", "b", "b"] * 2]  # the first two runs are not timed
+    assert set(order[8:]) == {"b"}
     assert all(0 < t.low <= t.median <= t.high for t in timings.values())
 
 
