@@ -377,18 +377,18 @@ The geometry and the camera are exact. Approximate are
   (n.h)^p; it brightens towards the silhouettes.
 {notes}"""
 
-_SQUARE = """Its pixels are square: {width} x {height} of them show the window, to within half
-a pixel, not {width} x {given}.
+_SQUARE_PIXELS = """Its pixels are square: {0} x {1} of them show the window, to within half
+a pixel, not {0} x {2}.
 """
 
 _GAIN = """Mitsuba allows no reflectance above 1, and where there are highlights above 1/2: all are
-divided by {gain:g}, lights multiplied.
+divided by {:g}, lights multiplied.
 """
 
 
 @_IGNORE_OVERFLOW
 def convert_stock(scene: Scene, samples: int = 64) -> Document:
-    """Convert a scene to a Mitsuba scene whose picture is similar, for Mitsuba's own plugins.
+    """Convert a scene to a similar Mitsuba scene that needs only Mitsuba's own plugins.
 
     This is the "stock" flavour.  Its pixels are square, its lights fall off with distance, and its
     highlights have another shape.
@@ -411,7 +411,7 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     ConversionError
         If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
     """
-    normalise, square = _stock_normalisation(scene), with_square_pixels(scene)
+    normalise, square_scene = _stock_normalisation(scene), with_square_pixels(scene)
     divisor = reflectance_divisor(scene.surfaces)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
     points = visible_points(scene)
@@ -421,16 +421,16 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     elements = [
         # Only light that comes directly from lights, one of which is chosen for each sample.
         plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
-        _stock_sensor(square, normalise, sample_count),
+        _stock_sensor(square_scene, normalise, sample_count),
         *(_stock_light(light, normalise, divisor, normalise(points)) for light in scene.lights),
         *(_stock_bsdf(shader, name, divisor) for name, shader in shader_of_name.items()),
         *_convert_surfaces(scene.surfaces, normalise, bsdf_names),
     ]
     notes = ""
-    if square.height != scene.height:
-        notes += _SQUARE.format(width=scene.width, height=square.height, given=scene.height)
+    if square_scene.height != scene.height:
+        notes += _SQUARE_PIXELS.format(scene.width, square_scene.height, scene.height)
     if divisor != 1:
-        notes += _GAIN.format(gain=divisor)
+        notes += _GAIN.format(divisor)
     if normalise.scale != 1 or normalise.center.any():
         notes += str(normalise)
     return Document(_STOCK.format(notes=notes), elements)
@@ -567,8 +567,8 @@ def reflectance_divisor(surfaces: Surfaces) -> float:
         The largest reflectance of all shaders that a surface uses, but at least 1.
     """
     used = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
-    doubled = [(2 if _has_highlight(s) else 1) * float(np.max(_reflectances(s))) for s in used]
-    return max([1.0, *doubled])
+    largest = [float(np.max(_reflectances(s))) * (2 if _has_highlight(s) else 1) for s in used]
+    return max([1.0, *largest])
 
 
 def _has_highlight(shader: Shader) -> TypeGuard[Phong]:

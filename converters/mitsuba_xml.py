@@ -119,7 +119,7 @@ def plugin(
     return element
 
 
-def xyz(tag: str, name: str | None, value: Iterable[float]) -> Element:
+def xyz(tag: str, name: str | None, components: Iterable[float]) -> Element:
     """Create the XML element of a point or vector, with the attributes x, y and z.
 
     Parameters
@@ -128,7 +128,7 @@ def xyz(tag: str, name: str | None, value: Iterable[float]) -> Element:
         Kind of the element, such as "point", "vector" or "translate".
     name : str or None
         Name of the parameter; None for a step of a transform, which has no name.
-    value : iterable of three floats
+    components : iterable of three floats
         The components x, y and z.
 
     Returns
@@ -142,18 +142,18 @@ def xyz(tag: str, name: str | None, value: Iterable[float]) -> Element:
         If a number is beyond the range of float32.
     """
     attributes = {} if name is None else {"name": name}
-    x, y, z = [_format_number(name or tag, number) for number in value]
+    x, y, z = [_format_number(name or tag, number) for number in components]
     return Element(tag, attributes, x=x, y=y, z=z)
 
 
-def rgb(name: str, value: Iterable[float]) -> Element:
+def rgb(name: str, color: Iterable[float]) -> Element:
     """Create the XML element of a colour.
 
     Parameters
     ----------
     name : str
         Name of the parameter.
-    value : iterable of three floats
+    color : iterable of three floats
         Linear red, green and blue.
 
     Returns
@@ -166,7 +166,7 @@ def rgb(name: str, value: Iterable[float]) -> Element:
     ConversionError
         If a number is beyond the range of float32.
     """
-    return Element("rgb", name=name, value=_format_numbers(name, value))
+    return Element("rgb", name=name, value=_format_numbers(name, color))
 
 
 def matrix(name: str, rows: Iterable[Iterable[float]]) -> Element:

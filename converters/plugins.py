@@ -179,11 +179,11 @@ class BlinnPhong(mi.BSDF):
         self.m_flags = flags
 
     def eval(self, ctx, si, wo, active=True):
-        """Evaluate the BSDF times the cosine, kd n.l + ks (n.h)^exponent, for two directions.
+        """Evaluate Blinn-Phong shading, kd n.l + ks (n.h)^exponent, for two directions.
 
-        Mitsuba calls this method.  Here kd and ks are the diffuse and the specular colour, n is the
-        normal, l the direction to the light, and h the half vector between the directions to the
-        light and to the eye.  In the scene format, the highlight is not multiplied by the cosine.
+        Mitsuba calls this method, and expects the BSDF multiplied by the cosine n.l.  Here kd and
+        ks are the diffuse and the specular colour, n is the normal, l the direction to the light,
+        and h the half vector between the directions to the light and to the eye.
 
         Parameters
         ----------

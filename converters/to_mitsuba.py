@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = _command_line_parser()
     options = parser.parse_args(arguments)
-    process_scene, default_flavour, ending, paths_of = (
+    process_scene, default_flavour, ending, output_paths = (
         (_render_file, "exact", ".mitsuba.png", _picture_paths)
         if options.render
         else (_convert_file, "stock", ".mitsuba.xml", lambda target: (target,))
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # A path such as / has no name to replace, but reading it fails later with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
     targets = choose_output_paths(
-        parser, [*map(str, scenes)], options.output, default_paths, paths_of
+        parser, [*map(str, scenes)], options.output, default_paths, output_paths
     )
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")

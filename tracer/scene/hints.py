@@ -116,8 +116,8 @@ def suggest_syntax_fix(
             match = re.search(rb"(?s:%b)\Z" % end_of_before, before)
             if match and re.match(start_of_after, after):
                 character = after.decode(errors="replace")[:1] or " "
-                described = f"{character!r} (U+{ord(character):04X})"
-                return remedy.format(line=line - match[0].count(b"\n"), character=described)
+                description = f"{character!r} (U+{ord(character):04X})"
+                return remedy.format(line=line - match[0].count(b"\n"), character=description)
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
     innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
@@ -202,8 +202,8 @@ def explain_invalid_number(word: str) -> str:
         if not character.isascii():
             category = "Pd" if character == "\N{MINUS SIGN}" else unicodedata.category(character)
             remedy = _CHARACTER_REMEDIES.get(category, "write a plain character in its place")
-            character_name = f"U+{ord(character):04X}, {unicodedata.name(character, '?')}"
-            return f"{quoted(word)} contains {character_name}; {remedy}"
+            description = f"U+{ord(character):04X}, {unicodedata.name(character, '?')}"
+            return f"{quoted(word)} contains {description}; {remedy}"
     if "," in word:
         return f"{quoted(word)} contains a comma; separate numbers by spaces, and write 1.5 for 1,5"
     if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", word, re.ASCII):

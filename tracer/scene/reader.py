@@ -277,7 +277,7 @@ class _Reader:
                 self.report(element, line)
 
     def read_surface(self, element: Element) -> None:
-        """Add a surface to the table of its type, which has one row per surface.
+        """Add a surface to the table of all surfaces of its type.
 
         The surface may contain a shader, or a reference to a shader.  References are checked when
         the whole file has been read, because a shader can be defined after the surface.  Other
@@ -302,7 +302,7 @@ class _Reader:
         table.shader_lines.append(0 if shader is None else shader.line)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table of its type, which has one row per shader; report its errors.
+        """Add a shader to the table of all shaders of its type, and report the shader's errors.
 
         Parameters
         ----------
@@ -316,7 +316,7 @@ class _Reader:
         """
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
-        index = self.find_shader(name)
+        index = self.find_shader_index(name)
         if name is not None and self.definition_lines[index]:
             earlier = f"the shader in line {self.definition_lines[index]}"
             self.report(element, f"the name {quoted(name)} is taken by {earlier}; choose another")
@@ -352,9 +352,9 @@ class _Reader:
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
-        return self.find_shader(name)
+        return self.find_shader_index(name)
 
-    def find_shader(self, name: str | None) -> int:
+    def find_shader_index(self, name: str | None) -> int:
         """Look up the index of a shader by its name; assign the next free index to a new name.
 
         Parameters

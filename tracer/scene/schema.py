@@ -212,12 +212,12 @@ class Numbers:
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Floats:
-        """Copy the values that a field has in n objects into an array, without applying the rules.
+        """Copy the values of a field in many objects into an array, after checking its shape only.
 
         Parameters
         ----------
         values : (n, count) array_like, or (n,) array_like if `count` is 1
-            The values of the field; `count` is the number of numbers in each.
+            The values of the field in n objects; `count` is the number of numbers in each value.
         name : str
             Name of the field, for messages.
 
