@@ -174,7 +174,8 @@ def suggest_tag(tag: str, allowed: Collection[str]) -> tuple[str, str | None]:
     remedy : str
         The suggested fix.
     intended : str or None
-        The tag, or several, that the author of the file probably meant; None if that is unclear.
+        What the author of the file probably meant: an allowed tag, or a text that names several
+        elements.  None if that is unclear.
     """
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:

@@ -464,9 +464,9 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def file_order(self) -> NDArray[np.intp]:
-        """Indices in the arrays of all surfaces, in the order of the file: (S + B,) int array.
+        """For each of S spheres and B boxes, its index in the arrays: (S + B,) int array.
 
-        This permutation is the inverse of `file_index`.
+        The array is in the order of the file, and is the inverse permutation of `file_index`.
         """
         order = np.argsort(self.file_index)
         order.setflags(write=False)

@@ -450,13 +450,13 @@ class _Reader:
         element : Element
             The element.
         validator : Numbers
-            Validator of the dataclass field that the element defines.  Only the number of numbers
-            is checked here.
+            Validator of the dataclass field that the element defines.  It gives the required count
+            of numbers; the numbers are validated later.
 
         Returns
         -------
         numbers : list of float
-            The numbers; after an error, as many NaN.
+            The numbers.  After an error, a list of the required length that contains only NaN.
         """
         if element or element.attrib:
             self.read_children(element, {})

@@ -112,8 +112,8 @@ class Validated:
         Parameters
         ----------
         columns : mapping of str to (n, count) float array
-            The numbers of n objects: for each field name, an array with one row per object; NaN
-            where an object has no value.
+            For each field name, the numbers of this field in n objects: one row per object, with
+            NaN where an object has no value.
 
         Returns
         -------
@@ -201,7 +201,7 @@ class Numbers:
         Raises
         ------
         SceneError
-            If the value has more or fewer numbers, or breaks a rule.
+            If the value has more or fewer numbers, or a number violates a rule of this validator.
         """
         array = _float_array(value, name)
         if array.size != self.count or array.ndim > 1:
@@ -237,7 +237,7 @@ class Numbers:
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
     def find_errors(self, values: Floats) -> Iterator[tuple[int, str]]:
-        """Find the rows of an array in which a number breaks a rule.
+        """Find the rows of an array in which a number violates a rule of this validator.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ class Numbers:
         index : int
             Index of a row with an invalid number.
         message : str
-            What is wrong with the row, according to the first broken rule.
+            What is wrong with the row, according to the first violated rule.
         """
         messages: dict[int, str] = {}
         for find_invalid, message in self.rules:
@@ -294,8 +294,8 @@ def find_errors(
     dataclass : subclass of Validated
         The class of the objects.
     columns : mapping of str to (n, count) float array
-        The numbers of n objects: for each field name, an array with one row per object; NaN where
-        an object has no value.
+        For each field name, the numbers of this field in n objects: one row per object, with NaN
+        where an object has no value.
 
     Yields
     ------

@@ -46,7 +46,7 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
 def _is_scene(path: str) -> bool:
     """Test whether a file is a scene file of the tracer, by its root element alone.
 
-    Mitsuba's scene files have the same root element, but with a version.
+    Mitsuba's scene files have the same root element, but with an attribute `version`.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def _is_scene(path: str) -> bool:
     Returns
     -------
     is_scene : bool
-        True if the root element is <scene> without a version.  False if it is another element, or
-        the file is not XML.
+        True if the root element is <scene> without a version.  False if the root is another
+        element, or the file is not XML.
 
     Raises
     ------
