@@ -66,7 +66,7 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
         "exact" to reproduce the tracer's picture by this project's plugins, or "stock" to
         approximate the picture by Mitsuba's own plugins.
     samples : int, optional
-        Number of samples per pixel; the default depends on the flavour: see `SAMPLES`.
+        Number of samples per pixel.  By default, 1 for "exact" and 64 for "stock".
 
     Returns
     -------

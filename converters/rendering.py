@@ -52,7 +52,7 @@ def render_mitsuba(
     scene : Scene
         The scene to convert and render.
     samples : int, optional
-        Number of samples per pixel; the default depends on the flavour: see `SAMPLES`.
+        Number of samples per pixel.  By default, 1 for "exact" and 64 for "stock".
     variant : str, optional
         Name of the Mitsuba variant; by default, the fastest that works on this machine.
     flavour : str

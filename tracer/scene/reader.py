@@ -583,7 +583,10 @@ class _Reader:
                 self.report(self.unique_elements["scene"], message)
 
     def report_undefined_shaders(self) -> None:
-        """Report each reference to a shader that the file does not define, with a suggested fix."""
+        """Report each reference to a shader that the file does not define, with a suggested fix.
+
+        Call this after the whole file has been read.
+        """
         lines = self.definition_lines
         if 0 not in lines:
             return
@@ -605,7 +608,15 @@ class _Reader:
                 self.report_at(line, "shader", message)
 
     def make_scene(self) -> Scene:
-        """Create the scene from the tables, which must not contain errors."""
+        """Create the scene from the tables of its surfaces, shaders, lights and cameras.
+
+        Call this only after the whole file has been read without errors.
+
+        Returns
+        -------
+        scene : Scene
+            The content of the file.
+        """
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shaders.values():
             for index, shader in zip(table.index, table.make_objects(), strict=True):

@@ -268,7 +268,7 @@ EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
 def number_validators(dataclass: Any) -> dict[str, Numbers]:
-    """Return the validators of those fields of a dataclass that consist of numbers.
+    """Return the validators of all numeric fields of a dataclass.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def number_validators(dataclass: Any) -> dict[str, Numbers]:
     Returns
     -------
     validators : dict of str to Numbers
-        For the name of each such field, its validator.
+        For the name of each field that consists of numbers, its validator.
     """
     validators = {field.name: field.metadata.get("validator") for field in fields(dataclass)}
     return {name: value for name, value in validators.items() if isinstance(value, Numbers)}
