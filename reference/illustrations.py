@@ -28,10 +28,10 @@ from reference.measured.charts import plt
 from tracer import Scene, load_scene, render, to_codes
 from tracer.antialias.classify import Cells, Classification, classify
 from tracer.antialias.edges import silhouette_pixels
-from tracer.antialias.lattice import Lattice
+from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.arrays import Floats, Ints, join_ranges
 from tracer.trace.occlusion import build_packet_levels
-from tracer.trace.samples import Rows, pixel_centers
+from tracer.trace.samples import Rows
 from tracer.trace.visibility import nearest_hits
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import PreparedScene
@@ -67,7 +67,7 @@ def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows
     """
     scene = load_scene(SCENES / f"{name}.xml")
     scene = replace(scene, width=width, height=round(width * scene.height / scene.width))
-    return scene, PreparedScene(scene), pixel_centers(slice(0, scene.height), slice(0, width))
+    return scene, PreparedScene(scene), CENTERS.samples(slice(0, scene.height), slice(0, width))
 
 
 def _show_picture(axes: Axes, codes: Floats, title: str) -> None:
@@ -210,7 +210,7 @@ def draw_classes() -> None:
     """Draw pixels by class, the edges that cross them, and the positions of their samples."""
     scene, prepared, _ = _load_and_prepare("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
-    samples, every_pixel = pixel_centers(rows, columns), np.arange(20 * 28)
+    samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
     row, column, object_index = silhouette_pixels(prepared, rows, columns)
     pixel = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.positions(every_pixel), pixel, object_index)

@@ -22,16 +22,16 @@ Vector: TypeAlias = tuple[float, float, float]
 """A single vector."""
 
 CACHE_SIZE = 1 << 15
-"""Number of elements in a batch whose arrays are to stay in a core's cache: an array of this many
-numbers takes 256 KiB.  Tuned on the project's scenes."""
+"""Number of elements in a batch whose arrays are to stay in the cache of a CPU core: an array of
+this many floats takes 256 KiB.  Tuned on the project's scenes."""
 
 BATCH_SIZE = 1 << 16
-"""Number of elements in a batch whose arrays only have to fit into memory.  All batches have a
-multiple of `CACHE_SIZE` or of `BATCH_SIZE`; no picture depends on it."""
+"""Number of elements in a batch whose arrays only have to fit into memory.  The maximum sizes of
+all batches are multiples of `CACHE_SIZE` or `BATCH_SIZE`; no picture depends on them."""
 
 
 def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
-    """Apply a function three times: to the x, to the y and to the z components of vectors.
+    """Apply a function to the x, to the y and to the z components of vectors.
 
     For example, ``map3(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
 
@@ -45,7 +45,7 @@ def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
     Returns
     -------
     result : tuple of three arrays
-        What the function returned for the x, for the y and for the z components.
+        The values that the function returns for the x, the y and the z components.
     """
     x, y, z = map(function, *vectors)
     return x, y, z
@@ -127,9 +127,9 @@ def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
 
 
 def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
-    """Repeat the value of each run once for each element of the run.
+    """Repeat the value of each run for all elements of the run.
 
-    A run is a number of consecutive elements for which a single value is stored.
+    A run consists of consecutive elements for which a single value is stored.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def indices(mask: NDArray[Any]) -> Ints:
 def segment_indices(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
     """List the members of segments, and the segment to which each member belongs.
 
-    A segment is a range of consecutive integers: its members.
+    The members of a segment are consecutive integers.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def join_ranges(start: Ints | int, counts: Ints) -> Ints:
 
 
 def run_starts(*values: NDArray[Any]) -> Bools:
-    """Test at each position of arrays whether a run of equal elements starts there.
+    """Test, at each position of arrays, whether a run of equal elements starts at the position.
 
     A run consists of consecutive positions at which each array has a constant value.
 
@@ -257,19 +257,19 @@ def run_lengths(*values: NDArray[Any]) -> tuple[Ints, Ints]:
 
 
 def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
-    """Divide a sequence of items into batches of limited size, and yield them as slices.
+    """Divide a sequence of items of different sizes into batches, and yield slices of the items.
 
     Parameters
     ----------
     sizes : (n,) int array
         Size of each item, in any unit.
     max_size : int
-        Maximum sum of the sizes in a batch.  An item that is larger is a batch on its own.
+        Maximum total size of the items in a batch.  An item that is larger is a batch on its own.
 
     Yields
     ------
     batch : slice
-        Indices of consecutive items.  Each batch begins where the one before it ends.
+        Slice of consecutive items.  Each batch begins where the previous batch ends.
     """
     total = sizes.cumsum()
     start = 0
@@ -280,8 +280,28 @@ def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
         start = stop
 
 
+def index_batches(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
+    """Divide an array of indices into batches of limited size.
+
+    Parameters
+    ----------
+    index : (n,) int array
+        The indices.
+    max_count : int
+        Maximum number of indices in a batch.
+
+    Yields
+    ------
+    batch : (k,) int array
+        The next `max_count` elements of `index`; the last batch may have fewer.  Nothing is yielded
+        if `index` is empty.
+    """
+    for start in range(0, index.size, max_count):
+        yield index[start : start + max_count]
+
+
 def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
-    """Return the elements of a table at the given rows and columns.
+    """Look up the elements of a table at the given rows and columns.
 
     Parameters
     ----------

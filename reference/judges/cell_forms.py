@@ -238,9 +238,9 @@ class CellForms:
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Coordinates of the cells' centres in the window, and half of their sizes.
-        self._right, self._down = frame.ray_s(cells.x), frame.ray_g(cells.y)
-        self._half_right = 0.5 * cells.width * frame.step_u
-        self._half_down = 0.5 * cells.width * frame.step_v
+        self._right, self._down = frame.ray_right(cells.x), frame.ray_down(cells.y)
+        self._half_right = 0.5 * cells.width * frame.pixel_width
+        self._half_down = 0.5 * cells.width * frame.pixel_height
         coef = np.zeros((8, cells.x.size))
         coef[:Z] = _squared_length(self._ray_directions(np.arange(cells.x.size)))
         coef[R] = ROUNDING * coef[C]

@@ -130,7 +130,7 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
         frame = camera_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
-        local = np.array([frame.ray_s(x)[0], frame.ray_g(y)[0], frame.depth])
+        local = np.array([frame.ray_right(x)[0], frame.ray_down(y)[0], frame.depth])
         camera = replace(
             scene.camera,
             view_dir=local @ frame.axes,

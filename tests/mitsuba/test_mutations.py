@@ -38,13 +38,13 @@ CAMERA_FRAME = tracer.geometry.camera.camera_frame
 def mirrored(*arguments: object) -> CameraFrame:
     """Return a camera that exchanges left and right."""
     frame = CAMERA_FRAME(*arguments)
-    return frame._replace(axes=frame.axes * [[-1], [1], [1]], shift_u=-frame.shift_u)
+    return frame._replace(axes=frame.axes * [[-1], [1], [1]], center_right=-frame.center_right)
 
 
 def half_a_pixel_out(*arguments: object) -> CameraFrame:
     """Return a camera whose samples lie on the pixels' edges."""
     frame = CAMERA_FRAME(*arguments)
-    return frame._replace(shift_u=frame.shift_u + frame.step_u / 2)
+    return frame._replace(center_right=frame.center_right + frame.pixel_width / 2)
 
 
 def normal_ignored(camera: tracer.Camera, *arguments: object) -> CameraFrame:

@@ -1,4 +1,4 @@
-"""Classify cells of the picture: can the sample at the centre stand for the whole cell?
+"""Classify cells of the picture: can the sample at the centre represent the whole cell?
 
 `classify` traces one sample through the centre of each cell, and finds the edges that may cross the
 cell: silhouettes, creases, intersections of surfaces, shadow edges and terminators.  Silhouettes
@@ -10,11 +10,11 @@ cell
 center sample
     The sample whose ray passes through the centre of a cell.
 footprint
-    The radius of the part of a surface that is visible in a cell, around the hit of its center
-    sample.
+    The radius, around the hit of a cell's center sample, of the part of the surface that is visible
+    in the cell.
 id
     An integer that two samples share if they hit the same face of the same object, and the same
-    lights reach both hits; -1 for the background.
+    lights are visible from both hits; -1 for the background.
 smooth
     A cell is smooth if no edge crosses it.  Its mean radiance follows from center samples alone.
 unresolved
@@ -32,11 +32,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, cell_rays, fit_lines
-from tracer.antialias.edges import Apexes, CellSurfaces, edge_batches, footprints_at, silhouettes
+from tracer.antialias.edges import CellSurfaces, footprints_at, silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
-from tracer.arrays import Bools, Floats, Ints, indices
-from tracer.geometry.camera import CameraFrame
+from tracer.arrays import Bools, Floats, Ints, index_batches, indices
 from tracer.trace.lighting import Shading, find_narrow_highlights, light_geometry
 from tracer.trace.occlusion import shadow_edges
 from tracer.trace.samples import Samples
@@ -67,14 +66,14 @@ class Cells(NamedTuple):
     width : float
         Width of each cell, in pixels.
     samples_per_side : int
-        The result should be as accurate as a grid with this many samples along each side of a cell.
+        Number of samples along each side of a uniform grid in a cell that would be as accurate as
+        the requested result.
     tolerance : float
         Maximum error of the mean radiance of a cell.
     center_x, center_y : (n,) float arrays
         Centres of the cells, in pixels from the upper left corner of the picture.
     pair_cell, pair_object : (m,) int arrays
-        Pairs of a cell and an object, as indices.  The pairs are those in which the silhouette of
-        the object may cross the cell.
+        Indices of m pairs of a cell and an object whose silhouette may cross the cell.
     """
 
     width: float
@@ -85,12 +84,12 @@ class Cells(NamedTuple):
     pair_cell: Ints
     pair_object: Ints
 
-    def positions(self, cell: Ints, point: Points2D) -> tuple[Floats, Floats]:
+    def positions(self, cell_index: Ints, point: Points2D) -> tuple[Floats, Floats]:
         """Convert points from coordinates within cells to coordinates of the picture.
 
         Parameters
         ----------
-        cell : (k,) int array
+        cell_index : (k,) int array
             Index of the cell (a pixel, or a square part of a pixel) that contains each point.
         point : (k,) complex array
             Points x + iy relative to the centres of their cells, in widths of a cell: x and y are
@@ -101,28 +100,28 @@ class Cells(NamedTuple):
         x, y : (k,) float arrays
             The same points in pixels from the upper left corner of the picture.
         """
-        x = self.center_x[cell] + self.width * point.real
-        return x, self.center_y[cell] + self.width * point.imag
+        x = self.center_x[cell_index] + self.width * point.real
+        return x, self.center_y[cell_index] + self.width * point.imag
 
-    def quarters(self, index: Ints) -> Cells:
-        """Divide square cells into quarters of half their width.
+    def quarters(self, cell_index: Ints) -> Cells:
+        """Divide square cells of the picture into quarters of half their width.
 
         Parameters
         ----------
-        index : (k,) int array
+        cell_index : (k,) int array
             Indices of the cells to divide, all different.
 
         Returns
         -------
         quarters : Cells
             The 4 k quarters: the four of the first cell, then the four of the second cell, and so
-            on.  Each quarter is paired with all objects with which its cell is paired.  The number
+            on.  Each quarter is paired with the objects with which its cell is paired.  The number
             of samples along a side is half that of the cells, rounded up.
         """
-        count = index.size
-        x, y = self.positions(index.repeat(4), np.tile(Lattice(2, 2).points(), count))
-        position = np.full(self.center_x.size, -1)  # of each cell in `index`
-        position[index] = np.arange(count)
+        count = cell_index.size
+        x, y = self.positions(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), count))
+        position = np.full(self.center_x.size, -1)  # of each cell in `cell_index`
+        position[cell_index] = np.arange(count)
         pair_position = position[self.pair_cell]
         kept = indices(pair_position >= 0)
         pair_quarter = (4 * pair_position[kept, None] + np.arange(4)).ravel()
@@ -214,17 +213,17 @@ def classify(
 def _add_lights(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add the light of a batch of lights to the radiance of hits, and find the edges of this light.
+    """Add a batch of lights to the radiance of hits, and find the edges that these lights cause.
 
-    The edges are shadow edges and terminators (where a surface turns away from the light).  They
-    are searched for in the cell of each hit, which is a pixel or a square part of a pixel.
+    The edges are shadow edges and terminators (where a surface turns away from a light).  They are
+    searched for in the cell of each hit, which is a pixel or a square part of a pixel.
 
     Parameters
     ----------
     shading : Shading
-        Sum of the light that reaches the hits.  This function adds to it.
+        Sum over lights of the radiance that the hits reflect.  This function adds to it.
     surfaces : CellSurfaces
-        For each cell, the surface where the ray through the cell's centre hits it.
+        The visible surface at the centre of each cell, with its hit.
     lights : Lights
         The lights to add.
     tolerance : float
@@ -239,7 +238,7 @@ def _add_lights(
         shadow edge that was not searched for, too many shadow edges, or a narrow highlight.  An
         index may be repeated.
     crowded_cell : (j,) int array
-        Indices of cells in which a lattice of samples costs less than finding all shadow edges.
+        Indices of cells with so many shadow edges that a lattice of samples costs less.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = light_geometry(hits, lights)
@@ -249,18 +248,18 @@ def _add_lights(
     search_radius = np.where(is_wide, 0, footprint)
     is_blocked, edge_triples, is_crowded = shadow_edges(hits, lights, frontlit, search_radius)
     shading.add(geometry, frontlit & ~is_blocked)
-    apexes = _light_positions(hits.prepared.frame, lights)
-    terminators = surfaces.terminators(apexes, geometry.n_dot_l, geometry.length2)
-    edges = chain(surfaces.shadow_silhouettes(apexes, *edge_triples), terminators)
+    terminators = surfaces.terminators(lights.near_position, geometry.n_dot_l, geometry.length2)
+    edges = chain(surfaces.shadow_silhouettes(lights.near_position, *edge_triples), terminators)
     lines, curved_cell = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, frontlit, footprint)
-    narrow_cells = [hit_cell[narrow_hit] for narrow_hit in highlights]
-    unresolved_cell = np.concatenate([hit_cell[is_wide | is_crowded], curved_cell, *narrow_cells])
+    highlight_cells = [hit_cell[hit_index] for hit_index in highlights]
+    wide_cell = hit_cell[is_wide | is_crowded]
+    unresolved_cell = np.concatenate([wide_cell, curved_cell, *highlight_cells])
     return lines, unresolved_cell, hit_cell[is_crowded]
 
 
 def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield, in batches, the silhouettes of objects that may cross cells, as seen from the eye.
+    """Yield, in batches, the silhouettes, as seen from the eye, that may cross cells.
 
     A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function,
     which is a smooth function on the picture that is zero at the silhouette.
@@ -282,34 +281,10 @@ def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[Edg
         left, lower and upper side; and the lower right corner.
     """
     frame = prepared.frame
-    eye = Apexes(frame.eye[None], np.zeros((1, 3)))
-    for batch in edge_batches(np.arange(cells.pair_cell.size)):
+    for batch in index_batches(np.arange(cells.pair_cell.size)):
         cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
-        ray_x, ray_y = frame.ray_s(cells.center_x[cell]), frame.ray_g(cells.center_y[cell])
-        ray = cell_rays(frame, ray_x, ray_y, cells.width)
-        yield from silhouettes(prepared, eye, np.zeros_like(cell), cell, object_index, ray)
-
-
-def _light_positions(frame: CameraFrame, lights: Lights) -> Apexes:
-    """Return the positions of lights, with distant lights moved closer as in the light grid.
-
-    The light grid moves a distant light towards the scene.  Shadow edges are computed for the same
-    positions, which differ from the lights' own by a negligible angle.
-
-    Parameters
-    ----------
-    frame : CameraFrame
-        The camera, to convert positions to its axes.
-    lights : Lights
-        The m lights.  If they have no light grid, their positions are unchanged.
-
-    Returns
-    -------
-    apexes : Apexes
-        The positions, as `position` (m, 3) in the axes of the scene, and as `from_eye` (m, 3),
-        relative to the eye in the axes of the camera.
-    """
-    if lights.grid is None:
-        return Apexes(lights.position, lights.from_eye)
-    position = lights.grid.light[:, :, 0].T
-    return Apexes(position, np.column_stack(frame.points_to_camera(position)))
+        center_right = frame.ray_right(cells.center_x[cell])
+        center_down = frame.ray_down(cells.center_y[cell])
+        ray = cell_rays(frame, center_right, center_down, cells.width)
+        eye_index = np.zeros_like(cell)
+        yield from silhouettes(prepared, frame.eye[None], eye_index, object_index, cell, ray)

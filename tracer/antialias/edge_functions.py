@@ -1,10 +1,11 @@
 """Edge functions: smooth functions on the picture that are zero at an edge (Pineda 1988).
 
-The values of an edge function at six points of a cell (a pixel, or a square part of a pixel) give
-its gradient and its second derivatives by differences.  `fit_lines` computes from them the straight
-line that represents the edge in the cell, or finds that the edge is too curved for a line.
+A cell is a pixel or a square part of a pixel.  An edge function is evaluated at six points of a
+cell.  Differences of these values approximate its gradient and its second derivatives.  `fit_lines`
+computes from them the straight line that represents the edge in the cell, or finds that the edge is
+too curved for a line.
 
-The edge functions are, of a ray from the eye:
+Each edge function is a function of the ray from the eye:
 
 ==========================  ======================================================================
 silhouette of a sphere      the angle between the ray and the direction to the sphere's centre,
@@ -31,35 +32,23 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import (
-    Floats,
-    Ints,
-    Triple,
-    dot,
-    indices,
-    join_ranges,
-    map3,
-    run_lengths,
-    run_starts,
-    scale3,
-    take3,
-)
+from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, run_starts, scale3, take3
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
 EdgeValues: TypeAlias = tuple[Ints, Floats]
-"""Indices (n,) of the cells that n edges may cross, and the values (6, n) of the edge functions at
-the six points of the cell; NaN where unknown."""
+"""For n edges, the index (n,) of the cell that each edge may cross, and the values (6, n) of its
+edge function at six points of the cell.  Unknown values are NaN."""
 
 # The six points of a cell, in widths of the cell from its centre: the centre; the centres of the
 # right, left, lower and upper side; and the lower right corner.
-_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
-_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
+_POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
+_POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
-# Maximum turn of an edge across a cell, in radians, for which a line represents the edge.  An edge
-# that turns by less than `_TURN_PER_TOLERANCE` times the cell's tolerance in radiance counts as
-# straight.  Tuned on the project's scenes: with half the maximum, errors of 4 samples per pixel are
-# up to 1.6 times as large; half or twice the other number changes errors and times by 1 %.
+# Maximum angle, in radians, by which an edge may turn across a cell so that a line represents the
+# edge; and the maximum for straight edges, divided by the cell's tolerance in radiance.  Tuned on
+# the project's scenes: with half the first maximum, errors of 4 samples per pixel are up to 1.6
+# times as large; half or twice the second number changes errors and times by 1 %.
 _MAX_TURN, _TURN_PER_TOLERANCE = 0.5, 500.0
 
 
@@ -84,31 +73,70 @@ class Lines(NamedTuple):
     c: Floats
 
     @classmethod
-    def joined(cls, parts: Iterable[Lines]) -> Lines:
-        """Concatenate one or more sets of lines, in the given order."""
-        return cls._make(map(np.concatenate, zip(*parts, strict=True)))
+    def joined(cls, line_sets: Iterable[Lines]) -> Lines:
+        """Concatenate sets of lines.
+
+        Parameters
+        ----------
+        line_sets : iterable of Lines
+            At least one set.
+
+        Returns
+        -------
+        lines : Lines
+            All lines of the first set, then all lines of the second set, and so on.
+        """
+        return cls._make(map(np.concatenate, zip(*line_sets, strict=True)))
 
     def take(self, index: Ints | slice) -> Lines:
-        """Return the lines with the given indices, in their order."""
+        """Select lines by index.
+
+        Parameters
+        ----------
+        index : (k,) int array or slice
+            Indices of the lines to select.
+
+        Returns
+        -------
+        selected : Lines
+            The k selected lines, in the order of `index`.
+        """
         return Lines._make(field[index] for field in self)
 
     def distinct(self) -> Lines:
-        """Return the lines without duplicates, sorted by cell and then by coefficients.
+        """Sort the lines by cell and then by coefficients, and remove duplicates.
 
-        The result does not depend on the order in which the lines were found.
+        The lines of a cell then do not depend on the order in which they were found.
+
+        Returns
+        -------
+        lines : Lines
+            The sorted lines, each of them once.
         """
         lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
         return lines.take(indices(run_starts(*lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
-        """Return at most `max_lines` lines per cell, the first ones.
+        """Keep only the first lines of each cell.
 
-        The lines must be sorted by cell.
+        Parameters
+        ----------
+        max_lines : int
+            Maximum number of lines to keep in a cell.
+
+        Returns
+        -------
+        lines : Lines
+            The remaining lines, in the same order.  These lines, and those given, are sorted by
+            cell.
         """
-        return self.take(indices(join_ranges(0, run_lengths(self.cell)[1]) < max_lines))
+        position_in_cell = np.arange(self.cell.size) - self.cell.searchsorted(self.cell)
+        return self.take(indices(position_in_cell < max_lines))
 
 
-def cell_rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Triple:
+def cell_rays(
+    frame: CameraFrame, center_right: Floats, center_down: Floats, cell_width: float
+) -> Triple:
     """Compute the rays from the eye through six points of each cell.
 
     A cell is a pixel, or a square part of a pixel.  The six points are, in this order: the centre;
@@ -118,25 +146,27 @@ def cell_rays(frame: CameraFrame, x: Floats, y: Floats, cell_width: float) -> Tr
     ----------
     frame : CameraFrame
         The camera.
-    x, y : (n,) float arrays
-        The vectors (x, y, frame.depth) are rays through the centres of the cells, in the axes of
-        the camera.
+    center_right, center_down : (n,) float arrays
+        Rightward and downward components of the ray through the centre of each cell.  The forward
+        component of all rays is `frame.depth`.
     cell_width : float
         Width of the cells, in pixels.
 
     Returns
     -------
-    ray_x, ray_y : (6, n) float arrays
-        First and second components of the rays, in the axes of the camera.
-    ray_z : (1, n) float array
-        Third component of the rays, which is the same for all six points.
+    ray_right, ray_down : (6, n) float arrays
+        Rightward and downward components of the rays.
+    ray_ahead : (1, n) float array
+        Forward component of the rays, which is the same for all six points.
     """
-    offset_x, offset_y = _X * (frame.step_u * cell_width), _Y * (frame.step_v * cell_width)
-    return x + offset_x, y + offset_y, np.full((1, x.size), frame.depth)
+    offset_right = _POINT_X * (frame.pixel_width * cell_width)
+    offset_down = _POINT_Y * (frame.pixel_height * cell_width)
+    ray_ahead = np.full((1, center_right.size), frame.depth)
+    return center_right + offset_right, center_down + offset_down, ray_ahead
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Bound how far an edge function in a cell differs from its value at the cell's centre.
+    """Bound how much edge functions vary within a cell.
 
     A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
     picture that is zero at an edge.  Here it is approximated by the quadratic polynomial through
@@ -145,14 +175,14 @@ def bound_variation(values: Floats) -> Floats:
     Parameters
     ----------
     values : (6, ...) float array
-        Values of edge functions at six points of their cells: the centre; the centres of the right,
+        Values of each edge function at six points of a cell: the centre; the centres of the right,
         left, lower and upper side; and the lower right corner.
 
     Returns
     -------
     max_difference : (...) float array
-        Upper bound on the absolute difference of the polynomial, anywhere in the cell, from its
-        value at the centre.
+        Upper bound on the absolute difference between the polynomial at any point of the cell and
+        its value at the centre.
     """
     center, right, left, below, above, corner = values
     linear = np.abs(right - left) + np.abs(below - above)
@@ -162,7 +192,7 @@ def bound_variation(values: Floats) -> Floats:
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
-    """Fit straight lines to edges in cells, and find the cells of edges that are not straight.
+    """Fit straight lines to edges in cells, and list the cells of curved edges.
 
     A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, which
     is a smooth function on the picture that is zero at the edge.
@@ -170,22 +200,21 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     Parameters
     ----------
     edges : iterable of (cell, values)
-        Batches of edges.  `cell` (n,) contains the index of a cell for each edge.  `values` (6, n)
-        contains the values of the edge function at six points of this cell: the centre; the centres
-        of the right, left, lower and upper side; and the lower right corner.  Unknown values are
-        NaN.
+        Batches of n edges.  `cell` (n,) contains the index of the cell that each edge may cross.
+        `values` (6, n) contains the values of the edge function at six points of this cell: the
+        centre; the centres of the right, left, lower and upper side; and the lower right corner.
+        Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
     Returns
     -------
     lines : Lines
-        A line for each edge that crosses its cell, except for edges that turn by more than
-        `_MAX_TURN` radians.
+        One line for each edge that crosses its cell.  Edges that turn by more than `_MAX_TURN`
+        radians have no line.
     curved_cell : (k,) int array
-        For each edge that no line represents within the tolerance, although it may cross its cell,
-        the index of the cell.  Such an edge is too curved, or its function is unknown (NaN).  The
-        index of a cell with several such edges is repeated.
+        Indices of cells that a curved edge may cross: one index for each edge that no line
+        represents within the tolerance, or whose edge function is unknown (NaN).
     """
     no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
     fits = (_fit_batch(cell, values, tolerance) for cell, values in chain([no_edges], edges))
@@ -194,7 +223,7 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
 
 
 def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
-    """Fit a straight line to each edge of one batch, and find the cells of curved edges.
+    """Fit a straight line to each of n edges, and list the cells of curved edges.
 
     A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f,
     which is a smooth function on the picture that is zero at the edge.  It is approximated by
@@ -202,11 +231,12 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     the centre of the cell.  The line is computed in two steps:
 
     1. On the straight line x = s g through the centre, f is c + s g^2 + s^2 (g . H g) / 2.  It is
-       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  At this point, or at the point of
-       x = s g in the cell that is nearest to it, f is replaced by its tangent plane c + a x + b y.
+       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  If this point is outside of the cell,
+       it is moved along x = s g to the border.  At the point, f is replaced by its tangent plane
+       c + a x + b y.
     2. Along the unit vector t of the line c + a x + b y = 0, f differs from the tangent plane by
-       u^2 (t . H t) / 2, at the distance u from the point.  The average for -1/2 < u < 1/2, which
-       is t . H t / 24, is added to c.
+       u^2 (t . H t) / 2 at the distance u from the point.  The average of this difference for
+       -1/2 < u < 1/2, which is t . H t / 24, is added to c.
 
     The curvature of the edge is |t . H t| / |g|.  This is also the angle, in radians, by which the
     edge turns over a length of 1.
@@ -224,12 +254,11 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     Returns
     -------
     lines : Lines
-        A line for each edge that crosses its cell, except for edges that turn by more than
-        `_MAX_TURN` radians.
+        One line for each edge that crosses its cell.  Edges that turn by more than `_MAX_TURN`
+        radians have no line.
     curved_cell : (k,) int array
-        For each edge that no line represents within the tolerance, although it may cross its cell,
-        the index of the cell.  Such an edge is too curved, or its function is unknown (NaN).  The
-        index of a cell with several such edges is repeated.
+        Indices of cells that a curved edge may cross: one index for each edge that no line
+        represents within the tolerance, or whose edge function is unknown (NaN).
     """
     # Scale the values, so that powers of the derivatives are finite in any unit of length.
     center, right, left, below, above, corner = values / bound_variation(values)
@@ -257,7 +286,7 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     # If the slope changes much across the edge, the far side of a small object may be in the cell.
     turn = np.maximum(np.abs(second_along), np.abs(second_across)) / np.sqrt(slope_squared)
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
-    # A curved edge may cross a cell that its tangent misses.  NaN counts as an edge in the cell.
+    # A curved edge may cross a cell that its tangent misses.  The comparison is True for NaN.
     may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))
     is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
     return lines.take(indices(has_line & crosses)), cell[indices(is_curved)]
@@ -266,22 +295,26 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
 class InverseDepth(NamedTuple):
     """The surfaces at n hits as functions on the picture: 1 / t, where a ray meets them at t.
 
-    A plane n . x = n . p has 1 / t = d . n / (n . p) for a ray d, which is a linear function.  A
-    sphere |t d - C|^2 = r^2 with the centre C has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P,
-    with P = C^2 - r^2.  This is the near intersection or, if the eye is inside (P < 0), the far
-    one.  Both are 1 / t = k . d + sqrt((k . d)^2 - w d^2):
+    Here t is the factor by which a ray d from the eye is multiplied to end on the surface.
 
-    - for a plane, k = n / (n . p) and w = 0, without the square root;
-    - for a sphere, k = C / P and w = 1 / P.
+    - A plane n . x = n . p has 1 / t = d . n / (n . p), which is a linear function of d.
+    - A sphere |t d - C|^2 = r^2 with the centre C has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P
+      with P = C^2 - r^2.  This is the near intersection or, if the eye is inside (P < 0), the far
+      one.
+
+    Both are 1 / t = k . d + sqrt((k . d)^2 - w d^2), with
+
+    - k = n / (n . p) and w = 0 for a plane, without the square root;
+    - k = C / P and w = 1 / P for a sphere.
 
     A ray that misses the sphere is treated as one that touches it.
 
     Attributes
     ----------
     k : tuple of three (n,) float arrays
-        Components of k, in the axes of the camera.
+        Components of the vector k of each surface, in the axes of the camera.
     w : (n,) float array
-        w; 0 for planes.
+        The number w of each surface; 0 for planes.
     """
 
     k: Triple
@@ -302,8 +335,9 @@ class InverseDepth(NamedTuple):
         Returns
         -------
         surfaces : InverseDepth
-            For a hit on a box, the plane of the face.  For a hit on a sphere, the sphere, or its
-            tangent plane at the hit if the eye is on the sphere.  Planes have w = 0.
+            The fields `k` and `w` for each hit.  They describe the plane of the face for a hit on a
+            box, and the sphere for a hit on a sphere; but if the eye is on the sphere, the tangent
+            plane at the hit.  Planes have w = 0.
         """
         spheres = hits.prepared.spheres
         k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
@@ -312,27 +346,40 @@ class InverseDepth(NamedTuple):
             # Planes.  If the eye is on a sphere, the tangent plane at the hit replaces the sphere.
             k[:, interval] = [group.per_hit(normal / -group.eye_height) for normal in group.normal]
             if not group.shape.is_planar:
-                power_of_eye = group.object_values(spheres.power)
-                center = np.array([*map(group.object_values, spheres.from_eye)])
+                sphere_index = group.repeat_runs(group.run_object)  # spheres are the first objects
+                power_of_eye = spheres.power[sphere_index]
+                center = np.array(take3(spheres.from_eye, sphere_index))
                 w[interval] = np.where(power_of_eye != 0, 1 / power_of_eye, 0)
                 k[:, interval] = np.where(power_of_eye != 0, center / power_of_eye, k[:, interval])
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, index: Ints) -> InverseDepth:
-        """Return the surfaces with the given indices, in their order."""
+        """Select surfaces by index.
+
+        Parameters
+        ----------
+        index : (m,) int array
+            Indices of the surfaces to select.
+
+        Returns
+        -------
+        selected : InverseDepth
+            The m selected surfaces, in the order of `index`.
+        """
         return InverseDepth(take3(self.k, index), self.w[index])
 
     def evaluate(self, ray: Triple) -> Floats:
-        """Compute 1 / t for each of six rays per surface, where t times the ray is on the surface.
+        """Compute 1 / t for six rays per surface, where t times the ray ends on the surface.
 
-        The formula is 1 / t = k . d + sqrt((k . d)^2 - w d^2), for the ray d.  If the ray misses
-        the sphere, the radicand is negative, and 0 replaces it.
+        The formula is 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the ray d, and the vector k and
+        the number w of the surface; w is 0 for planes.  If a ray misses a sphere, the radicand is
+        negative, and is replaced by 0.
 
         Parameters
         ----------
         ray : tuple of three (6, n) float arrays
             Components of rays from the eye, in the axes of the camera.  Column i contains six rays
-            for surface i.  An array may have one row, which is then that of all six rays.
+            for surface i.  An array may have a single row, which then holds for all six rays.
 
         Returns
         -------

@@ -2,8 +2,8 @@
 
 A cell is a pixel or a square part of a pixel.  Each edge is found as an edge function: a smooth
 function on the picture that is zero at the edge (see `edge_functions`).  The functions of this
-module yield the values of edge functions at six points of each cell; a later step decides from the
-values whether the edge does cross the cell.
+module yield the values of edge functions at six points of each cell.  A later step computes from
+these values whether the edge crosses the cell.
 
 Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
 is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
@@ -15,19 +15,18 @@ cell.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from tracer.antialias.edge_functions import EdgeValues, InverseDepth, bound_variation, cell_rays
 from tracer.arrays import (
-    BATCH_SIZE,
     Bools,
     Floats,
     Ints,
     Triple,
     dot,
+    index_batches,
     indices,
     map3,
     scale3,
@@ -43,38 +42,6 @@ from tracer.world.prepared_scene import PreparedScene
 # Towards the horizon of a face, footprints are divided by the cosine at the far end of the cell.
 # This cosine is at least this fraction of the cosine at the hit, so that footprints stay finite.
 _MIN_COSINE_RATIO = 1e-3
-
-
-class Apexes(NamedTuple):
-    """Points from which silhouettes are seen: the eye, or m lights.
-
-    Attributes
-    ----------
-    position : (m, 3) float array
-        Positions in the axes of the scene.
-    from_eye : (m, 3) float array
-        The same positions relative to the eye, in the axes of the camera.
-    """
-
-    position: Floats
-    from_eye: Floats
-
-
-def edge_batches(index: Ints) -> Iterator[Ints]:
-    """Divide indices of edges into batches, which limit the memory of one computation.
-
-    Parameters
-    ----------
-    index : (n,) int array
-        Indices of edges.
-
-    Yields
-    ------
-    batch : (k,) int array
-        The next elements of `index`, at most `BATCH_SIZE`.  Nothing is yielded if `index` is empty.
-    """
-    for start in range(0, index.size, BATCH_SIZE):
-        yield index[start : start + BATCH_SIZE]
 
 
 def footprints_at(hits: Hits, cell_width: float) -> Floats:
@@ -107,13 +74,13 @@ def footprints_at(hits: Hits, cell_width: float) -> Floats:
             continue
         # At any angle, a strip of width r next to the silhouette of a sphere of radius R shows no
         # more of the sphere than sqrt(2 r R).
-        maximum = np.sqrt(2 * radius / group.object_values(hits.prepared.curvature))
-        footprint[group.interval] = np.fmin(radius / n_dot_v, maximum)
+        curvature = group.repeat_runs(hits.prepared.curvature[group.run_object])
+        footprint[group.interval] = np.fmin(radius / n_dot_v, np.sqrt(2 * radius / curvature))
     return footprint
 
 
 def _half_diagonal(frame: CameraFrame, cell_width: float) -> float:
-    """Return half the diagonal of a square cell of the picture, as an angle from the eye.
+    """Compute half the diagonal of a square cell of the picture, as an angle seen from the eye.
 
     Parameters
     ----------
@@ -125,14 +92,14 @@ def _half_diagonal(frame: CameraFrame, cell_width: float) -> float:
     Returns
     -------
     angle : float
-        The angle in radians, for a cell where the window's plane is nearest to the eye: there the
-        angle is largest.
+        The angle in radians, at the point of the window's plane that is nearest to the eye.  Cells
+        elsewhere have smaller angles.
     """
-    return 0.5 * cell_width * float(np.hypot(frame.step_u, frame.step_v)) / frame.depth
+    return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
 
 
 def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
-    """Compute the radius of the part of a planar face that is visible in each cell.
+    """Compute the radius of the part of a planar face that is visible in each of n cells.
 
     A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
     the cell meets the face.
@@ -143,9 +110,9 @@ def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
         Half the diagonal of the cell at the distance of the hit, perpendicular to the ray, in the
         scene's unit of length.
     n_dot_v : (n,) float array
-        Cosine between the normal of the face and the direction to the eye, at the hit.
+        Cosine of the angle between the normal of the face and the direction to the eye, at the hit.
     angle : float
-        Half the diagonal of the cell as an angle from the eye, in radians.
+        Half the diagonal of the cell as an angle seen from the eye, in radians.
 
     Returns
     -------
@@ -175,24 +142,24 @@ def silhouette_pixels(
     Returns
     -------
     row, column : (n,) int arrays
-        Row and column in the picture of the pixel of each pair.
+        Row and column in the picture of each pair's pixel.
     object_index : (n,) int array
-        Index of the object of each pair.
+        Index of each pair's object.
     """
-    lines = np.arange(rows.start, rows.stop + 1, dtype=np.float64)
+    borders = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # between rows of pixels
     top, bottom = prepared.bounds.top, prepared.bounds.bottom
-    # For each interval: row, object, and the columns at which it starts and stops.
+    # For each interval of pixels: row, object, and the columns at which it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in prepared.shapes:
         limits = columns.start, columns.stop
-        owner, row, left, right = object_spans(shape, prepared, lines[:-1], limits, height=1.0)
+        owner, row, left, right = object_spans(shape, prepared, borders[:-1], limits, height=1.0)
         # The interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
-        for line in (row, row + 1):
-            line_left, line_right = shape.row_extent(owner, lines[line], 0.0)
-            inner_start = np.maximum(inner_start, line_left)
-            inner_stop = np.minimum(inner_stop, line_right)
-        covers_row = (top[owner] < lines[row]) & (bottom[owner] > lines[row + 1])
+        for border in (row, row + 1):
+            border_left, border_right = shape.row_extent(owner, borders[border], 0.0)
+            inner_start = np.maximum(inner_start, border_left)
+            inner_stop = np.minimum(inner_stop, border_right)
+        covers_row = (top[owner] < borders[row]) & (bottom[owner] > borders[row + 1])
         covers_row &= inner_start < inner_stop
         start, stop = np.floor(left), np.floor(right) + 1
         # Pixels that are covered entirely; if there are none, the interval is empty, at the end.
@@ -207,7 +174,12 @@ def silhouette_pixels(
 
 
 def silhouettes(
-    prepared: PreparedScene, apexes: Apexes, apex: Ints, cell: Ints, owner: Ints, ray: Triple
+    prepared: PreparedScene,
+    apex_position: Floats,
+    apex_index: Ints,
+    object_index: Ints,
+    cell: Ints,
+    ray: Triple,
 ) -> Iterator[EdgeValues]:
     """Yield the edge functions of the silhouettes of objects, as seen from apexes.
 
@@ -220,14 +192,14 @@ def silhouettes(
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
-    apexes : Apexes
-        The points from which silhouettes are seen.
-    apex, cell, owner : (n,) int arrays
-        Indices of n triples: an apex, a cell, and an object whose silhouette may cross the cell.
+    apex_position : (m, 3) float array
+        Positions of the apexes, in the axes of the scene.
+    apex_index, object_index, cell : (n,) int arrays
+        Indices of n triples: an apex, an object, and a cell that the object's silhouette may cross.
     ray : tuple of three (6, n) float arrays
         Components, in the axes of the camera, of the vectors from the apex towards the surface
-        points that are visible at the six points of the cell.  An array may have one row, which
-        is then that of all six points.
+        points that are visible at the six points of the cell.  An array may have a single row,
+        which then holds for all six points.
 
     Yields
     ------
@@ -237,25 +209,25 @@ def silhouettes(
     values : (6, k) float array
         Values of the edge function of the silhouette at the six points of the cell.
     """
-    spheres, boxes = prepared.spheres, prepared.boxes
-    of_sphere = indices(spheres.objects.contains(owner))
+    frame, spheres, boxes = prepared.frame, prepared.spheres, prepared.boxes
+    of_sphere = indices(spheres.objects.contains(object_index))
     if of_sphere.size:
-        sphere, sphere_ray = owner[of_sphere], map3(lambda component: component[:, of_sphere], ray)
-        sphere_apex = take3(apexes.from_eye.T, apex[of_sphere])
+        sphere, sphere_ray = object_index[of_sphere], map3(lambda x: x[:, of_sphere], ray)
+        sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[of_sphere])
         center = map3(np.subtract, take3(spheres.from_eye, sphere), sphere_apex)
         yield cell[of_sphere], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
-    of_box = indices(boxes.objects.contains(owner))
+    of_box = indices(boxes.objects.contains(object_index))
     if of_box.size:
         # Planes are computed once for each pair of an apex and a box.
-        box, count = boxes.objects.positions(owner[of_box]), boxes.objects.size
-        pair_key, pair_index = np.unique(apex[of_box] * count + box, return_inverse=True)
-        pair_apex, pair_box = np.divmod(pair_key, count)
-        position = apexes.position.T[:, pair_apex]
+        box, box_count = boxes.objects.positions(object_index[of_box]), boxes.objects.size
+        pair_key = apex_index[of_box] * box_count + box
+        distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
+        pair_apex, pair_box = np.divmod(distinct_key, box_count)
+        position = apex_position.T[:, pair_apex]
         low, high = boxes.min_pt[:, pair_box] - position, boxes.max_pt[:, pair_box] - position
-        planes = prepared.frame.vector_to_camera(silhouette_planes(low, high))
-        box_ray = map3(lambda component: component[:, of_box], ray)
-        planes = map3(lambda component: component[:, pair_index], planes)
-        values = box_edge_functions(planes, box_ray)
+        planes = frame.vector_to_camera(silhouette_planes(low, high))
+        box_ray = map3(lambda x: x[:, of_box], ray)
+        values = box_edge_functions(map3(lambda x: x[:, pair_index], planes), box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the box ends where the planes through the neighbouring edges begin.
         is_near = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
@@ -291,7 +263,7 @@ class CellSurfaces(NamedTuple):
     footprint: Floats
     cell_width: float
 
-    def trace_rays(self, index: Ints) -> tuple[Triple, Floats]:
+    def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
         """Compute rays through six points of cells, and where they meet the surfaces of the hits.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The six points
@@ -300,31 +272,30 @@ class CellSurfaces(NamedTuple):
 
         Parameters
         ----------
-        index : (k,) int array
-            Indices of the hits.
+        hit_index : (k,) int array
+            Indices of the hits whose cells are used.
 
         Returns
         -------
-        ray : tuple of three (6, k) float arrays
-            Components of the rays from the eye, in the axes of the camera.  The third array has one
-            row, which is that of all six points.
+        ray : tuple of three float arrays
+            Components of the rays from the eye, in the axes of the camera: two arrays (6, k), and
+            an array (1, k) that holds for all six points.
         inverse_t : (6, k) float array
             1 / t for each ray: t times the ray is the vector from the eye to the surface.
         """
-        frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.from_eye, index)
+        frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.from_eye, hit_index)
         scale = frame.depth / z
         ray = cell_rays(frame, x * scale, y * scale, self.cell_width)
-        return ray, self.inverse_depth.take(index).evaluate(ray)
+        return ray, self.inverse_depth.take(hit_index).evaluate(ray)
 
-    def intersections(self, hidden: Hits) -> Iterator[EdgeValues]:
+    def intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
         """Yield the edges where the visible surface of a cell may meet the surface behind it.
 
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  An edge
-        function is a smooth function on the picture that is zero at an edge.
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
 
         Parameters
         ----------
-        hidden : Hits
+        hidden_hits : Hits
             Hits of other surfaces, behind the visible hits of the same samples.
 
         Yields
@@ -332,150 +303,26 @@ class CellSurfaces(NamedTuple):
         cell : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function at six points of the cell: the centre; the centres of the
-            right, left, lower and upper side; and the lower right corner.  The function is the
-            difference of 1 / t of the two surfaces, where a ray meets each surface at t times the
-            ray.
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the difference of 1 / t of the two surfaces, where
+            a ray meets each of them at t times the ray.
         """
         sample = self.hits.sample
         hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
         hit_of_sample[sample] = np.arange(sample.size)
-        visible = hit_of_sample[hidden.sample]
+        visible_index = hit_of_sample[hidden_hits.sample]
         # Two surfaces that meet within the cell are no farther from each other than this.
-        max_gap = self.footprint[visible] + footprints_at(hidden, self.cell_width)
-        is_close = hidden.distance - self.hits.distance[visible] <= max_gap
-        hidden_depth = InverseDepth.from_hits(hidden)
-        for batch in edge_batches(indices(is_close)):
-            ray, inverse_t = self.trace_rays(visible[batch])
+        max_gap = self.footprint[visible_index] + footprints_at(hidden_hits, self.cell_width)
+        is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
+        hidden_depth = InverseDepth.from_hits(hidden_hits)
+        for batch in index_batches(indices(is_close)):
+            ray, inverse_t = self.trace_rays(visible_index[batch])
             hidden_inverse_t = hidden_depth.take(batch).evaluate(ray)
-            yield self.cell[visible[batch]], inverse_t - hidden_inverse_t
-        yield from self._intersections_with_other_faces(hidden, visible, is_close)
-
-    def _intersections_with_other_faces(
-        self, hidden: Hits, visible: Ints, is_close: Bools
-    ) -> Iterator[EdgeValues]:
-        """Yield the edges where visible surfaces of cells may meet other faces of hidden boxes.
-
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  Behind
-        it, the same ray has a hidden hit on a face of a box.  A crease between this face and
-        another face of the box may be hidden as well, so the other face can be visible in the cell
-        although no sample hits it.  The face of the hidden hit is one of those tested, so its edge
-        may be yielded a second time.
-
-        Parameters
-        ----------
-        hidden : Hits
-            The n hidden hits.
-        visible : (n,) int array
-            Index of the visible hit of the same sample as each hidden hit.
-        is_close : (n,) bool array
-            Whether the face of the hidden hit may meet the visible surface in the cell.  Other hits
-            are skipped, except for those on boxes that contain the eye.
-
-        Yields
-        ------
-        cell : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  The function is the difference of 1 / t of the visible surface and
-            the face, where a ray meets each of them at t times the ray.
-        """
-        prepared, owner = hidden.prepared, hidden.hit_object
-        frame, boxes = prepared.frame, prepared.boxes
-        angle = _half_diagonal(frame, self.cell_width)
-        index = indices(boxes.objects.contains(owner) & (is_close | prepared.is_eye_inside[owner]))
-        owner, hit, distance = owner[index], take3(hidden.from_eye, index), hidden.distance[index]
-        visible = visible[index]
-        visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
-        box = boxes.objects.positions(owner)
-        for axis in range(3):
-            height = frame.scene_component(hit, axis)
-            low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
-            is_high = prepared.is_eye_inside[owner] == (height > 0)
-            face_height = np.where(is_high, high, low) - frame.eye[axis]
-            # The ray meets the plane of the other face at this factor times the hidden hit.
-            factor = face_height / height
-            n_dot_v = np.abs(height) / distance
-            face_footprint = _footprint_on_face(factor * hit[2] * angle, n_dot_v, angle)
-            gap = np.abs(factor * distance - visible_distance)
-            for batch in edge_batches(indices(gap <= footprint + face_footprint)):
-                ray, inverse_t = self.trace_rays(visible[batch])
-                face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
-                yield self.cell[visible[batch]], inverse_t - face_inverse_t
-
-    def shadow_silhouettes(
-        self, apexes: Apexes, light_index: Ints, hit_index: Ints, occluder: Ints
-    ) -> Iterator[EdgeValues]:
-        """Yield the edges of shadows: the silhouettes of occluders, as seen from lights.
-
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
-
-        Parameters
-        ----------
-        apexes : Apexes
-            Positions of the lights.
-        light_index, hit_index, occluder : (n,) int arrays
-            Indices of n triples: a light, a hit, and an object whose shadow may have an edge within
-            the footprint of the hit (the part of the surface that is visible in the cell).
-
-        Yields
-        ------
-        cell : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.
-        """
-        prepared = self.hits.prepared
-        for batch in edge_batches(np.arange(light_index.size)):
-            light, cell = light_index[batch], self.cell[hit_index[batch]]
-            ray, inverse_t = self.trace_rays(hit_index[batch])
-            # Vectors from the light to the surface, divided by t.
-            scaled_light = scale3(take3(apexes.from_eye.T, light), inverse_t)
-            light_ray = map3(np.subtract, ray, scaled_light)
-            yield from silhouettes(prepared, apexes, light, cell, occluder[batch], light_ray)
-
-    def terminators(self, apexes: Apexes, n_dot_l: Floats, length2: Floats) -> Iterator[EdgeValues]:
-        """Yield the edges where spheres turn away from lights, called terminators.
-
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Terminators are
-        searched for within the footprint of the hit (the part of the surface that is visible in
-        the cell).
-
-        Parameters
-        ----------
-        apexes : Apexes
-            Positions of the lights.
-        n_dot_l : (lights, n) float array
-            n . l, with the unit normal n at each hit, and the vector l from the hit to the light.
-        length2 : (lights, n) float array
-            l . l
-
-        Yields
-        ------
-        cell : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  The function is the cosine between n and l.
-        """
-        prepared, owner = self.hits.prepared, self.hits.hit_object
-        # The normal turns by this angle within the footprint, in radians.
-        turn = self.footprint * prepared.curvature[owner]
-        for pair in edge_batches(indices(n_dot_l**2 < turn * turn * length2)):
-            light_index, hit_index = np.divmod(pair, turn.size)
-            ray, inverse_t = self.trace_rays(hit_index)
-            # The rays meet the sphere at ray / inverse_t.  All vectors are multiplied by inverse_t.
-            center = scale3(take3(prepared.spheres.from_eye, owner[hit_index]), inverse_t)
-            normal = map3(np.subtract, ray, center)
-            light = scale3(take3(apexes.from_eye.T, light_index), inverse_t)
-            to_light = map3(np.subtract, light, ray)
-            length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-            yield self.cell[hit_index], dot(normal, to_light) / length
+            yield self.cell[visible_index[batch]], inverse_t - hidden_inverse_t
+        # A crease of a box may be hidden, and yet its other face may be visible in the cell.
+        is_close |= hidden_hits.prepared.is_eye_inside[hidden_hits.hit_object]
+        yield from self._edges_with_other_faces(hidden_hits, visible_index, is_close)
 
     def creases(self) -> Iterator[EdgeValues]:
         """Yield the creases near hits: the edges between two visible faces of the same box.
@@ -492,21 +339,138 @@ class CellSurfaces(NamedTuple):
             lower right corner.  The function is the difference of 1 / t of the two faces, where a
             ray meets each of them at t times the ray.
         """
-        prepared, frame = self.hits.prepared, self.hits.prepared.frame
-        corners = prepared.boxes.min_pt, prepared.boxes.max_pt
-        for group, axis in product(self.hits.groups, range(3)):
-            is_other_face = group.face != axis
-            if not group.shape.is_planar or not np.any(is_other_face):
-                continue
-            height = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
-            box = prepared.boxes.objects.positions(group.run_object)
-            for corner, sign in zip(corners, (-1, 1), strict=True):
-                run_height = corner[axis, box] - frame.eye[axis]
-                is_visible = prepared.is_eye_inside[group.run_object] | (sign * run_height < 0)
-                is_visible = group.repeat_runs(is_visible & is_other_face)
-                face_height = group.repeat_runs(run_height)
-                is_near = np.abs(height - face_height) < self.footprint[group.interval]
-                for batch in edge_batches(indices(is_near & is_visible)):
-                    ray, inverse_t = self.trace_rays(group.interval.start + batch)
-                    face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
-                    yield self.cell[group.interval][batch], inverse_t - face_inverse_t
+        every_hit = np.arange(self.cell.size)
+        is_candidate = np.ones(self.cell.size, dtype=np.bool_)
+        return self._edges_with_other_faces(self.hits, every_hit, is_candidate)
+
+    def _edges_with_other_faces(
+        self, box_hits: Hits, visible_index: Ints, is_candidate: Bools
+    ) -> Iterator[EdgeValues]:
+        """Yield the edges where visible surfaces of cells may meet other faces of hit boxes.
+
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The same
+        ray has another hit on a face of a box, which may be hidden, or may be the visible hit
+        itself.  The other faces of this box may be visible in the cell although no sample hits
+        them.
+
+        Parameters
+        ----------
+        box_hits : Hits
+            The n hits.  Hits on spheres are skipped.
+        visible_index : (n,) int array
+            Index of the visible hit on the same ray as each hit.
+        is_candidate : (n,) bool array
+            Whether to search for edges with the other faces of the hit's box.
+
+        Yields
+        ------
+        cell : (k,) int array
+            Index of the cell of each edge.
+        values : (6, k) float array
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the difference of 1 / t of the visible surface and
+            the face, where a ray meets each of them at t times the ray.
+        """
+        prepared, hit_object = box_hits.prepared, box_hits.hit_object
+        frame, boxes = prepared.frame, prepared.boxes
+        angle = _half_diagonal(frame, self.cell_width)
+        on_box = indices(is_candidate & boxes.objects.contains(hit_object))
+        hit_object, hit_face = hit_object[on_box], box_hits.hit_face[on_box]
+        from_eye, distance = take3(box_hits.from_eye, on_box), box_hits.distance[on_box]
+        visible = visible_index[on_box]
+        visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
+        box, is_eye_inside = boxes.objects.positions(hit_object), prepared.is_eye_inside[hit_object]
+        for axis in range(3):
+            height = frame.scene_component(from_eye, axis)
+            low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
+            is_high = is_eye_inside == (height > 0)
+            face_height = np.where(is_high, high, low) - frame.eye[axis]
+            # The ray meets the plane of the face at this factor times the hit.
+            factor = face_height / height
+            radius, n_dot_v = factor * from_eye[2] * angle, np.abs(height) / distance
+            max_gap = footprint + _footprint_on_face(radius, n_dot_v, angle)
+            is_near = np.abs(factor * distance - visible_distance) <= max_gap
+            for batch in index_batches(indices(is_near & (hit_face != axis))):
+                ray, inverse_t = self.trace_rays(visible[batch])
+                face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
+                yield self.cell[visible[batch]], inverse_t - face_inverse_t
+
+    def shadow_silhouettes(
+        self, light_position: Floats, light_index: Ints, hit_index: Ints, occluder_index: Ints
+    ) -> Iterator[EdgeValues]:
+        """Yield the edges of shadows: the silhouettes of occluders, as seen from lights.
+
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
+
+        Parameters
+        ----------
+        light_position : (m, 3) float array
+            Positions of the lights, in the axes of the scene.
+        light_index, hit_index, occluder_index : (n,) int arrays
+            Indices of n triples: a light, a hit, and an object whose shadow may have an edge within
+            the footprint of the hit (the part of the surface that is visible in the cell).
+
+        Yields
+        ------
+        cell : (k,) int array
+            Index of the cell of each edge.
+        values : (6, k) float array
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.
+        """
+        prepared = self.hits.prepared
+        light_from_eye = prepared.frame.points_to_camera(light_position)
+        for batch in index_batches(np.arange(light_index.size)):
+            light, occluder, hit = light_index[batch], occluder_index[batch], hit_index[batch]
+            ray, inverse_t = self.trace_rays(hit)
+            # Vectors from the light to the surface, divided by t.
+            scaled_light = scale3(take3(light_from_eye, light), inverse_t)
+            light_ray = map3(np.subtract, ray, scaled_light)
+            yield from silhouettes(
+                prepared, light_position, light, occluder, self.cell[hit], light_ray
+            )
+
+    def terminators(
+        self, light_position: Floats, n_dot_l: Floats, length2: Floats
+    ) -> Iterator[EdgeValues]:
+        """Yield terminators: the edges where spheres turn away from lights.
+
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Terminators are
+        searched for within the footprint of the hit (the part of the surface that is visible in
+        the cell).
+
+        Parameters
+        ----------
+        light_position : (m, 3) float array
+            Positions of the lights, in the axes of the scene.
+        n_dot_l : (m, n) float array
+            n . l, with the unit normal n at each of n hits, and the vector l from the hit to the
+            light.
+        length2 : (m, n) float array
+            l . l
+
+        Yields
+        ------
+        cell : (k,) int array
+            Index of the cell of each edge.
+        values : (6, k) float array
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the cosine of the angle between n and l.
+        """
+        prepared, hit_object = self.hits.prepared, self.hits.hit_object
+        light_from_eye = prepared.frame.points_to_camera(light_position)
+        # The normal turns by at most this angle within the footprint, in radians.
+        turn = self.footprint * prepared.curvature[hit_object]
+        for pair_index in index_batches(indices(n_dot_l**2 < turn * turn * length2)):
+            light_index, hit_index = np.divmod(pair_index, turn.size)
+            ray, inverse_t = self.trace_rays(hit_index)
+            # The rays meet the sphere at ray / inverse_t.  All vectors are multiplied by inverse_t.
+            center = take3(prepared.spheres.from_eye, hit_object[hit_index])
+            normal = map3(np.subtract, ray, scale3(center, inverse_t))
+            light = scale3(take3(light_from_eye, light_index), inverse_t)
+            to_light = map3(np.subtract, light, ray)
+            length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
+            yield self.cell[hit_index], dot(normal, to_light) / length

@@ -2,8 +2,8 @@
 
 The edges of boxes often follow the rows or columns of an upright grid.  Then a small shift of an
 edge moves a whole row of samples to its other side, so the error is large.  In a rotated lattice,
-few points share a row or a column.  Yet the lattice can be the same in all pixels, so the samples
-of a picture lie in rows.
+few points share a row or a column.  Yet all pixels can have the same lattice, so the samples of a
+picture lie in rows.
 
 The lattices are rank-1 lattices: the point of each row lies a fixed number of columns to the right
 of the point in the row above it, modulo the number of rows.  They are chosen so that a quarter turn
@@ -28,9 +28,9 @@ Points2D: TypeAlias = NDArray[np.complex128]
 """Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in widths
 of the cell."""
 
-# For each number of points in a rank-1 lattice: by how many columns the point of each row lies to
-# the right of the point in the row above.  The square of this number is -1 modulo the number of
-# points, which makes the lattice equal to itself after a quarter turn.
+# For each number of points in a rank-1 lattice: the number of columns from the point of each row to
+# the point in the next row.  The square of this number is -1 modulo the number of points, so a
+# quarter turn maps the lattice onto itself.
 _COLUMN_STEPS = {5: 2, 13: 5, 25: 7, 65: 18}
 
 # Number of points of a lattice that replaces an upright grid, divided by that of the grid.  The
@@ -40,7 +40,7 @@ _POINTS_PER_GRID_POINT = 2.5
 
 
 class Lattice(NamedTuple):
-    """Sample points of a pixel: an upright grid, or one or several copies of a rank-1 lattice.
+    """Sample points of a pixel: an upright grid, or copies of a rank-1 lattice.
 
     In a rank-1 lattice, each row contains one point, which lies a fixed number of columns to the
     right of the point in the row above, modulo the number of rows.
@@ -60,14 +60,12 @@ class Lattice(NamedTuple):
 
     @classmethod
     def at_least(cls, per_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Return the smallest rotated lattice with at least `ratio` times the points of a grid.
-
-        The lattice replaces an upright grid of per_side x per_side points.
+        """Choose the smallest rotated lattice that can replace an upright grid of points.
 
         Parameters
         ----------
         per_side : int
-            Number of points along each side of the grid, at least 1.
+            The grid has per_side x per_side points; at least 1.
         ratio : float
             Minimum number of points of the lattice, divided by that of the grid; at most 5.  With
             the default, the error of the lattice is mostly less than that of the grid.
@@ -89,7 +87,7 @@ class Lattice(NamedTuple):
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Rows:
-        """Place the points of this lattice in all pixels of a rectangle of the picture.
+        """Place the points of the lattice in all pixels of a rectangle of the picture.
 
         Pixels in every other row have the mirror image of the lattice.  So an edge in a direction
         of the lattice has this direction in only half of its pixels.
@@ -97,18 +95,18 @@ class Lattice(NamedTuple):
         Parameters
         ----------
         rows, columns : slice
-            Rows and columns of the rectangle's pixels.
+            Rows and columns of the rectangle's pixels.  Start and stop are given.
 
         Returns
         -------
         samples : Rows
-            The points, as samples of the picture.  They are ordered by row of points, from the
-            upper row down, and from left to right within a row.
+            The points, as samples of the picture.  They are ordered by row of points, from the top
+            row down, and from left to right within a row.
         """
         row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
-        return Rows(y, x, self._row_shift(row) / self.columns, (self.columns, self.rows))
+        return Rows(y, x, self._row_offset(row) / self.columns, (self.columns, self.rows))
 
     def points(self) -> Points2D:
         """Return the points of one pixel, row by row.
@@ -119,10 +117,8 @@ class Lattice(NamedTuple):
             Points x + iy relative to the centre of the pixel, in widths of the pixel: x and y are
             between -1/2 and 1/2.  The y-axis points down.
         """
-        row, column = np.arange(self.rows), np.arange(self.columns)
-        x = np.add.outer(self._row_shift(row), column + 0.5) / self.columns - 0.5
-        y = (row + 0.5) / self.rows - 0.5
-        return np.ravel(x + 1j * y[:, None])
+        x, y = self.samples(slice(0, 1), slice(0, 1)).positions(np.arange(self.size))
+        return np.asarray(x - 0.5 + 1j * (y - 0.5))
 
     def mean(self, radiance: Floats, width: int) -> Floats:
         """Average the radiance of the samples in each pixel of a rectangle.
@@ -131,7 +127,7 @@ class Lattice(NamedTuple):
         ----------
         radiance : (3, n) float array
             Linear RGB radiance of all samples in the rectangle, ordered by row of points, from the
-            upper row down, and from left to right within a row.
+            top row down, and from left to right within a row.
         width : int
             Number of pixels in each row of the rectangle.
 
@@ -147,8 +143,8 @@ class Lattice(NamedTuple):
             total += points[:, :, row]
         return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
 
-    def _row_shift(self, row: Ints) -> Floats:
-        """Compute how far the points in rows of a lattice are shifted from those of a grid.
+    def _row_offset(self, row: Ints) -> Floats:
+        """Compute the horizontal offset of the points in each row from the points of a grid.
 
         Parameters
         ----------
@@ -157,10 +153,10 @@ class Lattice(NamedTuple):
 
         Returns
         -------
-        shift : (n,) float array
-            Shift to the right, in distances between the columns of the grid, between -1/2 and 1/2.
-            The central row of a pixel is not shifted.  The shifts in every other row of pixels have
-            the opposite sign.
+        offset : (n,) float array
+            Offset to the right, in distances between the columns of the grid, between -1/2 and 1/2.
+            The central row of a pixel has the offset 0.  The offsets in every other row of pixels
+            have the opposite sign.
         """
         points = self.rows // self.columns
         center = points // 2

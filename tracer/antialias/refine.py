@@ -13,9 +13,9 @@ These decide how the mean radiance of the cell is computed:
    and the cell is divided after all.
 3. All other cells are divided into quarters, down to a smallest size.  Cells of this size are
    sampled, a second time on a finer lattice if the first one shows that an edge was missed.
-   `_Plan` lists the lattices.  If all quarters of a cell are *unresolved* (they may contain
-   something other than straight edges), then a lattice of samples tests whether the cell is smooth
-   nevertheless.
+   `_choose_lattices` lists the lattices.  If all quarters of a cell are *unresolved* (they may
+   contain something other than straight edges), then a lattice of samples tests whether the cell
+   is smooth nevertheless.
 4. *Crowded* pixels, in which finding all edges would cost more than a lattice of samples, are
    sampled immediately.  So are all pixels of a picture that is full of edges: see
    `is_supersampling_cheaper`.
@@ -25,9 +25,6 @@ Whitted, An improved illumination model for shaded display, Communications of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
-
 import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify
@@ -35,12 +32,12 @@ from tracer.antialias.edges import silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.regions import place_weighted_points, samples_in_mixed_regions
 from tracer.antialias.smooth import SmoothMeans, means_of_pixels, means_of_quarters
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, index_batches, indices
 from tracer.trace.radiance import radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
-# Maximum number of samples that are traced together in cells that are not smooth: it limits memory.
+# Maximum number of samples that are traced together in cells that edges cross: it limits memory.
 _SAMPLES_PER_BATCH = BATCH_SIZE
 
 # Maximum error of the mean radiance of a cell if one sample per pixel is requested.  If n x n are
@@ -62,7 +59,7 @@ _MAX_SILHOUETTE_PAIRS = 0.006
 
 
 def is_supersampling_cheaper(prepared: PreparedScene, per_side: int) -> bool:
-    """Decide whether uniform samples in all pixels cost less than finding the edges in the picture.
+    """Estimate whether uniform samples in all pixels cost less than searching for edges.
 
     Parameters
     ----------
@@ -74,81 +71,63 @@ def is_supersampling_cheaper(prepared: PreparedScene, per_side: int) -> bool:
     Returns
     -------
     is_cheaper : bool
-        True if the estimated number of silhouettes in a pixel is so large, compared with
+        True if silhouettes of many different objects cross the same pixels: so many, compared with
         per_side x per_side, that uniform samples cost less.
     """
     density = prepared.bounds.silhouette_density(prepared.frame)
     return density > _MAX_SILHOUETTE_PAIRS * per_side**2
 
 
-class _Plan(NamedTuple):
-    """Two steps that compute the mean radiance of cells that are not smooth.
+def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:
+    """Choose the sample points of cells that edges cross, or that they are divided into quarters.
 
-    A cell (a pixel, or a square part of a pixel) is smooth if no edge crosses it.
+    A cell is a pixel, or a square part of a pixel.  The choice depends on whether the cells are
+    pixels, and on the number n of samples that are requested along each side of a cell:
 
-    Attributes
+    ==============  =======================================  ===========================
+    cells           first step                               second step
+    ==============  =======================================  ===========================
+    n > 6           none                                     division into quarters
+    3 < n <= 6      25 samples in cells with straight edges  division into quarters
+    n <= 3, pixels  5 samples in cells with straight edges   lattice for a grid of n x n
+    n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
+    ==============  =======================================  ===========================
+
+    A cell is finished after the first step if its samples show no edge that was missed.  The second
+    step is for all other cells.
+
+    Parameters
     ----------
+    cells : Cells
+        The cells, which all have the same width.
+
+    Returns
+    -------
     first_lattice : Lattice or None
-        Sample points of the first step: cells are sampled, and a cell whose samples show no missed
-        edge is finished.  If this is None, there is no first step.
+        Sample points of the first step; None if there is no first step.
     is_first_for_all : bool
-        If True, the first step is for all cells that are not smooth.  If False, it is for cells
-        that contain only straight edges.
+        If False, the first step is only for cells that contain nothing but straight edges.
     second_lattice : Lattice or None
-        Sample points of the second step: all remaining cells are sampled.  If this is None, the
-        remaining cells are divided into quarters instead.
+        Sample points of the second step; None if the cells are divided into quarters instead.
     """
-
-    first_lattice: Lattice | None
-    is_first_for_all: bool
-    second_lattice: Lattice | None
-
-    @classmethod
-    def for_cells(cls, cells: Cells) -> _Plan:
-        """Choose how to compute the mean radiance of cells that edges cross.
-
-        A cell is a pixel, or a square part of a pixel.  The choice depends on whether the cells are
-        pixels, and on the number n of samples that are requested along each side of a cell:
-
-        ==============  =======================================  ===========================
-        cells           first step                               second step
-        ==============  =======================================  ===========================
-        n > 6           none                                     division into quarters
-        3 < n <= 6      25 samples in cells with straight edges  division into quarters
-        n <= 3, pixels  5 samples in cells with straight edges   lattice for a grid of n x n
-        n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
-        ==============  =======================================  ===========================
-
-        The second step is for cells that the first step does not finish.
-
-        Parameters
-        ----------
-        cells : Cells
-            The cells, which all have the same width.
-
-        Returns
-        -------
-        plan : _Plan
-            The two steps, which are the same for all cells.
-        """
-        # Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1
-        # times as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with
-        # n <= 3 take 1.6 to 2.2 times as long.  Without the second step, these parts have up to 1.5
-        # times the error.
-        if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
-            return cls(None, False, None)
-        if cells.samples_per_side > _MAX_SAMPLED_SIDE:
-            return cls(Lattice(1, 25), False, None)
-        if cells.width == 1:
-            return cls(Lattice(1, 5), False, Lattice.at_least(cells.samples_per_side))
-        return cls(Lattice(1, 13), True, Lattice.at_least(5))
+    # Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1 times
+    # as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with n <= 3
+    # take 1.6 to 2.2 times as long.  Without the second step, these parts have up to 1.5 times the
+    # error.
+    if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
+        return None, False, None
+    if cells.samples_per_side > _MAX_SAMPLED_SIDE:
+        return Lattice(1, 25), False, None
+    if cells.width == 1:
+        return Lattice(1, 5), False, Lattice.at_least(cells.samples_per_side)
+    return Lattice(1, 13), True, Lattice.at_least(5)
 
 
 def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    Pixels that edges cross are divided or sampled.  The error (RMSE) should be at most that of
-    per_side x per_side uniform samples in each pixel.
+    Pixels that edges cross are divided or sampled.  The aim is a root-mean-square error of at most
+    that of per_side x per_side uniform samples in each pixel.
 
     Parameters
     ----------
@@ -177,55 +156,25 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     classified = classify(prepared, pixels, samples, every_pixel)
     smooth = means_of_pixels(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    crowded = indices(is_inner & classified.is_crowded)
-    refinable = _treat_as_smooth(classified, smooth, ~is_inner | classified.is_crowded)
-    mean = _mean_of_cells(prepared, *refinable)
-    lattice = Lattice.at_least(per_side, ratio=1)
+    is_refinable = is_inner & ~classified.is_crowded
+    mean = _mean_of_cells(prepared, classified, smooth, is_refinable)
+    crowded, lattice = (
+        indices(is_inner & classified.is_crowded),
+        Lattice.at_least(per_side, ratio=1),
+    )
     mean[:, crowded], _ = _mean_of_samples(prepared, classified, crowded, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
-def _treat_as_smooth(
-    classified: Classification, smooth: SmoothMeans, is_treated: Bools
-) -> tuple[Classification, SmoothMeans]:
-    """Return copies of two descriptions of cells in which selected cells are smooth.
-
-    A cell (a pixel, or a square part of a pixel) is smooth if no edge crosses it.  The selected
-    cells need no more samples, whichever edges were found in them.
-
-    Parameters
-    ----------
-    classified : Classification
-        The n cells, and the edges that may cross them.
-    smooth : SmoothMeans
-        Estimated mean radiance of each cell, valid if no edge crosses the cell.
-    is_treated : (n,) bool array
-        Whether the cell is selected.
-
-    Returns
-    -------
-    classified : Classification
-        A copy in which the selected cells have no lines, and are not unresolved (possibly crossed
-        by something other than straight edges).
-    smooth : SmoothMeans
-        A copy in which the error of the selected cells is 0.
-    """
-    lines = classified.lines.take(indices(~is_treated[classified.lines.cell]))
-    is_unresolved = classified.is_unresolved & ~is_treated
-    error = np.where(is_treated, 0, smooth.error)
-    classified = classified._replace(lines=lines, is_unresolved=is_unresolved)
-    return classified, smooth._replace(error=error)
-
-
 def _mean_of_cells(
-    prepared: PreparedScene, classified: Classification, smooth: SmoothMeans
+    prepared: PreparedScene, classified: Classification, smooth: SmoothMeans, is_refinable: Bools
 ) -> Floats:
     """Compute the mean radiance of cells, with more samples in those that edges may cross.
 
     A cell is a pixel, or a square part of a pixel.  Its mean is that in `smooth` if (1) no edge was
     found in the cell, and (2) the estimated error is at most the tolerance.  All other cells are
-    sampled on a lattice or divided into quarters, whichever costs less (see `_Plan`).
+    sampled on a lattice or divided into quarters (see `_choose_lattices`).
 
     Parameters
     ----------
@@ -235,62 +184,61 @@ def _mean_of_cells(
         The n cells, and the edges that may cross them.
     smooth : SmoothMeans
         Estimated mean radiance of each cell, valid if no edge crosses the cell.
+    is_refinable : (n,) bool array
+        False for cells whose mean is that in `smooth` in any case.
 
     Returns
     -------
     mean : (3, n) float array
         Mean linear RGB radiance of each cell.
     """
-    cells, mean, plan = classified.cells, smooth.radiance.copy(), _Plan.for_cells(classified.cells)
+    cells, mean = classified.cells, smooth.radiance.copy()
+    first_lattice, is_first_for_all, second_lattice = _choose_lattices(cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
     has_lines[classified.lines.cell] = True
     # An unknown error (NaN) is neither within the tolerance nor above it.
     is_accurate, is_inaccurate = smooth.error <= cells.tolerance, smooth.error > cells.tolerance
-    is_pending = has_lines | classified.is_unresolved | ~is_accurate
-    if (lattice := plan.first_lattice) is not None:
-        has_only_lines = has_lines & ~(classified.is_unresolved | is_inaccurate)
-        index = indices(is_pending if plan.is_first_for_all else has_only_lines)
-        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, lattice)
+    is_pending = is_refinable & (has_lines | classified.is_unresolved | ~is_accurate)
+    if first_lattice is not None:
+        has_only_lines = is_pending & has_lines & ~(classified.is_unresolved | is_inaccurate)
+        index = indices(is_pending if is_first_for_all else has_only_lines)
+        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, first_lattice)
         finished = index[~missed_edge]
         mean[:, finished], is_pending[finished] = sampled_mean[:, ~missed_edge], False
     pending = indices(is_pending)
-    if plan.second_lattice is not None:
-        mean[:, pending], _ = _mean_of_samples(prepared, classified, pending, plan.second_lattice)
+    if second_lattice is not None:
+        mean[:, pending], _ = _mean_of_samples(prepared, classified, pending, second_lattice)
         return mean
-    for batch in _batches(prepared, pending, samples_per_cell=4):
+    for batch in index_batches(pending, _cells_per_batch(prepared, samples_per_cell=4)):
         mean[:, batch] = _mean_of_quarters(prepared, classified, smooth.error, batch)
     return mean
 
 
-def _batches(prepared: PreparedScene, index: Ints, samples_per_cell: int) -> Iterator[Ints]:
-    """Divide indices of cells into batches whose samples fit into memory.
+def _cells_per_batch(prepared: PreparedScene, samples_per_cell: int) -> int:
+    """Choose the number of cells to sample together, so that memory is limited.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene.  The more objects overlap in the picture, the fewer samples are traced together.
-    index : (n,) int array
-        Indices of the cells (pixels, or square parts of pixels) that are to be sampled.
     samples_per_cell : int
-        Number of samples in each cell.
+        Number of samples in each cell (a pixel, or a square part of a pixel).
 
-    Yields
-    ------
-    batch : (k,) int array
-        The next k elements of `index`, at least one.  Nothing is yielded if `index` is empty.
+    Returns
+    -------
+    cell_count : int
+        Number of cells, at least 1.
     """
-    length = max(1, prepared.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
-    for start in range(0, index.size, length):
-        yield index[start : start + length]
+    return max(1, prepared.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
 
 
 def _mean_of_samples(
-    prepared: PreparedScene, classified: Classification, index: Ints, lattice: Lattice
+    prepared: PreparedScene, classified: Classification, cell_index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
     """Estimate the mean radiance of cells from a lattice of samples in each cell.
 
-    A cell is a pixel, or a square part of a pixel.  Its lines divide it into regions.  The weights
-    of the samples in a region add up to the exact area of the region.
+    A cell is a pixel, or a square part of a pixel.  Lines along its edges divide it into regions.
+    The weights of the samples in a region add up to the exact area of the region.
 
     Parameters
     ----------
@@ -298,8 +246,8 @@ def _mean_of_samples(
         The scene, prepared for the camera.
     classified : Classification
         All cells, and the lines that cross them.
-    index : (m,) int array
-        Indices of the cells to sample.
+    cell_index : (m,) int array
+        Indices of the cells to sample, all different.
     lattice : Lattice
         The sample points, which are the same in all cells.
 
@@ -311,15 +259,15 @@ def _mean_of_samples(
         Whether an edge crosses the cell that is not among its lines.  This is True if two samples
         in the same region hit different faces or objects, or the same face under different lights.
     """
-    cells, lines = classified.cells, classified.lines
-    mean, missed_edge = np.empty((3, index.size)), np.zeros(index.size, dtype=np.bool_)
-    for batch in _batches(prepared, np.arange(index.size), lattice.size):
+    cells, lines, count = classified.cells, classified.lines, cell_index.size
+    mean, missed_edge = np.empty((3, count)), np.zeros(count, dtype=np.bool_)
+    for batch in index_batches(np.arange(count), _cells_per_batch(prepared, lattice.size)):
         position = np.full(cells.center_x.size, -1)  # of each cell in the batch
-        position[index[batch]] = np.arange(batch.size)
+        position[cell_index[batch]] = np.arange(batch.size)
         batch_lines = lines.take(indices(position[lines.cell] >= 0))
         batch_lines = batch_lines._replace(cell=position[batch_lines.cell])
         points = place_weighted_points(batch_lines, batch.size, lattice.points())
-        x, y = cells.positions(index[batch][points.cell], points.position)
+        x, y = cells.positions(cell_index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
         radiance, sample_id = radiance_and_ids(prepared, samples)
@@ -330,7 +278,7 @@ def _mean_of_samples(
 
 
 def _mean_of_quarters(
-    prepared: PreparedScene, classified: Classification, error: Floats, index: Ints
+    prepared: PreparedScene, classified: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
     """Compute the mean radiance of cells from the means of their quarters.
 
@@ -348,30 +296,31 @@ def _mean_of_quarters(
         All n cells, and the edges that may cross them.
     error : (n,) float array
         Estimated error of each cell's mean radiance, if no edge crosses the cell; NaN if unknown.
-    index : (m,) int array
-        Indices of the cells to divide.
+    cell_index : (m,) int array
+        Indices of the cells to divide, all different.
 
     Returns
     -------
     mean : (3, m) float array
         Mean linear RGB radiance of each divided cell.
     """
-    quarters, tolerance = classified.cells.quarters(index), classified.cells.tolerance
+    count, tolerance = cell_index.size, classified.cells.tolerance
+    quarters = classified.cells.quarters(cell_index)
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
-    center, quarter_center = classified.center.take(index), classified_quarters.center
-    smooth = means_of_quarters(center, error[index], quarter_center, tolerance)
-    has_all_unresolved = classified_quarters.is_unresolved.reshape(-1, 4).all(axis=1)
-    line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=index.size)
+    center, quarter_center = classified.center.take(cell_index), classified_quarters.center
+    smooth = means_of_quarters(center, error[cell_index], quarter_center, tolerance)
+    has_all_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
+    line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
     tested = indices(has_all_unresolved & (line_count == 0))
     lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
-    sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index[tested], lattice)
-    expected_mean = smooth.radiance.reshape(3, -1, 4).take(tested, axis=1).mean(axis=2)
+    sampled_mean, missed_edge = _mean_of_samples(prepared, classified, cell_index[tested], lattice)
+    expected_mean = smooth.radiance.reshape(3, count, 4).take(tested, axis=1).mean(axis=2)
     agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
-    is_smooth = np.zeros(index.size, dtype=np.bool_)
+    is_smooth = np.zeros(count, dtype=np.bool_)
     is_smooth[tested[agrees]] = True
-    refinable = _treat_as_smooth(classified_quarters, smooth, is_smooth.repeat(4))
-    quarter_mean = _mean_of_cells(prepared, *refinable)
-    mean: Floats = quarter_mean.reshape(3, index.size, 4).mean(axis=2)
+    is_refinable = ~is_smooth.repeat(4)
+    quarter_mean = _mean_of_cells(prepared, classified_quarters, smooth, is_refinable)
+    mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)
     mean[:, is_smooth] = sampled_mean[:, agrees]
     return mean

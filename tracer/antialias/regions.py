@@ -1,9 +1,9 @@
-"""Divide cells by straight lines into regions, and find the points that represent each region.
+"""Divide cells by straight lines into regions, and weight the points that represent each region.
 
-A cell is a pixel or a square part of a pixel.  Points are spread evenly over it.  The points in a
-region together represent the exact area of the region (post-stratification: Cochran, Sampling
-Techniques, 1977, ch. 5A).  Their weights are such that their weighted mean is the centroid of the
-region.  So a function that is linear in each region has the exact mean.
+A cell is a pixel or a square part of a pixel.  Points are spread evenly over it.  The weights of
+the points in a region add up to the exact area of the region (post-stratification: Cochran,
+Sampling Techniques, 1977, ch. 5A), and the weighted mean of the points is the centroid of the
+region.  So the weighted mean of a function that is linear in each region is exact.
 
 Each line is extended across the whole cell.  If the edge that it represents ends within the cell,
 then one region is divided into two, which does no harm.
@@ -56,11 +56,11 @@ class WeightedPoints(NamedTuple):
 
 
 def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
-    """Place points in cells, weighted such that they represent the regions between lines.
+    """Place the same points in all cells, and weight them to represent the regions between lines.
 
     A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  The
-    weights of the points in a region add up to its exact area, and the weighted mean of the points
-    is the centroid of the region.
+    weights of the points in a region add up to the exact area of the region, and the weighted mean
+    of the points is the centroid of the region.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     -------
     weighted : WeightedPoints
         The m points of the first cell, then those of the second cell, and so on.  More points
-        follow for each region that contains too few of these points: the region is divided into
-        triangles, and their centroids represent it.
+        follow for regions that contain too few of these points: such a region is divided into
+        triangles, and is represented by the centroids of the triangles.
     """
     cell, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
@@ -85,8 +85,8 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
     region = np.repeat(cell[None] << max_lines, points.size, axis=0)
     for bit in range(max_lines):
-        index, values = _evaluate_lines(lines, line_start, bit, cell, position)
-        region[:, index] |= (values > 0) << bit
+        crossed, values = _evaluate_lines(lines, line_start, bit, cell, position)
+        region[:, crossed] |= (values > 0) << bit
     position, region = position.T.ravel(), region.T.ravel()
     triangles = _divide_into_triangles(lines, line_start, max_lines)
     weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
@@ -97,11 +97,11 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
 
 
 def samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
-    """Find samples whose ids differ within a region, which shows that an edge was missed.
+    """Find regions that contain samples with different ids, which show that an edge was missed.
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Two samples
-    have the same id if they hit the same face of the same object, and the same lights reach both
-    hits.  So samples with different ids lie on different sides of an edge.
+    have the same id if they hit the same face of the same object, and the same lights are visible
+    from both hits.  So samples with different ids lie on different sides of an edge.
 
     Parameters
     ----------
@@ -113,8 +113,7 @@ def samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     Returns
     -------
     index : (k,) int array
-        Indices of samples: at least one sample of each region whose samples have different ids, and
-        no sample of any other region.
+        Indices of samples in such regions: at least one sample of each region.
     """
     reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region] = sample_id  # that of any sample in the region
@@ -122,9 +121,9 @@ def samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 
 
 def _evaluate_lines(
-    lines: Lines, line_start: Ints, bit: int, cell: Ints, position: Points2D
+    lines: Lines, line_start: Ints, line_number: int, cell: Ints, position: Points2D
 ) -> tuple[Ints, Floats]:
-    """Evaluate one line in each of several cells, at points in the cell.
+    """Evaluate one line of each cell at points in the cell.
 
     A cell is a pixel or a square part of a pixel.
 
@@ -134,28 +133,28 @@ def _evaluate_lines(
         The lines c + a x + b y = 0 of all cells, sorted by cell.
     line_start : (cells + 1,) int array
         The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
-    bit : int
-        Number of the line to evaluate among the lines of its cell, from 0 on.
+    line_number : int
+        Which line of each cell to evaluate, counted from 0.
     cell : (n,) int array
-        Indices of cells.  Cells with at most `bit` lines are skipped.
+        Indices of cells.  Cells with at most `line_number` lines are skipped.
     position : (m, n) complex array
-        For each element of `cell`, a column of m points x + iy.
+        For each element of `cell`, a column of m points x + iy in the cell.
 
     Returns
     -------
-    index : (k,) int array
-        Indices into `cell` of the cells that are not skipped.
+    kept : (k,) int array
+        Indices of the elements of `cell` that are not skipped.
     values : (m, k) float array
         Value c + a x + b y of the line at each point in these cells.
     """
-    line = line_start[cell] + bit
-    index = indices(line < line_start[cell + 1])
-    cell_lines, point = lines.take(line[index]), position[:, index]
-    return index, cell_lines.a * point.real + cell_lines.b * point.imag + cell_lines.c
+    line_index = line_start[cell] + line_number
+    kept = indices(line_index < line_start[cell + 1])
+    cell_lines, point = lines.take(line_index[kept]), position[:, kept]
+    return kept, cell_lines.a * point.real + cell_lines.b * point.imag + cell_lines.c
 
 
 def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> WeightedPoints:
-    """Divide cells into triangles such that no line crosses a triangle.
+    """Divide cells into triangles that no line crosses.
 
     A cell is a pixel or a square part of a pixel.  It is divided into two triangles along a
     diagonal.  Then each line of the cell divides every triangle that it crosses into three.
@@ -172,9 +171,9 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     Returns
     -------
     triangles : WeightedPoints
-        The centroid of each triangle.  Its weight is the area of the triangle, in areas of the
-        cell.  Its region has the number cell * 2^max_lines + sum of 2^k, where the sum is over all
-        lines of the cell (k = 0, 1, ...) that are positive in the triangle.
+        The centroid of each triangle, with the area of the triangle as its weight, in areas of the
+        cell.  The region of the triangle has the number cell * 2^max_lines + sum of 2^k, where the
+        sum is over all lines of the cell (k = 0, 1, ...) that are positive in the triangle.
     """
     cell = np.arange(line_start.size - 1).repeat(2)
     region = cell << max_lines
@@ -188,17 +187,17 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         crossed = indices((positive_count == 1) | (positive_count == 2))
         # Rotate the corners so that the first corner is the one that is alone on its side.
         is_first_positive, index = positive_count[crossed] == 1, index[crossed]
-        first = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
-        order = (first + np.arange(3)[:, None]) % 3
+        first_corner = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
+        order = (first_corner + np.arange(3)[:, None]) % 3
         (a, b, c), (a_value, b_value, c_value) = corner[order, index], values[order, crossed]
         # The line crosses the sides ab and ac in these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
         corner[:, index] = a, on_ab, on_ac
         corner = np.concatenate([corner, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
-        parent = region[index]
-        region[index] = parent | is_first_positive << bit
-        region = np.concatenate([region, *[parent | ~is_first_positive << bit] * 2])
+        parent_region = region[index]
+        region[index] = parent_region | is_first_positive << bit
+        region = np.concatenate([region, *[parent_region | ~is_first_positive << bit] * 2])
         cell = np.concatenate([cell, cell[index], cell[index]])
     side, other_side = corner[1] - corner[0], corner[2] - corner[0]
     # No product of complex numbers: NumPy rounds it differently at the end of an array.
@@ -209,13 +208,13 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
 def _compute_weights(
     position: Points2D, region: Ints, triangles: WeightedPoints, region_count: int
 ) -> tuple[Floats, Bools]:
-    """Compute weights for points such that the points in each region represent the region.
+    """Compute weights of points so that the points in each region represent the region.
 
-    The weights of the points in a region add up to its area, and their weighted mean is the
-    centroid of the region.  Let p be a point, q the mean of all points in its region, and S the
-    covariance matrix of these points.  Let w be the area of the region divided by the number of
-    points.  With the weights w (1 + t . (p - q)), the weighted mean of the points is q + S t.  For
-    t = S^-1 (centroid - q), it is the centroid of the region.
+    The weights of the points in a region add up to the area of the region, and the weighted mean of
+    the points is the centroid of the region.  Let p be a point, q the mean of all points in its
+    region, and S the covariance matrix of these points.  Let w be the area of the region divided by
+    the number of points.  With the weights w (1 + t . (p - q)), the weighted mean of the points is
+    q + S t.  For t = S^-1 (centroid - q), it is the centroid of the region.
 
     Parameters
     ----------
@@ -225,7 +224,7 @@ def _compute_weights(
     region : (n,) int array
         Number of the region that contains each point.
     triangles : WeightedPoints
-        Centroids and areas of triangles that together cover all regions.
+        Centroids (`position`), areas (`weight`) and regions of triangles that cover all regions.
     region_count : int
         All numbers of regions are less than this.
 
@@ -233,14 +232,15 @@ def _compute_weights(
     -------
     weight : (n,) float array
         Weight of each point, in areas of the cell.  It is 0 in regions that the points cannot
-        represent, because there are fewer than three, or they lie almost on a straight line.
+        represent, because there are fewer than three points, or they lie almost on a straight line.
     is_represented : (region_count,) bool array
-        Whether the points in each region can represent it.
+        Whether the points in each region can represent the region.
     """
 
-    def sum_by_region(number: Ints, values: Floats) -> Floats:
-        """Return the sum of the values (n,) in each region, given their regions' numbers (n,)."""
-        return np.bincount(number, values, minlength=region_count).astype(np.float64, copy=False)
+    def sum_by_region(value_region: Ints, values: Floats) -> Floats:
+        """Add up, for each region, the values (n,) whose element of `value_region` (n,) it is."""
+        sums = np.bincount(value_region, values, minlength=region_count)
+        return sums.astype(np.float64, copy=False)  # integers if there are no values
 
     point_count = np.maximum(np.bincount(region, minlength=region_count), 1)
     area = sum_by_region(triangles.region, triangles.weight)

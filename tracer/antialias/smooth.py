@@ -1,4 +1,4 @@
-"""Mean radiance of smooth cells, computed from the samples at their centres.
+"""Estimate the mean radiance of smooth cells from the samples at their centres.
 
 No edge crosses a smooth cell (a pixel, or a square part of a pixel).  Its mean radiance is the
 radiance at its centre plus a correction for the curvature of the radiance.  Differences between the
@@ -24,14 +24,25 @@ class CenterSamples(NamedTuple):
         Linear RGB radiance of each sample.
     id : (n,) int array
         Id of each sample.  Two samples have the same id if they hit the same face of the same
-        object, and the same lights reach both hits.  The id of the background is -1.
+        object, and the same lights are visible from both hits.  The id of the background is -1.
     """
 
     radiance: Floats
     id: Ints
 
     def take(self, index: Ints) -> CenterSamples:
-        """Return the samples with the given indices (k,), in their order."""
+        """Select samples by index.
+
+        Parameters
+        ----------
+        index : (k,) int array
+            Indices of the samples to select.
+
+        Returns
+        -------
+        selected : CenterSamples
+            The k selected samples, in the order of `index`.
+        """
         return CenterSamples(self.radiance[:, index], self.id[index])
 
 
@@ -57,10 +68,10 @@ def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
 
     The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, plus terms of higher
     order.  Here f, f_xx and f_yy are the value and the second derivatives at the centre.  The
-    second derivative along a row is replaced by the second difference between the pixel and its two
-    neighbours in the row; that along a column by the second difference in the column.  Each second
-    difference is added only if both neighbours have the same id as the pixel.  Two samples have the
-    same id if they hit the same face of the same object, and the same lights reach both hits.
+    second derivatives are approximated by second differences: f_xx between the pixel and its two
+    neighbours in the row, and f_yy in the column.  Each second difference is added only if both
+    neighbours have the same id as the pixel.  Two samples have the same id if they hit the same
+    face of the same object, and the same lights are visible from both hits.
 
     Parameters
     ----------
@@ -72,9 +83,9 @@ def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
     Returns
     -------
     means : SmoothMeans
-        Estimated mean radiance of each pixel, with an estimate of its error.  Both are meaningless
-        for the pixels at the border of the rectangle.  The error is the maximum of two numbers, one
-        from the row and one from the column:
+        Estimated mean radiance of each pixel (`radiance`), with an estimate of its error (`error`).
+        Both are meaningless for the pixels at the border of the rectangle.  The error is the
+        maximum of two numbers, one from the row and one from the column:
 
         1. If both neighbours have the pixel's id, the number is the absolute second difference,
            divided by 24.
@@ -90,8 +101,8 @@ def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
         difference = (radiance[:, stride:] - radiance[:, :-stride]) * has_same_id
         second_difference = (difference[:, stride:] - difference[:, :-stride]) / 24
         same_id_before, same_id_after = has_same_id[:-stride], has_same_id[stride:]
-        largest = np.abs(second_difference).max(axis=0)
-        direction_error = np.where(same_id_before | same_id_after, largest, np.nan)
+        max_difference = np.abs(second_difference).max(axis=0)
+        direction_error = np.where(same_id_before | same_id_after, max_difference, np.nan)
         error[inner] = np.maximum(error[inner], direction_error)
         correction[:, inner] += second_difference * (same_id_before & same_id_after)
     return SmoothMeans(radiance + correction, error)
@@ -102,11 +113,11 @@ def means_of_quarters(
 ) -> SmoothMeans:
     """Estimate the mean radiance of the quarters of cells from samples at the quarters' centres.
 
-    A cell is a pixel or a square part of a pixel.  This is Richardson extrapolation: the difference
-    between the mean of the four quarter samples and the cell's own sample is divided by 3, and
-    added to the sample of each quarter.  This correction is made only if the five samples have the
-    same id, that is, if they hit the same face of the same object, and the same lights reach all
-    five hits.
+    A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: the
+    difference between the mean of the four quarter samples and the cell's own sample is divided by
+    3, and added to the sample of each quarter.  This correction is made only if the five samples
+    have the same id, that is, if they hit the same face of the same object, and the same lights are
+    visible from all five hits.
 
     Parameters
     ----------
@@ -123,17 +134,18 @@ def means_of_quarters(
     Returns
     -------
     means : SmoothMeans
-        Estimated mean radiance of each of the 4 m quarters, valid if no edge crosses the quarter,
-        and an estimate of its error.  The error is the larger of two estimates.  If one of them is
-        unknown, the error is the other; if both are unknown, it is NaN.
+        Estimated mean radiance of each of the 4 m quarters (`radiance`), valid if no edge crosses
+        the quarter, and an estimate of its error (`error`).  The error is the larger of two
+        estimates.  If one of them is unknown, the error is the other; if both are unknown, the
+        error is NaN.
 
         1. The *own* error is half of the correction, because the remaining error is of higher order
-           in the width of the cell.  It is unknown if the five samples do not have the same id.
+           in the width of the cell.  It is unknown if the five samples have different ids.
         2. The *inherited* error is the error of the cell, divided by 4, because errors decrease
            with the square of the width.  If the own error is unknown, an edge may be near.  Towards
            an edge, light may decrease like a square root, so the error of the cell is then divided
-           by 2 only.  The inherited error is treated as unknown if it is at most the tolerance and
-           the sample of the quarter hits a surface but has another id than the sample of the cell.
+           by only 2.  The inherited error is ignored if it is at most the tolerance, and the sample
+           of the quarter hits a surface but has another id than the sample of the cell.
     """
     cell_id, quarter_id = center.id.repeat(4), quarter_center.id
     quarter_mean = quarter_center.radiance.reshape(3, -1, 4).mean(axis=2)

@@ -10,17 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    Sides,
-    Triple,
-    map3,
-    repeat_runs,
-    take3,
-    take_2d,
-)
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, map3, repeat_runs, take3, take_2d
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.numbering import ObjectRange, box_range
 from tracer.geometry.rounding import (
@@ -48,8 +38,8 @@ class Boxes:
         Opposite corners, with the smallest and with the largest coordinates.
     planes : tuple of three (6, n) float arrays
         Slope, tilt and level of planes through the eye and the edges of each box's silhouette (see
-        `silhouette_planes`).  The ray (s, g, depth) meets the box only if
-        slope * s + tilt * g + level >= 0 for all six planes.
+        `silhouette_planes`).  A ray with the direction (ray_right, ray_down, depth) meets the box
+        only if slope * ray_right + tilt * ray_down + level >= 0 for all six planes.
     """
 
     is_planar: ClassVar = True
@@ -83,17 +73,18 @@ class Boxes:
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
-        # Components of the planes' normals to the right (u), down (v) and ahead (w).
-        u, v, w = frame.vector_to_camera(silhouette_planes(low, high))
+        # Components of the planes' normals.
+        right, down, ahead = frame.vector_to_camera(silhouette_planes(low, high))
         # If the eye is on a face, the box is seen from inside, and only rays that go into the box
         # meet it.  The plane of the face then bounds the rays.
         is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
-        for component, axis in zip((u, v, w), frame.axes, strict=True):
+        for component, axis in zip((right, down, ahead), frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
         coordinate_size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
         objects, curvature = box_range(surfaces), np.zeros(is_eye_inside.size)
-        relation_to_eye = (u, v, w * frame.depth), _screen_bounds(frame, low, high), is_eye_inside
-        return cls(frame, objects, min_pt, max_pt, *relation_to_eye, curvature, coordinate_size)
+        planes, bounds = (right, down, ahead * frame.depth), _screen_bounds(frame, low, high)
+        seen_from_eye = planes, bounds, is_eye_inside
+        return cls(frame, objects, min_pt, max_pt, *seen_from_eye, curvature, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return opposite corners of all n boxes, in scene axes.
@@ -101,20 +92,20 @@ class Boxes:
         Returns
         -------
         low, high : (3, n) float arrays
-            For each box, the corners with the smallest and with the largest coordinates.  They are
-            the arrays of this object, not copies.
+            Smallest and largest coordinates of each box: the fields `min_pt` and `max_pt`, not
+            copies.
         """
         return self.min_pt, self.max_pt
 
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the interval of columns that a box covers in a row, for n pairs of both.
+        """Compute the interval of columns that each box covers in its row, for n pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's box, among all objects of the scene.
+            Index of each pair's box among all objects of the scene.
         rows : (n,) float array
             Upper border of each pair's row, in pixels from the top of the picture.
         height : float
@@ -128,57 +119,62 @@ class Boxes:
             are no such positions.
         """
         frame, box = self.frame, self.objects.positions(object_index)
-        g = frame.ray_g(rows + height / 2)
-        min_s, max_s = np.full(g.size, -np.inf), np.full(g.size, np.inf)
+        ray_down = frame.ray_down(rows + height / 2)
+        min_right, max_right = np.full(box.size, -np.inf), np.full(box.size, np.inf)
         # The margin contains the rounding errors of ray directions, too.
-        margin = 0.5 * height * frame.step_v + PLANE_ROUNDING * frame.max_ray_size
+        margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane in range(6):
             slope, tilt, level = (component[plane].take(box) for component in self.planes)
-            # Take the g within the row for which the plane's bound on s is loosest.
-            max_rest = tilt * g + np.abs(tilt) * margin + level
+            # Take the ray within the row for which the plane's bound on `ray_right` is loosest.
+            max_rest = tilt * ray_down + np.abs(tilt) * margin + level
             # If the slope is 0, the bound is infinite: the plane admits all rays of the row, or
             # none.  The sum turns a slope of -0 into 0.
             bound = -max_rest / (slope + 0.0)
-            np.fmax(min_s, bound, out=min_s, where=slope >= 0)
-            np.fmin(max_s, bound, out=max_s, where=slope < 0)
-        return frame.column_of(min_s), frame.column_of(max_s)
+            np.fmax(min_right, bound, out=min_right, where=slope >= 0)
+            np.fmin(max_right, bound, out=max_right, where=slope < 0)
+        return frame.column_of(min_right), frame.column_of(max_right)
 
     def intersect(
-        self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
+        self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
-        """Compute the distances at which rays from the eye meet boxes, and the faces they meet.
+        """Compute the distances at which rays from the eye hit boxes, and the faces that they hit.
 
         The method is that of slabs (Kay and Kajiya, Ray tracing complex scenes, 1986).  A slab is
-        the space between two opposite faces.  Slabs are closed: a ray that lies in the plane of a
-        face meets the box.  A ray has the direction (s, g, depth) in camera axes.  Rays are given
-        in spans: consecutive rays in one row, with the same g, that are tested with the same box.
+        the space between the planes of two opposite faces.  Slabs are closed: a ray that lies in
+        the plane of a face hits the box.  A ray has the direction (ray_right, ray_down, depth), in
+        camera axes.  Rays are given in spans: consecutive rays in one row of the picture, with the
+        same `ray_down`, that are tested with the same box.
 
         Parameters
         ----------
         object_index : (spans,) int array
-            Index of each span's box, among all objects of the scene.
-        g : (spans,) float array
-            Second direction component of the rays in each span.
-        s : (n,) float array
-            First direction component of each ray, span by span.
+            Index of each span's box among all objects of the scene.
+        ray_down : (spans,) float array
+            Downward component of the rays in each span.
+        ray_right : (n,) float array
+            Rightward component of each ray, span by span.
         ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
 
         Returns
         -------
         t : (n,) float array
-            Distance from the eye, in units of the length of (s, g, depth), at which the ray enters
-            the box; infinity if the ray misses the box.  If the eye is inside the box or on its
-            surface, this is the distance at which the ray leaves the box.
-        detail : (n,) int8 array
+            Distance from the eye, in units of the length of the ray's direction, at which the ray
+            enters the box; infinity if the ray misses the box.  If the eye is inside the box or on
+            its surface, this is the distance at which the ray leaves the box.
+        face_code : (n,) int8 array
             The face at this distance: twice the axis (0, 1 or 2) to which the face is
             perpendicular, plus 1 if the normal on the eye's side points up this axis.
         """
         frame, box = self.frame, self.objects.positions(object_index)
-        eye, (u, v, w), enters, leaves, faces = frame.eye.tolist(), frame.axes.tolist(), [], [], []
+        enters, leaves, face_codes = [], [], []
         for axis in range(3):
-            direction = s * u[axis] + repeat_runs(g * v[axis] + frame.depth * w[axis], ray_count)
-            low, high = self.min_pt[axis, box] - eye[axis], self.max_pt[axis, box] - eye[axis]
+            right, down, ahead = frame.axes[:, axis].tolist()
+            span_part = ray_down * down + frame.depth * ahead
+            direction = ray_right * right + repeat_runs(span_part, ray_count)
+            low, high = (
+                corner[axis, box] - frame.eye[axis] for corner in (self.min_pt, self.max_pt)
+            )
             is_eye_above = high < 0
             if np.all(is_eye_above | (low > 0)):
                 # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
@@ -191,25 +187,25 @@ class Boxes:
             enters.append(enter)
             leaves.append(leave)
             # The normal of a visible face points against the ray.
-            faces.append((direction < 0).view(np.int8) + np.int8(2 * axis))
+            face_codes.append((direction < 0).view(np.int8) + np.int8(2 * axis))
         enter, leave = np.maximum(*enters[:2]), np.minimum(*leaves[:2])
         enter, leave = np.maximum(enter, enters[2]), np.minimum(leave, leaves[2])
-        t, plane_t, meets = enter, enters, enter <= leave
+        t, plane_t, hits = enter, enters, enter <= leave
         is_eye_inside = self.is_eye_inside[box]
         if is_eye_inside.any():
             is_eye_inside = repeat_runs(is_eye_inside, ray_count)
-            t, meets = np.where(is_eye_inside, leave, t), meets | is_eye_inside
+            t, hits = np.where(is_eye_inside, leave, t), hits | is_eye_inside
             plane_t = [
                 np.where(is_eye_inside, leave, enter)
                 for enter, leave in zip(enters, leaves, strict=True)
             ]
-        # A ray through an edge or a corner meets the face of the first axis.
-        face = np.where(plane_t[1] == t, faces[1], faces[2])
-        face = np.where(plane_t[0] == t, faces[0], face)
-        return np.where(meets & (t > 0), t, np.inf), face
+        # A ray through an edge or a corner hits the face of the first axis.
+        face_code = np.where(plane_t[1] == t, face_codes[1], face_codes[2])
+        face_code = np.where(plane_t[0] == t, face_codes[0], face_code)
+        return np.where(hits & (t > 0), t, np.inf), face_code
 
     def tangent_planes(
-        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, detail: Sides
+        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, face_code: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the plane of the face on which each run of hits lies.
 
@@ -218,13 +214,14 @@ class Boxes:
         Parameters
         ----------
         object_index : (runs,) int array
-            Index of each run's box, among all objects of the scene.
+            Index of each run's box among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
         from_eye, t : (3, n) and (n,) float arrays
             Not used: `Spheres.tangent_planes` needs them.
-        detail : (n,) int8 array
-            Second result of `intersect` for the ray through each hit: the number of the face.
+        face_code : (n,) int8 array
+            Second result of `intersect` for the ray through each hit: twice the axis of the face,
+            plus 1 if its normal points up this axis.
 
         Returns
         -------
@@ -240,8 +237,8 @@ class Boxes:
             Distance of the eye from the plane of the face.
         """
         box = self.objects.positions(object_index)
-        run_detail = detail.take(run_length.cumsum() - run_length)
-        face, sign = run_detail.astype(np.intp) >> 1, np.where(run_detail & 1, 1.0, -1.0)
+        run_code = face_code.take(run_length.cumsum() - run_length)
+        face, sign = run_code.astype(np.intp) >> 1, np.where(run_code & 1, 1.0, -1.0)
         low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
         level = np.where(self.is_eye_inside[box] == (sign > 0), low, high)
         eye_height = sign * (self.frame.eye[face] - level)
@@ -251,7 +248,7 @@ class Boxes:
     # Tests of shadow segments: segments from hits to lights.
 
     def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
-        """Look up opposite corners of n boxes by index.
+        """Look up opposite corners of selected boxes.
 
         Parameters
         ----------
@@ -261,49 +258,47 @@ class Boxes:
         Returns
         -------
         low, high : tuples of three (n,) float arrays
-            Coordinates x, y and z of the corners where these are smallest, and of the corners where
-            they are largest, in scene axes.
+            Smallest and largest coordinates x, y and z of each box, in scene axes.
         """
         box = self.objects.positions(object_index)
         return take3(self.min_pt, box), take3(self.max_pt, box)
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide whether each light lies inside its box.
+        """Decide whether each light lies inside its box, for n pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the box of each pair of a box and a light, among all objects of the scene.
+            For each (box, light) pair, the index of the box among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape, which
+            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape that
             broadcasts with (n,).
 
         Returns
         -------
         side : int8 array
             `INSIDE` if the light is inside the box; `OUTSIDE` if it is outside or on the surface.
-            The shape is that to which (n,) and the shape of the lights broadcast.
+            The array has the broadcast shape of (n,) and the lights.
         """
         is_inside = self.signed_distance(object_index, light) < 0
         return np.where(is_inside, INSIDE, OUTSIDE).astype(np.int8)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the largest signed distance of each point from the planes of its box's six faces.
+        """Compute the largest signed distance of each point from the six face planes of its box.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the box of each pair of a box and a point, among all objects of the scene.
+            For each (box, point) pair, the index of the box among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape, which
+            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape that
             broadcasts with (n,).
 
         Returns
         -------
         distance : float array
-            Negative for points inside the box.  For points outside, it is positive and at most the
-            distance from the box.  The shape is that to which (n,) and the shape of the points
-            broadcast.
+            Negative for points inside the box; for points outside, positive and at most the
+            distance from the box.  The array has the broadcast shape of (n,) and the points.
         """
         low, high = self.corners(object_index)
         heights = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
@@ -317,19 +312,19 @@ class Boxes:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test whether each box blocks the open segment from a hit to a light, for n pairs.
+        """Test whether each box blocks the segment from a hit to a light, for n pairs.
 
-        A box blocks a segment if the segment crosses the box's surface strictly between its ends.
-        A segment in the plane of a face is not blocked; a segment that crosses a flat box is
-        blocked.  An end whose distance from the plane of a face is within the rounding error is
-        moved onto the plane.
+        A box blocks a segment if the segment crosses the box's surface strictly between the ends of
+        the segment.  A segment in the plane of a face is not blocked; a segment that crosses a flat
+        box is blocked.  An end whose distance from the plane of a face is within the rounding error
+        is moved onto the plane.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the box of each pair of a box and a segment, among all objects of the scene.
+            For each (box, segment) pair, the index of the box among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
-            Coordinates x, y and z of both ends of each segment, in scene axes.
+            Coordinates x, y and z of the two ends of each segment, in scene axes.
         side : (n,) int8 array
             Not used: `Spheres.occludes` needs it.
         growth : (n,) float array, optional
@@ -355,19 +350,19 @@ class Boxes:
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether each box blocks some, and whether it blocks all, segments in a capsule.
+        """Test whether each box may block any, or blocks all, segments in its capsule.
 
         A capsule consists of all points within a given distance of its axis, the segment from
         `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The capsule contains all
-        segments that lead from the ball around `start` to `end`; the results refer to these.  Both
-        tests are conservative: rounding errors are on the safe side.
+        segments from the ball around `start` to `end`, and the results refer to these segments.
+        Both tests are conservative: rounding errors are on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the box of each pair of a box and a capsule, among all objects of the scene.
+            For each (box, capsule) pair, the index of the box among all objects of the scene.
         start, end : tuples of three (n,) float arrays
-            Coordinates x, y and z of both ends of each capsule's axis, in scene axes.
+            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
             Radius of each capsule.
 
@@ -406,12 +401,12 @@ class Boxes:
 def _intersect_slab(
     low: Floats, high: Floats, direction: Floats, *, closed: bool = False
 ) -> tuple[Floats, Floats]:
-    """Compute where n lines enter and leave slabs: spaces between two parallel planes.
+    """Compute where each of n lines enters and leaves its slab, the space between parallel planes.
 
     Parameters
     ----------
     low, high : (n,) float arrays
-        Positions of the two planes relative to the start of the line, along the axis to which the
+        Coordinates of the two planes relative to the start of the line, along the axis to which the
         planes are perpendicular.
     direction : (n,) float array
         Component of the line's direction along this axis.
@@ -436,14 +431,14 @@ def _intersect_slab(
 
 
 def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
-    """Test whether each open segment crosses the surface of its box, for n pairs of both.
+    """Test whether each segment crosses the surface of its box, for n (segment, box) pairs.
 
     Parameters
     ----------
     start, end : tuples of three (n,) float arrays
-        Coordinates x, y and z of both ends of each segment.
+        Coordinates x, y and z of the two ends of each segment.
     low, high : tuples of three (n,) float arrays
-        Opposite corners of each box, with the smallest and with the largest coordinates.
+        Smallest and largest coordinates x, y and z of each box.
 
     Returns
     -------
@@ -459,25 +454,25 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points close to the plane of a box's face onto this plane.
+    """Move points that are close to the plane of a box's face onto this plane.
 
     Parameters
     ----------
     point : tuple of three (n,) float arrays
-        Coordinates x, y and z of the point of each pair of a point and a box.
+        For each of n (point, box) pairs, the coordinates x, y and z of the point.
     low, high : tuples of three (n,) float arrays
-        Opposite corners of each pair's box.
+        Smallest and largest coordinates x, y and z of each pair's box.
     tolerance : (n,) float array
         Maximum distance at which a point is moved onto a plane.
 
     Returns
     -------
     snapped : tuple of three (n,) float arrays
-        The points; those that are not close to a plane are unchanged.
+        The new coordinates; unchanged for points that are not close to a plane.
     """
 
     def snap_coordinate(x: Floats, low: Floats, high: Floats) -> Floats:
-        """Replace a coordinate (n,) by `low` or `high` (n,), if it is close to it."""
+        """Replace each coordinate (n,) that is close to `low` or `high` (n,) by `low` or `high`."""
         is_on_low, is_on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
         return np.where(is_on_low, low, np.where(is_on_high, high, x))
 
@@ -485,7 +480,7 @@ def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) 
 
 
 def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
-    """Compute the bounding rectangles, in the picture, of n boxes.
+    """Compute the bounding rectangles of n boxes in the picture.
 
     Parameters
     ----------
@@ -506,10 +501,11 @@ def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBound
     is_partly_behind, is_partly_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
 
     def slope_range(component: Floats) -> tuple[Floats, Floats]:
-        """Return the minimum and the maximum, over corners, of a component (8, n) per depth.
+        """Divide a component (8, n) of the corners by their depth, and bound it for each box.
 
-        They are -inf and inf if corners are ahead of and behind the eye, and both -inf if all
-        corners are behind the eye.
+        The result is the minimum (n,) and the maximum (n,) over the eight corners.  They are -inf
+        and inf if the box reaches from ahead of the eye to behind it, and both -inf if the whole
+        box is behind the eye.
         """
         slope = component / ahead
         minimum = np.where(is_partly_behind, -np.inf, slope.min(axis=0))

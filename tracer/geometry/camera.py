@@ -1,14 +1,14 @@
 """The camera: one ray for each position in the picture, all from the eye.
 
-The camera has its own axes: u points to the right, v down, and w ahead.  In these axes, the ray
+The camera has its own axes, which point to the right, down and ahead.  In these axes, the ray
 through the position (x, y) of the picture, in pixels from the upper left corner, has the direction
-(s, g, depth) with
+(ray_right, ray_down, depth) with
 
-    s = shift_u + (x - width / 2) step_u,
-    g = shift_v + (y - height / 2) step_v.
+    ray_right = center_right + (x - width / 2) pixel_width,
+    ray_down = center_down + (y - height / 2) pixel_height.
 
-So only s changes along a row of the picture.  The window is the rectangle in the scene that the
-picture shows.
+So only `ray_right` changes along a row of the picture.  The window is the rectangle in the scene
+that the picture shows.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ import numpy as np
 from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, normalize
 
-# Depth of a layer, as a multiple of the width of a packet at this depth: see
-# `CameraFrame.depth_layer`.
-# Tuned on six scenes of 4 to 1,000 objects: half of it takes 1.03 to 1.06 times as long.
+# Thickness of a layer of depth, as a multiple of the width of a packet at this depth: see
+# `CameraFrame.depth_layer`.  Tuned on six scenes of 4 to 1,000 objects: with half of it, rendering
+# takes 1.03 to 1.06 times as long.
 _LAYER_ASPECT = 4
 
 
@@ -35,10 +35,11 @@ class CameraFrame(NamedTuple):
     eye : (3,) float array
         Position of the eye, in scene axes.
     axes : (3, 3) float array
-        Orthonormal rows u (right), v (down) and w (ahead), in scene axes.
-    shift_u, shift_v, depth : float
-        Vector from the eye to the centre of the window, along u, v and w; depth > 0.
-    step_u, step_v : float
+        Unit vectors to the right (row 0), down (row 1) and ahead (row 2), in scene axes.
+    center_right, center_down, depth : float
+        Components to the right, down and ahead of the vector from the eye to the centre of the
+        window; depth > 0.
+    pixel_width, pixel_height : float
         Width and height of a pixel on the window, in the scene's unit of length.
     width, height : int
         Size of the picture, in pixels.
@@ -46,11 +47,11 @@ class CameraFrame(NamedTuple):
 
     eye: Floats
     axes: Floats
-    shift_u: float
-    shift_v: float
+    center_right: float
+    center_down: float
     depth: float
-    step_u: float
-    step_v: float
+    pixel_width: float
+    pixel_height: float
     width: int
     height: int
 
@@ -65,8 +66,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         vector : tuple of three (n,) float arrays
-            Components along u (right), v (down) and w (ahead) of the vectors from the eye to the
-            points.
+            Components to the right, down and ahead of the vectors from the eye to the points.
         """
         x, y, z = (points - self.eye).T
         return self.vector_to_camera((x, y, z))
@@ -82,10 +82,10 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         rotated : tuple of three float arrays
-            Components along u (right), v (down) and w (ahead), in arrays of the same shape.
+            Components to the right, down and ahead, in arrays of the same shape.
         """
-        u, v, w = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
-        return u, v, w
+        right, down, ahead = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
+        return right, down, ahead
 
     def vector_to_scene(self, vector: Triple) -> Triple:
         """Rotate vectors from camera axes to scene axes.
@@ -93,7 +93,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components along u (right), v (down) and w (ahead), in arrays of one shape.
+            Components to the right, down and ahead, in arrays of one shape.
 
         Returns
         -------
@@ -109,8 +109,8 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components along u (right), v (down) and w (ahead) of the vectors from the eye to the
-            points, in arrays of one shape.
+            Components to the right, down and ahead of the vectors from the eye to the points, in
+            arrays of one shape.
 
         Returns
         -------
@@ -122,12 +122,12 @@ class CameraFrame(NamedTuple):
         return eye_x + x, eye_y + y, eye_z + z
 
     def scene_component(self, vector: Triple, axis: int) -> Floats:
-        """Compute the component along one scene axis of vectors in camera axes.
+        """Compute the component of vectors along one axis of the scene.
 
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components along u (right), v (down) and w (ahead), in arrays of one shape.
+            Components of the vectors to the right, down and ahead, in arrays of one shape.
         axis : int
             Axis of the scene: 0 for x, 1 for y, 2 for z.
 
@@ -136,14 +136,14 @@ class CameraFrame(NamedTuple):
         component : float array
             Component of each vector along this axis, in an array of the same shape.
         """
-        u, v, w = self.axes[:, axis].tolist()
-        return dot(vector, (u, v, w))
+        right, down, ahead = self.axes[:, axis].tolist()
+        return dot(vector, (right, down, ahead))
 
-    def ray_s(self, x: Floats) -> Floats:
-        """Compute the rightward direction component of rays at given columns of the picture.
+    def ray_right(self, x: Floats) -> Floats:
+        """Compute the rightward component of rays through given columns of the picture.
 
-        The ray through a position in the picture has the direction (s, g, depth) in camera axes,
-        which point to the right, down and ahead.
+        The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
+        camera axes, which point to the right, down and ahead.
 
         Parameters
         ----------
@@ -152,16 +152,16 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        s : float array
+        ray_right : float array
             Rightward component of the ray's direction at each distance; same shape as `x`.
         """
-        return self.shift_u + (x - self.width / 2) * self.step_u
+        return self.center_right + (x - self.width / 2) * self.pixel_width
 
-    def ray_g(self, y: Floats) -> Floats:
-        """Compute the downward direction component of rays at given rows of the picture.
+    def ray_down(self, y: Floats) -> Floats:
+        """Compute the downward component of rays through given rows of the picture.
 
-        The ray through a position in the picture has the direction (s, g, depth) in camera axes,
-        which point to the right, down and ahead.
+        The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
+        camera axes, which point to the right, down and ahead.
 
         Parameters
         ----------
@@ -170,49 +170,52 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        g : float array
+        ray_down : float array
             Downward component of the ray's direction at each distance; same shape as `y`.
         """
-        return self.shift_v + (y - self.height / 2) * self.step_v
+        return self.center_down + (y - self.height / 2) * self.pixel_height
 
-    def column_of(self, s: Floats) -> Floats:
-        """Compute the column at which each ray passes through the picture.
+    def column_of(self, ray_right: Floats) -> Floats:
+        """Compute the column of the picture through which each ray passes.
 
-        This is the inverse of `ray_s`.
+        This is the inverse of the method `ray_right`.
 
         Parameters
         ----------
-        s : float array
-            Rightward component of each ray's direction (s, g, depth), in camera axes.
+        ray_right : float array
+            Rightward component of each ray's direction (ray_right, ray_down, depth), in camera
+            axes.
 
         Returns
         -------
         x : float array
-            Distance of each ray from the left border of the picture, in pixels; same shape as `s`.
+            Distance of each ray from the left border of the picture, in pixels; same shape as
+            `ray_right`.
         """
-        return (s - self.shift_u) / self.step_u + self.width / 2
+        return (ray_right - self.center_right) / self.pixel_width + self.width / 2
 
-    def row_of(self, g: Floats) -> Floats:
-        """Compute the row at which each ray passes through the picture.
+    def row_of(self, ray_down: Floats) -> Floats:
+        """Compute the row of the picture through which each ray passes.
 
-        This is the inverse of `ray_g`.
+        This is the inverse of the method `ray_down`.
 
         Parameters
         ----------
-        g : float array
-            Downward component of each ray's direction (s, g, depth), in camera axes.
+        ray_down : float array
+            Downward component of each ray's direction (ray_right, ray_down, depth), in camera axes.
 
         Returns
         -------
         y : float array
-            Distance of each ray from the upper border of the picture, in pixels; same shape as `g`.
+            Distance of each ray from the upper border of the picture, in pixels; same shape as
+            `ray_down`.
         """
-        return (g - self.shift_v) / self.step_v + self.height / 2
+        return (ray_down - self.center_down) / self.pixel_height + self.height / 2
 
     def depth_layer(self, depth: Floats, packet_width: float) -> Ints:
         """Assign points to depth layers, which become thicker with the distance from the eye.
 
-        Towards a horizon, points that are neighbours in the picture are far apart in the scene.
+        Towards a horizon, neighbouring points in the picture may be far apart in the scene.
         Packets (groups of neighbouring hits) are therefore confined to one layer.  The thickness of
         a layer is `_LAYER_ASPECT` times the width of a packet at this depth.
 
@@ -226,24 +229,24 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         layer : (n,) int array
-            A number that identifies each point's layer; larger for layers farther from the eye.
+            Number of each point's layer; larger for layers farther from the eye.
         """
-        relative_thickness = min(_LAYER_ASPECT * packet_width * self.step_u / self.depth, 1.0)
+        relative_thickness = min(_LAYER_ASPECT * packet_width * self.pixel_width / self.depth, 1.0)
         # The bits of a float, read as an integer, are nearly proportional to its logarithm: they
         # increase by 2^52 if the float doubles.
         return depth.view(np.int64) // max(1, int(2**52 * relative_thickness))
 
     @property
     def max_ray_size(self) -> float:
-        """Upper bound on |s| + |g| + depth for the direction (s, g, depth) of every camera ray."""
-        shift = abs(self.shift_u) + abs(self.shift_v) + self.depth
-        return shift + self.width * self.step_u + self.height * self.step_v
+        """Upper bound on |ray_right| + |ray_down| + depth for the directions of all camera rays."""
+        center_size = abs(self.center_right) + abs(self.center_down) + self.depth
+        return center_size + self.width * self.pixel_width + self.height * self.pixel_height
 
 
 def camera_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
-    """Compute a camera's eye, axes and pixel grid, which together determine its rays.
+    """Compute the eye, the axes and the pixel grid of a camera, which determine its rays.
 
     The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
 
@@ -271,15 +274,15 @@ def camera_frame(
     u = normalize(np.array(cross(normalize(camera.view_up).tolist(), w.tolist())))
     v = np.array(cross(w.tolist(), u.tolist()))
     window_center = camera.proj_distance * view_direction
-    step_u, step_v = camera.view_width / width, camera.view_height / height
+    pixel_width, pixel_height = camera.view_width / width, camera.view_height / height
     return CameraFrame(
         eye=np.array(camera.view_point),
         axes=np.array([u, -v, -w]),
-        shift_u=float(window_center @ u) + offset[0] * step_u,
-        shift_v=-float(window_center @ v) + offset[1] * step_v,
+        center_right=float(window_center @ u) + offset[0] * pixel_width,
+        center_down=-float(window_center @ v) + offset[1] * pixel_height,
         depth=-float(window_center @ w),
-        step_u=step_u,
-        step_v=step_v,
+        pixel_width=pixel_width,
+        pixel_height=pixel_height,
         width=width,
         height=height,
     )
@@ -304,15 +307,17 @@ class ScreenBounds(NamedTuple):
     def from_slopes(
         cls, frame: CameraFrame, down: tuple[Floats, Floats], right: tuple[Floats, Floats]
     ) -> ScreenBounds:
-        """Compute the bounding rectangles of objects from the slopes of the rays that meet them.
+        """Convert the slopes of the rays that meet n objects to bounding rectangles.
 
         Parameters
         ----------
         frame : CameraFrame
             The rays of the camera.
-        down, right : pairs of (n,) float arrays
-            Minimum and maximum slope of the rays that meet each object.  The slope is the ray's
-            downward component (for `right`, the rightward one) divided by its forward component.
+        down : pair of (n,) float arrays
+            Minimum and maximum, over all rays that meet each object, of the downward component
+            divided by the forward component.
+        right : pair of (n,) float arrays
+            The same for the rightward component.
 
         Returns
         -------
@@ -323,12 +328,12 @@ class ScreenBounds(NamedTuple):
         return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in right))
 
     def take(self, index: Bools | slice) -> ScreenBounds:
-        """Select rectangles.
+        """Select rectangles by mask or slice.
 
         Parameters
         ----------
         index : (n,) bool array or slice
-            Which rectangles to select.
+            Mask or slice of the rectangles to select.
 
         Returns
         -------
@@ -359,7 +364,7 @@ class ScreenBounds(NamedTuple):
         return is_in_picture
 
     def window(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Compute a rectangle of pixels, with a margin, that contains all visible objects.
+        """Compute a rectangle of pixels that contains all visible objects, with a margin.
 
         Parameters
         ----------
@@ -369,16 +374,15 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         rows, columns : slices
-            Rows and columns of pixels; empty if no object is visible.  No object is visible outside
-            of the rectangle.
+            Rows and columns of pixels; empty if no object is visible.
         """
         visible = self.take(self.in_picture(frame))
 
         def covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
-            """Return a slice of the pixels, from 0 to `pixel_count` - 1, that n intervals cover.
+            """Return the smallest slice of pixels 0 to `pixel_count` - 1 that covers all intervals.
 
-            Interval i is from starts[i] to stops[i], in pixels.  The slice reaches from the
-            smallest start to the largest stop, and is enlarged by one pixel at both ends.
+            Interval i is from starts[i] to stops[i], in pixels.  It is enlarged by one pixel at
+            both ends.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
@@ -389,7 +393,7 @@ class ScreenBounds(NamedTuple):
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Bound the mean number of objects that a ray meets, for the worst row of the picture.
+        """Bound the mean number of objects that a ray of any row of the picture meets.
 
         Parameters
         ----------
@@ -399,8 +403,8 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         depth_complexity : float
-            Upper bound on the number of objects that a ray meets, hidden ones included: the maximum
-            over all rows of the mean over the pixels of the row.
+            Upper bound on the number of objects that a ray meets, including hidden objects: the
+            maximum over all rows of the mean over the pixels of the row.
         """
         visible, width = self.take(self.in_picture(frame)), frame.width
         covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
@@ -412,7 +416,7 @@ class ScreenBounds(NamedTuple):
     def silhouette_density(self, frame: CameraFrame) -> float:
         """Estimate how often the silhouettes of two objects cross the same pixel.
 
-        The estimate assumes that objects are about as wide as high, at random positions.
+        The estimate assumes that objects are about as wide as high, and at random positions.
 
         Parameters
         ----------

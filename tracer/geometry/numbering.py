@@ -34,7 +34,7 @@ class ObjectRange(NamedTuple):
         return slice(self.start, self.start + self.size)
 
     def indices(self) -> Ints:
-        """Return the indices of all objects of the shape.
+        """List the indices of all objects of the shape.
 
         Returns
         -------
@@ -44,17 +44,17 @@ class ObjectRange(NamedTuple):
         return np.arange(self.start, self.start + self.size)
 
     def contains(self, object_index: Ints) -> Bools:
-        """Test whether each object, given by its index, has this shape.
+        """Test which of n objects, given by their indices, have this shape.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Indices among all objects of the scene.
+            Index of each object among all objects of the scene.
 
         Returns
         -------
         is_of_shape : (n,) bool array
-            True if the index is in this range.
+            Whether the object has this shape, that is, whether the index is in this range.
         """
         return (object_index >= self.start) & (object_index < self.start + self.size)
 
@@ -76,7 +76,7 @@ class ObjectRange(NamedTuple):
 
 
 def sphere_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of the spheres' indices among all objects of a scene.
+    """Compute the range of the spheres' indices among all objects of a scene.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def sphere_range(surfaces: Surfaces) -> ObjectRange:
 
 
 def box_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of the boxes' indices among all objects of a scene.
+    """Compute the range of the boxes' indices among all objects of a scene.
 
     Parameters
     ----------

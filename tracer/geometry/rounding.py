@@ -102,7 +102,7 @@ def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
 
 
 def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Compute the maximum distance from a surface at which each hit is treated as on the surface.
+    """Compute the distance from a surface up to which each hit is treated as on the surface.
 
     A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit
     increases with the hit's distance from the eye, and with the coordinates of the surface.
@@ -110,7 +110,8 @@ def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
     Parameters
     ----------
     coordinate_size : (n,) float array
-        Upper bound on |x| + |y| + |z| of the points on the surface that each hit is compared with.
+        Upper bound on |x| + |y| + |z| for all points of the surface with which each hit is
+        compared.
     hit : tuple of three (n,) float arrays
         Coordinates x, y and z of the hits, in scene axes.
     eye : (3,) float array

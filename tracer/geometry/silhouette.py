@@ -50,10 +50,10 @@ def silhouette_planes(low: Floats, high: Floats) -> Triple:
 
 
 def box_edge_functions(planes: Triple, ray: Triple) -> Floats:
-    """Evaluate, for rays from an apex, functions whose signs change at the edges of boxes.
+    """Evaluate the edge functions of boxes for rays from an apex (the eye or a light).
 
-    The apex is the eye or a light.  Each function belongs to one plane through the apex and an edge
-    of the box's silhouette.
+    The sign of an edge function changes where a ray crosses an edge of the box's silhouette.  Each
+    function belongs to the plane through the apex and one edge.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def box_edge_functions(planes: Triple, ray: Triple) -> Floats:
     Returns
     -------
     values : (m, 6, n) float array
-        Dot product of each ray and each normal; positive if the ray is on the box's side of the
+        Dot product of each ray and each normal: positive if the ray is on the box's side of the
         plane.
     """
     return np.array([dot(normal, ray) for normal in zip(*planes, strict=True)]).swapaxes(0, 1)

@@ -3,10 +3,11 @@
 `Spheres` and `Boxes` have the same methods and attributes.  All methods take indices of objects
 among all objects of the scene (see `ObjectRange`).
 
-Rays start at the eye.  A ray has the direction (s, g, depth) in camera axes: s changes
-along a row of the picture, g from row to row, and depth is the same for all rays (see
-`CameraFrame`).  The result for a pair of a ray and an object depends on this pair only.  It is the
-same to the last bit whatever else the scene contains, and however pairs are arranged in batches.
+Rays start at the eye.  A ray has the direction (ray_right, ray_down, depth) in camera axes:
+`ray_right` changes along a row of the picture, `ray_down` from row to row, and `depth` is the same
+for all rays (see `CameraFrame`).  The result for a pair of a ray and an object depends on this pair
+only.  It is the same to the last bit whatever else the scene contains, and however pairs are
+arranged in batches.
 
 Infinities and NaN are valid intermediate results, so callers turn off floating-point warnings.
 """
@@ -105,13 +106,15 @@ class Spheres:
         # Rounding errors alone must not move the eye off a sphere on which it lies.
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
-        # Components of the centre to the right (u), down (v) and ahead (w).
-        (u, v, w), radius2 = from_eye, radius * radius
-        down, right = (_tangent_slopes(x, w, radius2, x * x + w * w - radius2) for x in (v, u))
-        bounds = ScreenBounds.from_slopes(frame, down, right)
+        (right, down, ahead), radius2 = from_eye, radius * radius
+        slopes_down, slopes_right = (
+            _tangent_slopes(x, ahead, radius2, x * x + ahead * ahead - radius2)
+            for x in (down, right)
+        )
+        bounds = ScreenBounds.from_slopes(frame, slopes_down, slopes_right)
         objects, coordinate_size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        relation_to_eye = from_eye, power, bounds, power <= 0
-        return cls(frame, objects, center, radius, *relation_to_eye, 1 / radius, coordinate_size)
+        seen_from_eye = from_eye, power, bounds, power <= 0
+        return cls(frame, objects, center, radius, *seen_from_eye, 1 / radius, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Compute the axis-aligned bounding boxes of all n objects, in scene axes.
@@ -119,19 +122,19 @@ class Spheres:
         Returns
         -------
         low, high : (3, n) float arrays
-            For each object, the corners with the smallest and with the largest coordinates.
+            Smallest and largest coordinates of each object.
         """
         return self.center - self.radius, self.center + self.radius
 
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the interval of columns that an object covers in a row, for n pairs of both.
+        """Compute the interval of columns that each object covers in its row, for n pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's object, among all objects of the scene.
+            Index of each pair's object among all objects of the scene.
         rows : (n,) float array
             Upper border of each pair's row, in pixels from the top of the picture.
         height : float
@@ -150,91 +153,95 @@ class Spheres:
         # ray in the centre meets the sphere grown by the margin.
         frame, sphere = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere]
-        slope_margin = 0.5 * height * frame.step_v / frame.depth
+        slope_margin = 0.5 * height * frame.pixel_height / frame.depth
         grown_radius = radius + slope_margin * np.maximum(self.from_eye[2][sphere] + radius, 0)
         power = self.power[sphere] - (grown_radius - radius) * (grown_radius + radius)
-        g = frame.ray_g(rows + height / 2)
-        ray_ahead2, u, ahead, disc_radius2 = self._cut_discs(sphere, grown_radius, g)
-        low, high = _tangent_slopes(u, ahead, disc_radius2, power)
+        ray_down = frame.ray_down(rows + height / 2)
+        ray_ahead2, right, ahead, disc_radius2 = self._cut_discs(sphere, grown_radius, ray_down)
+        low, high = _tangent_slopes(right, ahead, disc_radius2, power)
         ray_ahead = np.sqrt(ray_ahead2)
         return frame.column_of(low * ray_ahead), frame.column_of(high * ray_ahead)
 
     def _cut_discs(
-        self, sphere: Ints, radius: Floats, g: Floats
+        self, sphere: Ints, radius: Floats, ray_down: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Compute the discs that planes of rays cut out of spheres, for n pairs of both.
+        """Compute the disc that a plane of rays cuts out of a sphere, for n (sphere, plane) pairs.
 
-        A ray has the direction (s, g, depth) in camera axes.  All rays with the same g lie in one
-        plane through the eye.  In this plane, a ray has two components: s along the row of the
-        picture, and the length of (g, depth) perpendicular to the row.
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  All rays with the
+        same `ray_down` lie in one plane through the eye.  This plane has two axes: to the right,
+        along a row of the picture; and ahead, perpendicular to the row.
 
         Parameters
         ----------
         sphere : (n,) int array
-            Index of each pair's sphere, among all spheres.
+            Index of each pair's sphere among all spheres.
         radius : (n,) float array
-            Radius of each sphere; it replaces the sphere's own radius.
-        g : (n,) float array
-            Second direction component of the rays in each plane.
+            Radius that replaces the sphere's own radius.
+        ray_down : (n,) float array
+            Downward component of the rays in each plane.
 
         Returns
         -------
         ray_ahead2 : (n,) float array
-            g^2 + depth^2, the square of the rays' component perpendicular to the row.
-        u, ahead : (n,) float arrays
-            Centre of each disc: its components along the row and perpendicular to the row.
+            Square of the component ahead, in the plane, of the rays: ray_down^2 + depth^2.
+        right, ahead : (n,) float arrays
+            Components of the vector from the eye to the centre of each disc, in the plane.
         disc_radius2 : (n,) float array
             Squared radius of each disc; negative if the plane misses the sphere.
         """
-        (u, v, w), depth = take3(self.from_eye, sphere), self.frame.depth
-        ray_ahead2 = g * g + depth * depth
+        (right, down, forward), depth = take3(self.from_eye, sphere), self.frame.depth
+        ray_ahead2 = ray_down * ray_down + depth * depth
         ray_ahead = np.sqrt(ray_ahead2)
-        plane_distance, ahead = (v * depth - w * g) / ray_ahead, (v * g + w * depth) / ray_ahead
+        plane_distance = (down * depth - forward * ray_down) / ray_ahead
+        ahead = (down * ray_down + forward * depth) / ray_ahead
         disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
-        return ray_ahead2, u, ahead, disc_radius2
+        return ray_ahead2, right, ahead, disc_radius2
 
     def intersect(
-        self, object_index: Ints, g: Floats, s: Floats, ray_count: Ints | None
+        self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Floats]:
-        """Compute the distances at which rays from the eye meet objects.
+        """Compute the distances at which rays from the eye hit objects.
 
-        A ray has the direction (s, g, depth) in camera axes.  Rays are given in spans: consecutive
-        rays in one row, with the same g, that are tested with the same object.  The rays of a row
-        lie in a plane through the eye, and this plane cuts a disc out of a sphere.  Rays and discs
-        are intersected in the plane, with the nearer root in the stable form
-        t = C / (B + sqrt(B^2 - A C)) (Haines, Günther and Akenine-Möller, Precision improvements
-        for ray/sphere intersection, Ray Tracing Gems, ch. 7).
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  Rays are given in
+        spans: consecutive rays in one row of the picture, with the same `ray_down`, that are tested
+        with the same object.  The rays of a row lie in a plane through the eye, and this plane cuts
+        a disc out of a sphere.  Rays and discs are intersected in the plane.  The nearer root has
+        the stable form t = C / (B + sqrt(B^2 - A C)) (Haines, Günther and Akenine-Möller, Precision
+        improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
 
         Parameters
         ----------
         object_index : (spans,) int array
-            Index of each span's object, among all objects of the scene.
-        g : (spans,) float array
-            Second direction component of the rays in each span.
-        s : (n,) float array
-            First direction component of each ray, span by span.
+            Index of each span's object among all objects of the scene.
+        ray_down : (spans,) float array
+            Downward component of the rays in each span.
+        ray_right : (n,) float array
+            Rightward component of each ray, span by span.
         ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
 
         Returns
         -------
         t : (n,) float array
-            Distance from the eye, in units of the length of (s, g, depth); infinity if the ray
-            misses the object.  If the eye is inside the object or on its surface, this is the
+            Distance from the eye, in units of the length of the ray's direction; infinity if the
+            ray misses the object.  If the eye is inside the object or on its surface, this is the
             distance at which the ray leaves the object.
-        detail : (n,) array
+        surface_data : (n,) array
             Argument for `tangent_planes`.  For spheres, this is |n . d| radius, with the unit
-            normal n and the direction d = (s, g, depth).  For boxes, it is an int8 number of the
+            normal n and the ray's direction d.  For boxes, it is an int8 number that encodes the
             face.
         """
         sphere = self.objects.positions(object_index)
-        ray_ahead2, u, ahead, disc_radius2 = self._cut_discs(sphere, self.radius[sphere], g)
+        discs = self._cut_discs(sphere, self.radius[sphere], ray_down)
+        ray_ahead2, right, ahead, disc_radius2 = discs
         ray_ahead = np.sqrt(ray_ahead2)
-        length2 = s * s + repeat_runs(ray_ahead2, ray_count)
-        # Cross product and dot product of the centre (u, ahead) and the ray (s, ray_ahead).
-        cross_product = repeat_runs(u * ray_ahead, ray_count) - repeat_runs(ahead, ray_count) * s
+        length2 = ray_right * ray_right + repeat_runs(ray_ahead2, ray_count)
+        # Cross product and dot product of the vector (right, ahead) and the ray.
+        cross_product = repeat_runs(right * ray_ahead, ray_count)
+        cross_product -= repeat_runs(ahead, ray_count) * ray_right
         root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
-        dot_product = repeat_runs(u, ray_count) * s + repeat_runs(ahead * ray_ahead, ray_count)
+        dot_product = repeat_runs(right, ray_count) * ray_right
+        dot_product += repeat_runs(ahead * ray_ahead, ray_count)
         divisor = dot_product + root
         power = self.power[sphere]
         is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
@@ -246,7 +253,12 @@ class Spheres:
         return np.where(t > 0, t, np.inf), root
 
     def tangent_planes(
-        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, detail: Floats
+        self,
+        object_index: Ints,
+        run_length: Ints,
+        from_eye: Floats,
+        t: Floats,
+        surface_data: Floats,
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the tangent plane of the surface at each of n hits.
 
@@ -255,12 +267,12 @@ class Spheres:
         Parameters
         ----------
         object_index : (runs,) int array
-            Index of each run's object, among all objects of the scene.
+            Index of each run's object among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
         from_eye : (3, n) float array
             Vectors from the eye to the hits, in camera axes.
-        t, detail : (n,) arrays
+        t, surface_data : (n,) arrays
             The results of `intersect` for the rays through the hits.
 
         Returns
@@ -284,49 +296,49 @@ class Spheres:
         signed_radius = np.where(self.is_eye_inside[sphere], -1.0, 1.0) * self.radius[sphere]
         curvature = repeat_runs(1 / signed_radius, run_length)
         center = (repeat_runs(component[sphere], run_length) for component in self.from_eye)
-        x, y, z = ((hit - middle) * curvature for hit, middle in zip(from_eye, center, strict=True))
+        x, y, z = ((hit - c) * curvature for hit, c in zip(from_eye, center, strict=True))
         face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
-        return face, sign, level, (x, y, z), detail * np.abs(curvature) * t
+        return face, sign, level, (x, y, z), surface_data * np.abs(curvature) * t
 
     # Tests of shadow segments: segments from hits to lights.
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide whether each light lies outside, on, or inside the surface of its object.
+        """Decide whether each light lies outside, on, or inside its object, for n pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the object of each pair of an object and a light, among all objects.
+            For each (object, light) pair, the index of the object among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape, which
+            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape that
             broadcasts with (n,).
 
         Returns
         -------
         side : int8 array
-            `OUTSIDE`, `ON` (for spheres only) or `INSIDE`, in the shape to which (n,) and the
-            shape of the lights broadcast.
+            `OUTSIDE`, `ON` (for spheres only) or `INSIDE`.  The array has the broadcast shape of
+            (n,) and the lights.
         """
         tolerance = LIGHT_TOLERANCE * self.coordinate_size[self.objects.positions(object_index)]
         return side_of_surface(self.signed_distance(object_index, light), tolerance)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distance, negative inside, of each point from its object's surface.
+        """Compute the signed distance of each point from the surface of its object, for n pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the object of each pair of an object and a point, among all objects.
+            For each (object, point) pair, the index of the object among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape, which
+            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape that
             broadcasts with (n,).
 
         Returns
         -------
         distance : float array
-            Signed distances, in the shape to which (n,) and the shape of the points broadcast.
-            For boxes, the largest of the signed distances from the planes of the six faces: for
-            points outside of the box, this is at most the distance from the box.
+            Signed distances, negative inside.  The array has the broadcast shape of (n,) and the
+            points.  For boxes, this is the largest of the signed distances from the planes of the
+            six faces, which is at most the distance from the box for points outside.
         """
         sphere = self.objects.positions(object_index)
         offset = map3(np.subtract, take3(self.center, sphere), point)
@@ -340,19 +352,19 @@ class Spheres:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test whether each object blocks the open segment from a hit to a light, for n pairs.
+        """Test whether each object blocks the segment from a hit to a light, for n pairs.
 
-        An object blocks a segment if the segment crosses the object's surface strictly between its
-        ends.  An end is treated as on the surface if its distance from the surface is within the
-        rounding error.  If a hit is on a sphere, the segment starts on the eye's side of the
-        sphere.
+        An object blocks a segment if the segment crosses the object's surface strictly between the
+        ends of the segment.  An end is treated as on the surface if its distance from the surface
+        is within the rounding error.  If a hit is on a sphere, the segment starts on the eye's side
+        of the sphere.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the object of each pair of an object and a segment, among all objects.
+            For each (object, segment) pair, the index of the object among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
-            Coordinates x, y and z of both ends of each segment, in scene axes.
+            Coordinates x, y and z of the two ends of each segment, in scene axes.
         side : (n,) int8 array
             The side of the object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`,
             from `side_of_light`.
@@ -396,12 +408,11 @@ class Spheres:
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether each object blocks some, and whether it blocks all, segments in a capsule.
+        """Test whether each object may block any, or blocks all, segments in its capsule.
 
         A capsule consists of all points within a given distance of its axis, the segment from
         `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The capsule contains all
-        segments that lead from the ball around `start` to `end`; in the following, these are called
-        the segments.
+        segments from the ball around `start` to `end`.  Here, *segments* are these segments only.
 
         1. The object blocks no segment if it does not meet the capsule, or if the capsule lies
            entirely inside the object.
@@ -413,9 +424,9 @@ class Spheres:
         Parameters
         ----------
         object_index : (n,) int array
-            Index of the object of each pair of an object and a capsule, among all objects.
+            For each (object, capsule) pair, the index of the object among all objects of the scene.
         start, end : tuples of three (n,) float arrays
-            Coordinates x, y and z of both ends of each capsule's axis, in scene axes.
+            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
             Radius of each capsule.
 
@@ -451,20 +462,20 @@ class Spheres:
 
 
 def _tangent_slopes(
-    u: Floats, ahead: Floats, disc_radius2: Floats, power: Floats
+    right: Floats, ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the slopes of both rays from the origin that touch each of n discs in a plane.
+    """Compute the slopes of the two rays from the origin that touch each of n discs in a plane.
 
-    The slope of a ray is u / ahead, where (u, ahead) is its direction.
+    The slope of a ray in the direction (right, ahead) is right / ahead.
 
     Parameters
     ----------
-    u, ahead : (n,) float arrays
-        Coordinates (u, ahead) of each disc's centre.
+    right, ahead : (n,) float arrays
+        Coordinates of the centre of each disc.
     disc_radius2 : (n,) float array
         Squared radius of each disc; negative or NaN if there is no disc.
     power : (n,) float array
-        u^2 + ahead^2 - disc_radius2 for each disc: negative if the origin is inside the disc.
+        right^2 + ahead^2 - disc_radius2 for each disc: negative if the origin is inside the disc.
 
     Returns
     -------
@@ -474,9 +485,9 @@ def _tangent_slopes(
     # The tangents lie at the same angle on either side of the centre.  If the origin is inside the
     # disc, all rays meet the disc.  If rounding decides whether the origin is inside, it is treated
     # as on the disc's border, and half of the rays meet the disc.
-    power_bound = np.maximum(power - MIN_POWER * (u * u + ahead * ahead), 0)
+    power_bound = np.maximum(power - MIN_POWER * (right * right + ahead * ahead), 0)
     half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(power_bound))
-    center_angle = np.arctan2(u, ahead)
+    center_angle = np.arctan2(right, ahead)
     half_angle[power < 0] = np.inf
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
     angle = angle.clip(-np.pi / 2, np.pi / 2)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tracer.antialias.lattice import CENTERS
 from tracer.arrays import Ints, Vector, take3
 from tracer.picture.lint import indexed_name
 from tracer.picture.png import to_codes
@@ -22,7 +23,6 @@ from tracer.trace.first_hits import FirstHits
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import light_geometry
 from tracer.trace.radiance import shade
-from tracer.trace.samples import pixel_centers
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
@@ -243,12 +243,12 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     prepared = PreparedScene(scene)
-    frame, samples = prepared.frame, pixel_centers(slice(y, y + 1), slice(x, x + 1))
+    frame, samples = prepared.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
     hits = nearest_hits(prepared, samples)
     radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     surface_index = first_hit.surface.item()
-    ray_vector = samples.ray_s(frame), frame.ray_g(samples.y), np.array([frame.depth])
+    ray_vector = samples.ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
@@ -298,7 +298,7 @@ def _explain_light(
     faces_light = light_geometry(hits, prepared_light).n_dot_l.item() > 0
     occluders = _find_occluders(hits, prepared_light) if faces_light else hits.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for _, channel, diffuse_term, specular_term in shade(hits, [prepared_light]).reflection_terms():
+    for channel, diffuse_term, specular_term in shade(hits, [prepared_light]).reflection_terms():
         diffuse[channel] = diffuse_term.item()
         specular[channel] = 0 if specular_term is None else specular_term.item()
     point, normal = first_hit.point[0], first_hit.normal[0]

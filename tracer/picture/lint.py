@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracer.antialias.lattice import CENTERS
 from tracer.arrays import BATCH_SIZE, Floats, Ints, indices
 from tracer.geometry.rounding import LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Surfaces, VectorLike
 from tracer.scene.schema import format_number
-from tracer.trace.samples import pixel_centers
 from tracer.trace.visibility import nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
@@ -220,7 +220,7 @@ def _find_visible_objects(prepared: PreparedScene) -> Ints:
     if columns.start < columns.stop:
         row_count = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
         for top in range(rows.start, rows.stop, row_count):
-            samples = pixel_centers(slice(top, min(top + row_count, rows.stop)), columns)
+            samples = CENTERS.samples(slice(top, min(top + row_count, rows.stop)), columns)
             visible_parts.append(np.unique(nearest_hits(prepared, samples).run_object))
     return np.unique(np.concatenate(visible_parts))
 

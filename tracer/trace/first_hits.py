@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracer.arrays import BATCH_SIZE, Floats, Ints
+from tracer.arrays import BATCH_SIZE, Floats, Ints, index_batches
 from tracer.scene.model import Scene
 from tracer.trace.hits import Hits
 from tracer.trace.samples import Scattered
@@ -42,7 +42,7 @@ class FirstHits:
 
     @classmethod
     def from_hits(cls, hits: Hits) -> FirstHits:
-        """Copy the hits of n samples into arrays that have one element for each sample.
+        """Convert the hits of n samples to arrays with one element for each sample.
 
         Parameters
         ----------
@@ -52,7 +52,8 @@ class FirstHits:
         Returns
         -------
         first_hits : FirstHits
-            Arrays (n,) and (n, 3), in the order of the samples.
+            Surface, distance, normal and position for each sample, in the order of the samples.
+            The arrays are (n,) or (n, 3).
         """
         count, frame = hits.samples.size, hits.prepared.frame
         surface, distance = np.full(count, -1), np.full(count, np.inf)
@@ -71,10 +72,10 @@ class FirstHits:
 
 @np.errstate(all="ignore")
 def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = None) -> FirstHits:
-    """Find the surface that the ray through each position of the picture meets first.
+    """Find the first surface hit by the ray through each position of the picture.
 
-    If several surfaces are at exactly the same distance, the first of them in the scene file is
-    returned.
+    If several surfaces are at exactly the same distance, the first of them in the scene file
+    counts.
 
     Parameters
     ----------
@@ -102,20 +103,18 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
         raise TypeError("x and y must both be given, or neither")
     if x is None or y is None:
         y, x = np.indices((scene.height, scene.width)) + 0.5
-    across, down = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    shape = across.shape
-    if shape != down.shape:
-        raise ValueError(f"x and y must have one shape, have {shape} and {down.shape}")
-    across, down = across.ravel(), down.ravel()
-    if not (np.isfinite(across).all() and np.isfinite(down).all()):
+    position_x, position_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    shape, count = position_x.shape, position_x.size
+    if shape != position_y.shape:
+        raise ValueError(f"x and y must have one shape, have {shape} and {position_y.shape}")
+    position_x, position_y = position_x.ravel(), position_y.ravel()
+    if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
-    prepared, count = PreparedScene(scene), across.size
+    prepared = PreparedScene(scene)
     arrays = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
-    step = prepared.batch_size(_RAYS_PER_BATCH)
-    for start in range(0, count, step):
-        batch = slice(start, start + step)
-        samples, order = Scattered.from_positions(across[batch], down[batch])
-        hits = FirstHits.from_hits(nearest_hits(prepared, samples))
-        for array, values in zip(arrays, vars(hits).values(), strict=True):
-            array[start + order] = values
+    for batch in index_batches(np.arange(count), prepared.batch_size(_RAYS_PER_BATCH)):
+        samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
+        batch_hits = FirstHits.from_hits(nearest_hits(prepared, samples))
+        for array, values in zip(arrays, vars(batch_hits).values(), strict=True):
+            array[batch[order]] = values
     return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in arrays))

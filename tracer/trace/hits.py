@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Ints, Triple, dot, repeat_runs, take3
+from tracer.arrays import Floats, Ints, Triple, dot, map3, repeat_runs, take3
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene, Shape
 
@@ -27,16 +27,18 @@ class ShapeHits(NamedTuple):
     shape : Spheres or Boxes
         The objects on which the hits lie.
     interval : slice
-        The positions of these hits among all hits of a `Hits`.
+        The slice of these hits among all hits of a `Hits`.
     sample : (n,) int array
-        The sample whose ray meets the surface at each hit.
+        Index of each hit's sample.
     run_length : (runs,) int array
         Number of hits in each run.
     run_object : (runs,) int array
         Index of the object of each run, among all objects.
-    face, sign, level : arrays
-        For boxes, arrays (runs,) of the axis of each run's face, the direction of its normal along
-        this axis (1 or -1), and its coordinate along this axis: see `Spheres.tangent_planes`.
+    face : (runs,) int array
+        Axis to which each run's face is perpendicular: 0, 1 or 2; `NO_FACE` for spheres.
+    sign, level : (runs,) float arrays
+        For boxes, the direction of each face's normal along this axis (1 or -1), and the coordinate
+        of the face along this axis; meaningless for spheres.
     normal : tuple of three float arrays
         Unit normals on the side of the eye, in camera axes: (runs,) for planar shapes, otherwise
         (n,).  `per_hit` converts both to (n,).
@@ -73,13 +75,13 @@ class ShapeHits(NamedTuple):
         return repeat_runs(run_values, self.run_length)
 
     def per_hit(self, values: Floats) -> Floats:
-        """Convert values that belong to tangent planes to one value for each hit.
+        """Convert one value for each tangent plane to one value for each hit.
 
         Parameters
         ----------
         values : float array
-            Values computed from `normal` or `eye_height`.  For planar shapes, one for each run
-            (runs,): all hits of a run share a tangent plane.  Otherwise, one for each hit (n,).
+            Values computed from `normal` or `eye_height`: (runs,) for planar shapes, where all hits
+            of a run share a tangent plane; otherwise (n,).
 
         Returns
         -------
@@ -88,23 +90,8 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
-    def object_values(self, values: NDArray[Any]) -> Any:
-        """Look up, for each hit, the value of the object on which the hit lies.
-
-        Parameters
-        ----------
-        values : (objects,) array
-            A value for each object of the scene.
-
-        Returns
-        -------
-        hit_values : (n,) array
-            The value of each hit's object.
-        """
-        return self.repeat_runs(values[self.run_object])
-
     def height_of(self, point: Floats, vector: Triple) -> Floats:
-        """Compute the height of one point above the tangent plane at each of n hits.
+        """Compute the height of a point above the tangent plane at each of n hits.
 
         Parameters
         ----------
@@ -141,9 +128,9 @@ class Hits(NamedTuple):
     groups : list of ShapeHits
         The hits on spheres, and the hits on boxes, if there are any.
     sample : (n,) int array
-        The sample whose ray meets a surface at each hit.
+        Index of each hit's sample.
     run_start : (runs + 1,) int array
-        Index of the first hit of each run, through all groups; the last element is n.
+        Index of the first hit of each run, in all groups; the last element is n.
     run_object : (runs,) int array
         Index of the object of each run, among all objects.
     """
@@ -162,18 +149,51 @@ class Hits(NamedTuple):
         return self.run_object.repeat(np.diff(self.run_start))
 
     @property
+    def hit_face(self) -> Ints:
+        """Axis (n,) to which the face at each hit is perpendicular; `NO_FACE` for spheres."""
+        faces = [group.repeat_runs(group.face) for group in self.groups]
+        return np.concatenate([np.zeros(0, dtype=np.intp), *faces])
+
+    @property
+    def eye_height(self) -> Floats:
+        """Distance (n,) of the eye from the tangent plane of the surface at each hit."""
+        return np.concatenate([group.per_hit(group.eye_height) for group in self.groups])
+
+    @property
+    def normal(self) -> Triple:
+        """Components (n,) of the unit normals on the side of the eye, in camera axes."""
+        group_normals = [map3(group.per_hit, group.normal) for group in self.groups]
+        x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
+        return x, y, z
+
+    @property
     def distance(self) -> Floats:
         """Distance (n,) of each hit from the eye, in the scene's unit of length."""
         x, y, z = self.from_eye
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
+    def object_values(self, values: NDArray[Any]) -> Any:
+        """Look up, for each of n hits, the value of the object on which the hit lies.
+
+        Parameters
+        ----------
+        values : (objects,) array
+            A value for each object of the scene.
+
+        Returns
+        -------
+        hit_values : (n,) array
+            The value of each hit's object.
+        """
+        return values[self.run_object].repeat(np.diff(self.run_start))
+
     def points(self, index: Ints | slice) -> Triple:
-        """Compute the positions of hits in scene axes.
+        """Compute the positions of selected hits, in scene axes.
 
         Parameters
         ----------
         index : (k,) int array or slice
-            Indices of the hits.
+            Indices of the hits to select.
 
         Returns
         -------

@@ -1,27 +1,33 @@
-"""Shading: the light that arrives at hits, and the radiance that it causes towards the eye.
+"""Shading: the light that arrives at hits, and the radiance that the hits reflect to the eye.
 
 The model is that of Blinn (Models of light reflection for computer synthesized pictures, 1977), as
-in Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2: each light that reaches the hit
-adds I (kd max(0, n.l) + ks (n.h)^p).  The vector h is halfway between the directions to the light
-and to the eye.  Light does not fall off with distance, and the highlight has no further cosine.
+in Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2.  Each light that is visible
+from the hit adds I (kd max(0, n.l) + ks (n.h)^p) to the radiance, with
+
+- the intensity I of the light;
+- the diffuse colour kd, the specular colour ks and the exponent p of the surface;
+- the unit normal n, the direction l to the light, and the unit half vector h, which is halfway
+  between the directions to the light and to the eye.
+
+Light does not fall off with distance, and the highlight has no further cosine.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scale3, take3
 from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_LENGTH2, MIN_HALF_SQUARE
-from tracer.trace.hits import Hits, ShapeHits
+from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import Lights
 
-# A highlight is the bell exp(-x^2).  Maximum change of x over the part of the surface for which one
-# sample can stand; the x from which on the bell is negligible; and the x where it underflows.
-# Tuned on the project's scenes: with half or twice the first, and with 2 for the second, errors of
-# single pictures are up to 1.1 times as large.
+# A highlight has the shape of the bell exp(-x^2).  Maximum change of x over the part of the surface
+# that one sample can represent; the x beyond which the bell is negligible; and the x where the bell
+# underflows.  Tuned on the project's scenes: with half or twice the first, and with 2 for the
+# second, errors of single pictures are up to 1.1 times as large.
 _MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
 
 
@@ -49,51 +55,85 @@ class LightGeometry(NamedTuple):
     n_dot_l: Floats
     length2: Floats
 
-    def highlight_strength(self, light_index: int, group: ShapeHits, index: Ints) -> Floats:
-        """Compute the strength (n.h)^exponent of one light's highlight at k hits.
+    def highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
+        """Compute the strength (n.h)^p of one light's highlight at selected hits.
 
-        Here n is the unit normal, and h the unit half vector between the directions to the light
-        and to the eye.
+        Here n is the unit normal, h the unit half vector between the directions l to the light and
+        v to the eye, and p the exponent of the surface.  As n.h = (n.l + n.v) / |l + v|, and
+        |l + v|^2 = 2 + 2 l.v, three cosines suffice for most hits.  They do not suffice if (1) a
+        large exponent amplifies the rounding error of n.h, or (2) l and v almost cancel.  Then the
+        strength is computed from the vectors.
+
+        For exponents up to 1e6, the error is at most 1e-12 if |l + v| > 0.3, and at most 1e-10 if
+        |l + v| > 0.002.
 
         Parameters
         ----------
         light_index : int
             Index of the light in this batch.
-        group : ShapeHits
-            Hits on objects of one shape, which contain the k hits.
-        index : (k,) int array
-            Indices of the k hits within the group.  Their surfaces must face the light.
+        hit_index : (k,) int array
+            Indices of the hits.  Their surfaces must face the light.
 
         Returns
         -------
         strength : (k,) float array
-            The strength at each hit.
+            The strength at each selected hit, from 0 to 1.
         """
-        from_eye = take3(self.hits.from_eye[:, group.interval], index)
+        hits = self.hits
+        from_eye = take3(hits.from_eye, hit_index)
         x, y, z = self.lights.from_eye[light_index].tolist()
         to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
-        length = np.sqrt(self.length2[light_index, group.interval][index])
-        distance = np.sqrt(dot(from_eye, from_eye))
+        light_distance = np.sqrt(self.length2[light_index][hit_index])
+        eye_distance = np.sqrt(dot(from_eye, from_eye))
+        n_dot_l = self.n_dot_l[light_index][hit_index] / light_distance
+        n_dot_v = hits.eye_height[hit_index] / eye_distance
+        half_square = 1 + dot(to_light, from_eye) / (-eye_distance * light_distance)  # |l + v|^2/2
+        cosine2 = n_dot_l + n_dot_v
+        cosine2 *= cosine2
+        cosine2 /= 2 * half_square
+        exponent = hits.object_values(hits.prepared.exponent)[hit_index]
+        strength: Floats = np.exp(0.5 * exponent * np.log(cosine2))
+        is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
+        index = indices(is_inaccurate)
+        if index.size:
+            light_direction = scale3(take3(to_light, index), 1 / light_distance[index])
+            eye_direction = scale3(take3(from_eye, index), -1 / eye_distance[index])
+            normal = take3(hits.normal, hit_index[index])
+            strength[index] = _accurate_highlight(
+                normal, light_direction, eye_direction, exponent[index]
+            )
+        return strength
 
-        def unit_vectors(selected: Ints) -> tuple[Triple, Triple, Triple]:
-            """Compute unit vectors at selected hits.
 
-            `selected` (j,) contains indices into the k hits.  The result has three items: the
-            normals, the directions to the light, and the directions to the eye, each as a tuple of
-            three (j,) arrays.
-            """
-            light_direction = scale3(take3(to_light, selected), 1 / length[selected])
-            eye_direction = scale3(take3(from_eye, selected), -1 / distance[selected])
-            normal = take3(map3(group.per_hit, group.normal), index[selected])
-            return normal, light_direction, eye_direction
+def _accurate_highlight(
+    normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
+) -> Floats:
+    """Compute highlights (n.h)^p from unit vectors, with little cancellation.
 
-        return _stable_highlight(
-            self.n_dot_l[light_index, group.interval][index] / length,
-            group.per_hit(group.eye_height)[index] / distance,
-            dot(to_light, from_eye) / (-distance * length),
-            group.object_values(self.hits.prepared.exponent)[index],
-            unit_vectors,
-        )
+    Here n is the normal, h the unit half vector between the directions to the light and to the eye,
+    and p the exponent.  With e = n - h, the cosine n.h is 1 - e.e / 2.  So the highlight is
+    exp(p log1p(-e.e / 2)), which keeps the digits that n.h would lose.
+
+    Parameters
+    ----------
+    normal, light_direction, eye_direction : tuples of three (n,) float arrays
+        Components of the unit normals, and of the unit vectors to the light and to the eye, in any
+        common axes.
+    exponent : (n,) float array
+        Exponent of each highlight.
+
+    Returns
+    -------
+    strength : (n,) float array
+        The highlight at each of n points; 0 where the light and the eye are in opposite directions.
+    """
+    directions_sum = map3(np.add, light_direction, eye_direction)
+    length2 = dot(directions_sum, directions_sum)
+    e = map3(np.subtract, normal, scale3(directions_sum, 1 / np.sqrt(length2)))
+    # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
+    strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
+    # In opposite directions, the light grazes the surface, and the sum consists of rounding errors.
+    return np.where(length2 > MIN_HALF_LENGTH2, strength, 0.0)
 
 
 class Shading:
@@ -115,16 +155,15 @@ class Shading:
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        self._is_glossy = [group.object_values(hits.prepared.is_glossy) for group in hits.groups]
-        # For each group of hits, the sum over lights of intensity times n.l, and of intensity times
-        # (n.h)^exponent, without the colours of the surfaces; None before the first light.
-        self._diffuse: list[Floats | None] = [None] * len(hits.groups)
-        self._specular: list[Floats | None] = [None] * len(hits.groups)
-        faces = [g.repeat_runs(4 * g.run_object + g.face) for g in hits.groups if with_ids]
-        self.ids: Ints = np.concatenate([np.zeros(0, dtype=np.intp), *faces])
+        self._is_glossy = hits.object_values(hits.prepared.is_glossy)
+        # Sums over lights of intensity times n.l, and of intensity times (n.h)^p, without the
+        # colours of the surfaces; None before the first light.
+        self._diffuse_sum: Floats | None = None
+        self._specular_sum: Floats | None = None
+        self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the light of a batch of lights to the sum, and encode their visibility in `ids`.
+        """Add a batch of lights to the reflected radiance, and encode their visibility in `ids`.
 
         Parameters
         ----------
@@ -133,60 +172,53 @@ class Shading:
         is_lit : (lights, n) bool array
             Whether the light is visible from the hit.
         """
-        for light_is_lit in is_lit if self._with_ids else ():
-            # The factor is odd: with more lights than bits, the first lights still count.
-            self.ids = self.ids * 3 + light_is_lit
-        for number, (group, is_glossy) in enumerate(
-            zip(self._hits.groups, self._is_glossy, strict=True)
-        ):
-            interval, any_glossy = group.interval, is_glossy.any()
-            for light_index, is_hit_lit in enumerate(is_lit[:, interval]):
-                if not is_hit_lit.any():
-                    continue
-                intensity = geometry.lights.intensity[light_index]
-                length = np.sqrt(geometry.length2[light_index, interval])
-                n_dot_l, cosine = geometry.n_dot_l[light_index, interval], np.zeros(length.size)
-                np.divide(n_dot_l, length, out=cosine, where=is_hit_lit)
-                self._diffuse[number] = _add_light(self._diffuse[number], intensity, cosine)
-                if any_glossy:
-                    strength, index = np.zeros(length.size), indices(is_hit_lit & is_glossy)
-                    strength[index] = geometry.highlight_strength(light_index, group, index)
-                    self._specular[number] = _add_light(self._specular[number], intensity, strength)
+        for light_index, is_hit_lit in enumerate(is_lit):
+            if self._with_ids:
+                # The factor is odd: with more lights than bits, the first lights still count.
+                self.ids = self.ids * 3 + is_hit_lit
+            if not is_hit_lit.any():
+                continue
+            intensity = geometry.lights.intensity[light_index]
+            cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.length2[light_index])
+            np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
+            self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
+            glossy = indices(is_hit_lit & self._is_glossy)
+            if glossy.size:
+                strength = np.zeros(is_hit_lit.size)
+                strength[glossy] = geometry.highlight_strength(light_index, glossy)
+                self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
-    def reflection_terms(self) -> Iterator[tuple[Ints, int, Floats, Floats | None]]:
-        """Yield the diffuse and the specular radiance, for each shape and each colour channel.
+    def reflection_terms(self) -> Iterator[tuple[int, Floats, Floats | None]]:
+        """Yield the diffuse and the specular radiance of the n hits, for each colour channel.
 
-        Nothing is yielded for a shape that no light reaches.
+        Nothing is yielded if no hit is lit.
 
         Yields
         ------
-        sample : (k,) int array
-            Indices of the samples whose rays hit objects of one shape.
         channel : int
             0 for red, 1 for green, 2 for blue.
-        diffuse : (k,) float array
+        diffuse : (n,) float array
             Sum over visible lights of I kd n.l, where I is the light's intensity, kd the object's
-            diffuse colour, n the normal, and l the direction to the light.
-        specular : (k,) float array or None
-            Sum over visible lights of I ks (n.h)^exponent, where ks is the object's specular
-            colour, and h the half vector; None if none of the lit objects has highlights.
+            diffuse colour, n the unit normal, and l the direction to the light.
+        specular : (n,) float array or None
+            Sum over visible lights of I ks (n.h)^p, where ks is the object's specular colour, h the
+            unit half vector between the directions to the light and to the eye, and p the object's
+            exponent; None if no lit object has highlights.
         """
-        prepared = self._hits.prepared
-        for group, diffuse_sum, specular_sum in zip(
-            self._hits.groups, self._diffuse, self._specular, strict=True
-        ):
-            if diffuse_sum is None:
-                continue
-            for channel in range(3):
-                diffuse, specular = group.object_values(prepared.diffuse[channel]), None
-                diffuse *= diffuse_sum[channel]
-                if specular_sum is not None:
-                    specular = group.object_values(prepared.specular[channel])
-                    specular *= specular_sum[channel]
-                yield group.sample, channel, diffuse, specular
+        if self._diffuse_sum is None:
+            return
+        hits, prepared = self._hits, self._hits.prepared
+        for channel in range(3):
+            diffuse = hits.object_values(prepared.diffuse[channel])
+            diffuse *= self._diffuse_sum[channel]
+            specular = None
+            if self._specular_sum is not None:
+                specular = hits.object_values(prepared.specular[channel])
+                specular *= self._specular_sum[channel]
+            yield channel, diffuse, specular
 
     def radiance(self, out: Floats | None = None) -> Floats:
-        """Compute the radiance towards the eye, at each sample.
+        """Compute the radiance towards the eye at each sample.
 
         Parameters
         ----------
@@ -199,25 +231,25 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for sample, channel, diffuse, specular in self.reflection_terms():
+        for channel, diffuse, specular in self.reflection_terms():
             if specular is not None:
                 diffuse += specular
-            out[channel][sample] = diffuse
+            out[channel][self._hits.sample] = diffuse
         return out
 
 
 def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Floats:
-    """Add the light of one source to the sum over lights.
+    """Add one light to a sum over lights.
 
     Parameters
     ----------
     total : (3, n) float array or None
-        The sum for each colour channel and each of n hits, which is overwritten; None if this is
-        the first light.
+        The sum so far, for each colour channel and each of n hits, which is overwritten; None if
+        this is the first light.
     intensity : (3,) float array
         The light's RGB intensity.
     factor : (n,) float array
-        What the intensity is multiplied by at each hit: a cosine, or the strength of a highlight.
+        Factor of the intensity at each hit: a cosine, or the strength of a highlight.
 
     Returns
     -------
@@ -226,8 +258,8 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
     """
     if total is None:  # to create zeros and to add to them would take longer
         return np.multiply.outer(intensity, factor)
-    for channel, strength in zip(total, intensity.tolist(), strict=True):
-        channel += strength * factor
+    for channel_total, channel_intensity in zip(total, intensity.tolist(), strict=True):
+        channel_total += channel_intensity * factor
     return total
 
 
@@ -239,18 +271,18 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     Parameters
     ----------
     hits : Hits
-        The hits.
+        The n hits.
     lights : Lights
         A batch of lights.
 
     Returns
     -------
     geometry : LightGeometry
-        The dot products, as arrays (lights, hits).
+        The dot products as arrays `n_dot_l` and `length2`, both (lights, n).  If the eye is inside
+        the hit's object and the light is outside, `n_dot_l` is -inf.
     """
-    geometry = LightGeometry(
-        hits, lights, *np.empty((2, len(lights.from_eye), hits.from_eye.shape[1]))
-    )
+    shape = len(lights.from_eye), hits.from_eye.shape[1]
+    geometry = LightGeometry(hits, lights, np.empty(shape), np.empty(shape))
     for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
         # If the eye is inside an object, the object blocks all lights outside of it.
         is_blocked = hits.prepared.is_eye_inside & (lights.side[light_index] != INSIDE)
@@ -260,7 +292,7 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
             n_dot_l = group.height_of(lights.position[light_index], to_light)
             if is_blocked[group.run_object].any():
                 # 0 would count as a terminator: a line at which light begins.
-                n_dot_l[group.object_values(is_blocked)] = -np.inf
+                n_dot_l[group.repeat_runs(is_blocked[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
             geometry.length2[light_index, group.interval] = dot(to_light, to_light)
     return geometry
@@ -288,75 +320,22 @@ def find_narrow_highlights(
 
     Yields
     ------
-    index : (k,) int array
+    hit_index : (k,) int array
         Indices of hits with such a highlight of one light.  A hit is yielded again for each further
-        light that causes one.
+        light that causes such a highlight.
     """
-    prepared, distance = geometry.hits.prepared, geometry.hits.distance
-    for group in geometry.hits.groups:
-        is_glossy, interval = group.object_values(prepared.is_glossy), group.interval
-        if not np.any(is_glossy):
-            continue
-        eye_turn = 1 / distance[interval] + group.object_values(prepared.curvature)
-        scale = np.where(is_glossy, np.sqrt(group.object_values(prepared.exponent) / 2), 0)
-        for light_index, is_frontlit in enumerate(frontlit[:, interval]):
-            turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index, interval])
-            step = footprint[interval] * turn * scale
-            index = indices((step > _MAX_LOBE_STEP) & is_frontlit)
-            if index.size:
-                strength = geometry.highlight_strength(light_index, group, index)
-                position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
-                is_visible = position - step[index] < _LOBE_CUTOFF
-                yield interval.start + index[is_visible]
-
-
-def _stable_highlight(
-    n_dot_l: Floats,
-    n_dot_v: Floats,
-    l_dot_v: Floats,
-    exponent: Floats,
-    unit_vectors: Callable[[Ints], tuple[Triple, Triple, Triple]],
-) -> Floats:
-    """Compute (n.h)^p accurately, with the unit normal n, the unit half vector h and exponent p.
-
-    Let l and v be the directions to the light and to the eye.  As n.h = (n.l + n.v) / |l + v| and
-    |l + v|^2 = 2 + 2 l.v, three cosines suffice for most hits.  They do not suffice if (1) a large
-    exponent amplifies the rounding error of n.h, or (2) l and v almost cancel.  In both cases, the
-    result is computed from the vectors: with e = n - h, the cosine is 1 - e.e / 2, and
-    exp(p log1p(-e.e / 2)) keeps the digits that n.h has lost.
-
-    For exponents up to 1e6, the error is at most 1e-12 if |l + v| > 0.3, and at most 1e-10 if
-    |l + v| > 0.002.
-
-    Parameters
-    ----------
-    n_dot_l, n_dot_v, l_dot_v : (n,) float arrays
-        Dot products of the unit vectors n, l and v; n.l is positive.
-    exponent : (n,) float array
-        The exponent p at each hit.
-    unit_vectors : callable
-        Takes the indices (k,) of hits, and returns the unit vectors n, l and v at these hits, each
-        as a tuple of three (k,) arrays.
-
-    Returns
-    -------
-    strength : (n,) float array
-        (n.h)^p at each hit.
-    """
-    half_square = 1 + l_dot_v  # |l + v|^2 / 2
-    cosine2 = n_dot_l + n_dot_v
-    cosine2 *= cosine2
-    cosine2 /= 2 * half_square
-    strength: Floats = np.exp(0.5 * exponent * np.log(cosine2))
-    index = indices((half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION))
-    if not index.size:
-        return strength
-    normal, to_light, to_eye = unit_vectors(index)
-    l_plus_v = map3(np.add, to_light, to_eye)
-    length2, p = dot(l_plus_v, l_plus_v), exponent[index]
-    e = map3(np.subtract, normal, scale3(l_plus_v, 1 / np.sqrt(length2)))
-    # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
-    accurate = np.where(p == 0, 1.0, np.exp(p * np.log1p(-0.5 * dot(e, e))))
-    # If l = -v, the light grazes the surface, and l + v consists of rounding errors.
-    strength[index] = np.where(length2 > MIN_HALF_LENGTH2, accurate, 0.0)
-    return strength
+    hits, prepared = geometry.hits, geometry.hits.prepared
+    is_glossy = hits.object_values(prepared.is_glossy)
+    if not is_glossy.any():
+        return
+    eye_turn = 1 / hits.distance + hits.object_values(prepared.curvature)
+    # Change of sqrt(p / 2) a, for an angle a that changes by 1.
+    scale = np.where(is_glossy, np.sqrt(hits.object_values(prepared.exponent) / 2), 0)
+    for light_index, is_frontlit in enumerate(frontlit):
+        turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index])
+        lobe_step = footprint * turn * scale
+        hit_index = indices((lobe_step > _MAX_LOBE_STEP) & is_frontlit)
+        if hit_index.size:
+            strength = geometry.highlight_strength(light_index, hit_index)
+            lobe_position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
+            yield hit_index[lobe_position - lobe_step[hit_index] < _LOBE_CUTOFF]

@@ -33,7 +33,7 @@ shades the whole packet.  So the result equals that of testing all pairs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +54,7 @@ from tracer.arrays import (
 from tracer.geometry.rounding import ON
 from tracer.trace.hits import Hits
 from tracer.trace.samples import Scattered
+from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, Shape
 
 # Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
@@ -86,8 +87,8 @@ class Packets(NamedTuple):
         Radius of each packet's bounding sphere, which contains the footprints of all its hits.
     is_lit : (lights, m) bool array
         Whether the light may be visible from any hit of the packet.  At first this is True if any
-        hit of the packet faces the light.  `_OccluderSearch` sets it to False when it finds a
-        single object that shades the whole packet.
+        hit of the packet faces the light.  `_find_occluders` sets it to False when a single object
+        shades the whole packet.
     """
 
     object_index: Ints
@@ -98,157 +99,152 @@ class Packets(NamedTuple):
     is_lit: Bools
 
     def replace_by_children(self, columns: Ints) -> Ints:
-        """Replace each column that names a packet by one column for each child of the packet.
+        """Replace each column that refers to a packet by one column for each child of the packet.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
         Parameters
         ----------
         columns : (2, k) or (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of packets of this level, and row 2, if
-            there is one, indices of objects.
+            Row 0 contains light indices, row 1 indices of packets of this level, and row 2, if
+            there is one, object indices.
 
         Returns
         -------
         expanded : (2, j) or (3, j) int array
-            Row 1 contains indices of children.  The other rows are copied from the columns of the
-            children's packets.
+            Row 1 contains the indices of the children; j is the total number of children.  The
+            other rows repeat the values of the children's packets.
         """
-        packet = columns[1]
-        column, child = segment_indices(self.child_count[packet], self.child_start[packet])
-        expanded = columns.take(column, axis=1)
-        expanded[1] = child
+        packet_index = columns[1]
+        counts, starts = self.child_count[packet_index], self.child_start[packet_index]
+        column_index, child_index = segment_indices(counts, starts)
+        expanded = columns.take(column_index, axis=1)
+        expanded[1] = child_index
         return expanded
 
 
-class _OccluderSearch:
-    """Search for all pairs of a shadow segment and an object that need the exact test, `_blocks`.
+def _find_occluders(
+    hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
+) -> Iterator[tuple[Shape, Ints, Ints]]:
+    """Find the (light, hit, object) triples whose shadow segments need an exact test.
 
-    A shadow segment leads from a hit to a light.
-
-    The search has state.  When a single object shades a whole packet (a group of neighbouring
-    hits), the search sets the packet's `is_lit` to False, which excludes the packet from later
-    batches, and records the packet for `find_fully_shaded`.
+    A shadow segment is the straight segment from a hit to a light.  The function also finds hits in
+    shadow that need no exact test: those in a packet (a group of neighbouring hits) that a single
+    object shades entirely.
 
     Parameters
     ----------
     hits : Hits
         The n hits that may be in shadow.
     lights : Lights
-        The lights from which the shadows come.
+        The lights that cast the shadows.
     frontlit : (lights, n) bool array
-        Whether the surface at the hit faces the light.
+        Whether the surface at the hit faces the light.  Other pairs are mostly skipped.
     footprint : (n,) float array, optional
-        If given, the search also finds the objects that block a segment to the light from any
-        surface point within this distance of the hit.
+        If given, also find the objects that block a segment to the light from any surface point
+        within this distance of the hit.
+
+    Yields
+    ------
+    shape : Spheres or Boxes
+        The shape of all objects in the batch.
+    triples : (3, k) int array
+        Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
+        the segment from the hit to the light.
+    shaded_pairs : (2, j) int array
+        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  The
+        whole footprint of such a hit is in shadow, too.  The pairs are missing from later batches.
     """
+    if lights.grid is None or not frontlit.any():
+        return
+    levels = build_packet_levels(hits, frontlit, footprint)
+    for shape, triples in _query_grid(lights.grid, levels[0], hits.prepared.shapes):
+        shaded_pairs = np.zeros((2, 0), dtype=np.intp)
+        for packets in levels:
+            triples, shaded_packets = _test_packets(packets, lights, shape, triples)
+            shaded_pairs = np.concatenate([shaded_pairs, shaded_packets], axis=1)
+            triples, shaded_pairs = map(packets.replace_by_children, (triples, shaded_pairs))
+        yield shape, triples, shaded_pairs
 
-    def __init__(
-        self, hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
-    ) -> None:
-        self._prepared, self._lights = hits.prepared, lights
-        is_needed = lights.grid is not None and bool(frontlit.any())
-        self._levels = build_packet_levels(hits, frontlit, footprint) if is_needed else []
-        self._shaded_packets: list[list[Ints]] = [[] for _ in self._levels]
 
-    def find_candidates(self) -> Iterator[tuple[Shape, Ints]]:
-        """Find the triples of a light, a hit and an object that need the exact test, `_blocks`.
+def _query_grid(
+    grid: LightGrid, packets: Packets, shapes: Iterable[Shape]
+) -> Iterator[tuple[Shape, Ints]]:
+    """Yield, in batches, the objects that a light grid lists for packets.
 
-        Yields
-        ------
-        shape : Spheres or Boxes
-            The shape of all objects in the batch.
-        triples : (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects
-            that may block the segment from the hit to the light.
-        """
-        for shape, triples in self._query_grid():
-            for level in range(len(self._levels)):
-                triples = self._narrow_down(level, shape, triples)
-            yield shape, triples
+    A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
+    structure that lists the objects that may lie between a sphere and a light.
 
-    def find_fully_shaded(self) -> tuple[Ints, Ints]:
-        """Find the pairs of a light and a hit in packets shaded entirely by a single object.
+    Parameters
+    ----------
+    grid : LightGrid
+        The light grid of the lights.
+    packets : Packets
+        The packets.  A pair of a light and a packet is skipped if `packets.is_lit` is False when
+        its batch begins.
+    shapes : iterable of Spheres and Boxes
+        All objects, grouped by shape.
 
-        A packet is a group of neighbouring hits.  The result is complete only after
-        `find_candidates` has yielded its last batch.
+    Yields
+    ------
+    shape : Spheres or Boxes
+        The shape of all objects in the batch.
+    triples : (3, k) int array
+        Row 0 contains light indices, row 1 packet indices, and row 2 indices of objects that may
+        lie between the packet and the light.
+    """
+    for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
+        queried = slice(start, start + _PACKETS_PER_QUERY)
+        center, radius = packets.center[:, queried], packets.radius[queried]
+        own_object = packets.object_index[queried]
+        for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried]):
+            triples[1] += start
+            for shape in shapes:
+                of_shape = triples.take(indices(shape.objects.contains(triples[2])), axis=1)
+                for batch in batches(packets.child_count[of_shape[1]]):
+                    yield shape, of_shape[:, batch]
 
-        Returns
-        -------
-        light_index, hit_index : (k,) int arrays
-            The light and the hit of each pair.  The light is not visible from the hit.
-        """
-        pairs = np.zeros((2, 0), dtype=np.intp)
-        for packets, shaded in zip(self._levels, self._shaded_packets, strict=True):
-            pairs = packets.replace_by_children(np.concatenate([pairs, *shaded], axis=1))
-        return pairs[0], pairs[1]
 
-    def _narrow_down(self, level: int, shape: Shape, triples: Ints) -> Ints:
-        """Remove triples that need no exact test, and replace packets by their children.
+def _test_packets(
+    packets: Packets, lights: Lights, shape: Shape, triples: Ints
+) -> tuple[Ints, Ints]:
+    """Test which objects may shade packets in part, and which packets are in shadow entirely.
 
-        A packet is a group of neighbouring hits; its capsule contains the segments from all its
-        hits to a light.  Triples of a light, a packet and an object are removed in two cases:
-        (1) the object misses the capsule; or (2) any object cuts right through the capsule, so that
-        it shades the whole packet.  In the second case, the packet is also recorded as shaded.
+    A packet is a group of neighbouring hits; its capsule contains the segments from all its hits to
+    a light.  An object shades no hit of the packet if it misses the capsule, and all hits if it
+    cuts right through the capsule.
 
-        Parameters
-        ----------
-        level : int
-            Index of the packets' level in the hierarchy; level 0 has the largest packets.
-        shape : Spheres or Boxes
-            The shape of all objects in `triples`.
-        triples : (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of packets of this level, and row 2
-            indices of objects.
+    Parameters
+    ----------
+    packets : Packets
+        All packets of one level.  For pairs of a light and a packet that is in shadow entirely,
+        this function sets `packets.is_lit` to False.
+    lights : Lights
+        The lights.
+    shape : Spheres or Boxes
+        The shape of all objects in `triples`.
+    triples : (3, k) int array
+        Row 0 contains light indices, row 1 packet indices, and row 2 object indices.
 
-        Returns
-        -------
-        triples : (3, j) int array
-            The remaining triples, in which row 1 contains indices of the packets' children: packets
-            of the next level or, after the last level, hits.
-        """
-        packets = self._levels[level]
-        # An object in an earlier batch may shade the whole packet.
-        triples = triples.take(indices(take_2d(packets.is_lit, triples[0], triples[1])), axis=1)
-        light_index, packet_index, object_index = triples
-        center, radius = take3(packets.center, packet_index), packets.radius[packet_index]
-        light_position = take3(self._lights.position.T, light_index)
-        may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
-        shaded = triples[:2].take(indices(blocks_all), axis=1)
-        self._shaded_packets[level].append(shaded)
-        put_2d(packets.is_lit, shaded[0], shaded[1], False)
-        # Another object in this batch may shade the whole packet.
-        is_needed = may_block & take_2d(packets.is_lit, light_index, packet_index)
-        return packets.replace_by_children(triples.take(indices(is_needed), axis=1))
-
-    def _query_grid(self) -> Iterator[tuple[Shape, Ints]]:
-        """Yield, in batches, the objects that the light grid lists for the largest packets.
-
-        A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
-        structure that lists the objects that may lie between a sphere and a light.
-
-        Yields
-        ------
-        shape : Spheres or Boxes
-            The shape of all objects in the batch.
-        triples : (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of packets of level 0, and row 2 indices
-            of objects that may lie between the packet and the light.
-        """
-        grid = self._lights.grid
-        if grid is None or not self._levels:
-            return
-        packets = self._levels[0]
-        for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
-            queried = slice(start, start + _PACKETS_PER_QUERY)
-            center, radius = packets.center[:, queried], packets.radius[queried]
-            own_object = packets.object_index[queried]
-            for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried]):
-                triples[1] += start
-                for shape in self._prepared.shapes:
-                    of_shape = triples.take(indices(shape.objects.contains(triples[2])), axis=1)
-                    for batch in batches(packets.child_count[of_shape[1]]):
-                        yield shape, of_shape[:, batch]
+    Returns
+    -------
+    undecided : (3, j) int array
+        The columns of `triples` whose object may shade a part of the packet, except for packets
+        that another object shades entirely.
+    shaded_packets : (2, i) int array
+        Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
+    """
+    # An object in an earlier batch may shade the whole packet.
+    triples = triples.take(indices(take_2d(packets.is_lit, triples[0], triples[1])), axis=1)
+    light_index, packet_index, object_index = triples
+    center, radius = take3(packets.center, packet_index), packets.radius[packet_index]
+    light_position = take3(lights.position.T, light_index)
+    may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
+    shaded_packets = triples[:2].take(indices(blocks_all), axis=1)
+    put_2d(packets.is_lit, shaded_packets[0], shaded_packets[1], False)
+    # Another object in this batch may shade the whole packet.
+    is_undecided = may_block & take_2d(packets.is_lit, light_index, packet_index)
+    return triples.take(indices(is_undecided), axis=1), shaded_packets
 
 
 class _EdgeSet:
@@ -260,7 +256,7 @@ class _EdgeSet:
 
     Parameters
     ----------
-    light_count, hit_count, object_count : int
+    shape : (int, int, int)
         Numbers of lights, hits and objects, to which the indices in edges refer.
 
     Attributes
@@ -270,10 +266,9 @@ class _EdgeSet:
         edges for such a pair of a light and a hit.
     """
 
-    def __init__(self, light_count: int, hit_count: int, object_count: int) -> None:
-        self.is_crowded = np.zeros((light_count, hit_count), dtype=np.bool_)
-        self._hit_count, self._object_count = hit_count, object_count
-        self._keys = [np.zeros(0, dtype=np.intp)]
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self.is_crowded = np.zeros(shape[:2], dtype=np.bool_)
+        self._shape, self._keys = shape, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
         """Add shadow edges to the set, except for those of crowded hits.
@@ -283,12 +278,11 @@ class _EdgeSet:
         Parameters
         ----------
         edges : (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of occluders.
+            Row 0 contains light indices, row 1 hit indices, and row 2 occluder indices.  Duplicates
+            are allowed.
         """
         is_kept = ~take_2d(self.is_crowded, edges[0], edges[1])
-        light_index, hit_index, occluder_index = edges[:, is_kept]
-        pair_key = light_index * self._hit_count + hit_index
-        self._keys.append(pair_key * self._object_count + occluder_index)
+        self._keys.append(np.ravel_multi_index(tuple(edges[:, is_kept]), self._shape))
         if sum(keys.size for keys in self._keys[1:]) > _EDGES_PER_BATCH:
             self._remove_duplicates()
 
@@ -305,19 +299,18 @@ class _EdgeSet:
             The light, the hit and the occluder of each edge.
         """
         self._remove_duplicates()
-        pair_key, occluder_index = np.divmod(self._keys[0], self._object_count)
-        light_index, hit_index = np.divmod(pair_key, self._hit_count)
+        light_index, hit_index, occluder_index = np.unravel_index(self._keys[0], self._shape)
         return light_index, hit_index, occluder_index
 
     def _remove_duplicates(self) -> None:
         """Sort the keys of shadow edges, and remove duplicates and the edges of crowded hits.
 
         Each key is an integer that encodes a light, a hit and an occluder.  A hit is crowded if
-        more than `_MAX_EDGES_PER_HIT` shadow edges of one light may pass near it; it is then
-        recorded in `is_crowded`.
+        more than `_MAX_EDGES_PER_HIT` shadow edges of one light may pass near it.  Such a pair of a
+        light and a hit is recorded in `is_crowded`.
         """
         keys = np.unique(np.concatenate(self._keys))
-        pair_key = keys // self._object_count  # of a light and a hit
+        pair_key = keys // self._shape[2]  # of a light and a hit
         run_start, edge_count = run_lengths(pair_key)
         is_crowded = edge_count > _MAX_EDGES_PER_HIT
         self.is_crowded.ravel()[pair_key[run_start[is_crowded]]] = True
@@ -327,15 +320,15 @@ class _EdgeSet:
 def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """Test, for each light and each hit, whether an object blocks the segment between them.
 
-    The hit's own object is not tested: it blocks the light only if the surface faces away from the
-    light, and then `frontlit` is False.
+    The object on which the hit lies is not tested.  It blocks the light only if the surface faces
+    away from the light, and then `frontlit` is False.
 
     Parameters
     ----------
     hits : Hits
         The n hits that may be in shadow.
     lights : Lights
-        The lights from which the shadows come.
+        The lights that cast the shadows.
     frontlit : (lights, n) bool array
         Whether the surface at the hit faces the light.
 
@@ -345,29 +338,28 @@ def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
         Whether an object blocks the segment; meaningless where `frontlit` is False.
     """
     is_blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    search = _OccluderSearch(hits, lights, frontlit)
-    for shape, triples in search.find_candidates():
+    for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit):
         light_index, hit_index, _ = triples[:, _blocks(hits, lights, shape, triples)]
         put_2d(is_blocked, light_index, hit_index, True)
-    put_2d(is_blocked, *search.find_fully_shaded(), True)
+        put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
     return is_blocked
 
 
 def shadow_edges(
     hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
 ) -> tuple[Bools, tuple[Ints, Ints, Ints], Bools]:
-    """Test whether objects block the light, and find the shadow edges that may pass near each hit.
+    """Test which hits are in shadow, and find the shadow edges near each hit.
 
-    An edge is near a hit if it crosses the hit's footprint: the part of the surface around the hit
-    that a cell of the picture covers.  If one object shades the whole footprint from a light, the
-    other edges of this light are invisible and excluded.
+    An edge is near a hit if it may cross the hit's footprint: the part of the surface around the
+    hit that a cell of the picture covers.  If one object shades the whole footprint from a light,
+    the edges of other shadows of this light are invisible and excluded.
 
     Parameters
     ----------
     hits : Hits
         The n hits that may be in shadow.
     lights : Lights
-        The lights from which the shadows come.
+        The lights that cast the shadows.
     frontlit : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array
@@ -376,26 +368,24 @@ def shadow_edges(
     Returns
     -------
     is_blocked : (lights, n) bool array
-        Whether an object other than the hit's own blocks the segment from the hit to the light;
-        meaningless where `frontlit` is False.
+        Whether an object, other than that on which the hit lies, blocks the segment from the hit to
+        the light; meaningless where `frontlit` is False.
     edges : tuple of three (m,) int arrays
         Indices of the light, the hit and the occluder of each visible edge, sorted in this order.
-        The edges of a light at a hit are omitted if there are more than `_MAX_EDGES_PER_HIT`.
+        If a hit has more than `_MAX_EDGES_PER_HIT` edges of one light, these edges are omitted.
     is_crowded : (n,) bool array
         Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of one light.
     """
     is_blocked, in_umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-    light_count, hit_count = frontlit.shape
-    edges = _EdgeSet(light_count, hit_count, hits.prepared.position_error.size)
-    search = _OccluderSearch(hits, lights, frontlit, footprint)
-    for shape, triples in search.find_candidates():
+    edges = _EdgeSet((*frontlit.shape, hits.prepared.position_error.size))
+    for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit, footprint):
         triples, blocks, covers, has_edge = _test_footprints(
             hits, lights, shape, triples, footprint
         )
         put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
         put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
+        put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
         edges.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
-    put_2d(in_umbra, *search.find_fully_shaded(), True)
     light_index, hit_index, occluder_index = edges.distinct()
     visible = indices(~take_2d(in_umbra, light_index, hit_index))
     visible_edges = light_index[visible], hit_index[visible], occluder_index[visible]
@@ -410,7 +400,7 @@ def _test_footprints(
 
     The footprint is the part of the surface around the hit that a cell of the picture covers.  Each
     object is tested three times: unchanged, grown by the radius of the footprint, and shrunk by
-    this radius.  The first of these rules that applies decides:
+    this radius.  The first matching row of this table decides:
 
     ===================  ======================================  ======================
     shadow in footprint  condition                               result
@@ -425,10 +415,10 @@ def _test_footprints(
     nowhere              otherwise                               all False
     ===================  ======================================  ======================
 
-    The first rule tests the unchanged object, too, because a hit near the surface may be inside the
-    object but outside the shrunk object, which then seems to block light from within the object.
-    The first rule excludes lights on the surface: light from there reaches one side of the plane
-    that touches the object at the light, and this plane may cross the footprint.
+    The first row tests the unchanged object, too, because a hit near the surface may be inside the
+    object but outside the shrunk object.  The shrunk object then seems to block light from within
+    the object.  The first row excludes lights on the surface: they light one side of the plane that
+    touches the object at the light, and this plane may cross the footprint.
 
     Parameters
     ----------
@@ -437,7 +427,7 @@ def _test_footprints(
     shape : Spheres or Boxes
         The shape of all objects in `triples`.
     triples : (3, k) int array
-        Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects.
+        Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     footprint : (n,) float array
         Radius of the footprint of each hit, in the scene's unit of length.
 
@@ -479,7 +469,7 @@ def _blocks(
     shape : Spheres or Boxes
         The shape of all objects in `triples`.
     triples : (3, k) int array
-        Row 0 contains indices of lights, row 1 indices of hits, and row 2 indices of objects.
+        Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     growth : (k,) float array, optional
         Distance by which each object is grown before the test; a negative value shrinks the object.
 
@@ -499,7 +489,7 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
     """Group hits into row packets and, if objects are large, row packets into square packets.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
-    row packet are consecutive in one row of samples; a square packet consists of row packets.
+    row packet are consecutive in one row of samples.  A square packet consists of row packets.
 
     Parameters
     ----------
@@ -521,7 +511,7 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
     side = int(min(packet_width, _MAX_SQUARE_SIDE))
     if side < _MIN_SQUARE_SIDE:
         return [row_packets]
-    return [*_build_square_packets(hits, row_packets, side)]
+    return [*_build_square_packets(hits, row_packets, side / hits.samples.density)]
 
 
 def _build_row_packets(
@@ -546,14 +536,16 @@ def _build_row_packets(
     Returns
     -------
     row_packets : Packets
-        For each group of hits, their object, a bounding sphere, and the lights that any of the hits
-        faces.
+        The groups, in the order of the hits.  A group is lit by a light if any of its hits faces
+        the light.
     """
     run_size = np.diff(hits.run_start)
-    run, offset = segment_indices(-(-run_size // max_hits))
+    run_index, offset = segment_indices(-(-run_size // max_hits))
     offset *= max_hits
-    start, count = hits.run_start[run] + offset, np.minimum(run_size[run] - offset, max_hits)
-    object_index, is_lit = hits.run_object[run], np.logical_or.reduceat(frontlit, start, axis=1)
+    start = hits.run_start[run_index] + offset
+    count = np.minimum(run_size[run_index] - offset, max_hits)
+    object_index = hits.run_object[run_index]
+    is_lit = np.logical_or.reduceat(frontlit, start, axis=1)
     center, radius = _bounding_spheres(hits, start)
     radius += hits.prepared.position_error[object_index]
     if footprint is not None:
@@ -561,14 +553,16 @@ def _build_row_packets(
     return Packets(object_index, start, count, center, radius, is_lit)
 
 
-def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[Packets, Packets]:
+def _build_square_packets(
+    hits: Hits, row_packets: Packets, square_width: float
+) -> tuple[Packets, Packets]:
     """Group row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  Row packets belong
     to the same square packet if
 
     1. they lie on the same object,
-    2. their first hits are in the same square of `side` x `side` samples, and
+    2. their first hits are in the same square of the picture, and
     3. their first hits are in the same layer of depth: a bounding sphere around surfaces at very
        different depths would be large.
 
@@ -578,8 +572,8 @@ def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[
         The hits to which the row packets refer.
     row_packets : Packets
         Packets of hits that are consecutive in one row of samples.
-    side : int
-        Width and height of a square, in samples.
+    square_width : float
+        Width and height of the squares, in pixels.
 
     Returns
     -------
@@ -589,31 +583,32 @@ def _build_square_packets(hits: Hits, row_packets: Packets, side: int) -> tuple[
         The row packets, sorted so that the children of each square packet are consecutive.
     """
     first_hit = row_packets.child_start
-    # One integer encodes the object, and the row and the column of the square.
-    square_key = row_packets.object_index
-    for position in hits.samples.grid_positions(hits.sample.take(first_hit)):
-        square_key = square_key * (position.max() // side + 1) + position // side
-    order = square_key.argsort(kind="stable")
-    depth = hits.from_eye[2].take(first_hit)
-    layer = hits.prepared.frame.depth_layer(depth, side / hits.samples.density)
+    square_x, square_y = (
+        position // square_width for position in hits.samples.positions(hits.sample[first_hit])
+    )
+    layer = hits.prepared.frame.depth_layer(hits.from_eye[2][first_hit], square_width)
+    order = np.lexsort((square_x, square_y, row_packets.object_index))
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
-    start, count = run_lengths(square_key[order], layer[order])
+    start, count = run_lengths(
+        row_packets.object_index, square_x[order], square_y[order], layer[order]
+    )
     return _merge_row_packets(row_packets, start, count), row_packets
 
 
 def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
 
-    Each sphere encloses the bounding box of the group's hits in camera axes or, if this is faster,
-    has the chord from the first hit to the last as its diameter.
+    The sphere encloses the bounding box of the group's hits in camera axes.  If the hits are known
+    to lie on a straight line or a short arc, the segment from the first hit to the last is the
+    diameter of the sphere instead.
 
     Parameters
     ----------
     hits : Hits
-        All hits, which the groups divide.  The hits of one group lie on the same object, in the
-        same row of samples.
+        All hits.  Each hit belongs to one group.  The hits of one group lie on the same object, in
+        the same row of samples.
     start : (m,) int array
-        Group i contains the hits start[i], ..., start[i + 1] - 1; the last group ends with the
+        Group i contains the hits start[i], ..., start[i + 1] - 1.  The last group ends with the
         last hit.
 
     Returns
@@ -641,7 +636,7 @@ def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packet
 
     A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
     of a square packet contains the bounding spheres of its row packets.  A square packet is lit by
-    a light if any of its row packets is.
+    a light if at least one of its row packets is lit by this light.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = 
 
 
 def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance at each sample, and an id of the face and the lights seen there.
+    """Compute the radiance at each sample, and an id of the visible face and its lights.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats,
     radiance : (3, n) float array
         Linear RGB radiance towards the eye, as from `radiance_at`.
     ids : (n,) int array
-        -1 if the ray meets no surface.  Otherwise, samples have the same id if their rays meet the
-        same face of the same object, and the same lights are visible from both hits.
+        -1 if the ray meets no surface.  Otherwise, two samples have the same id if their rays hit
+        the same face of the same object, and the same lights are visible from both hits.
     """
     hits = nearest_hits(prepared, samples)
     shading = shade(hits, prepared.light_batches, with_ids=True)
@@ -62,7 +62,7 @@ def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats,
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Add up the light that hits reflect towards the eye, with shadows.
+    """Add up, over all lights, the radiance that hits reflect towards the eye, with shadows.
 
     Parameters
     ----------
@@ -72,12 +72,12 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
         The lights, in batches.
     with_ids : bool
         Whether to compute `Shading.ids`, which encodes each hit's face and the lights visible from
-        it.
+        the hit.
 
     Returns
     -------
     shading : Shading
-        The sum over all lights, from which `Shading.radiance` computes the picture.
+        The sum over all lights.  `Shading.radiance` converts it to radiance at samples.
     """
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:

@@ -1,8 +1,9 @@
 """Samples: positions in the picture, and which objects may be visible at each of them.
 
-There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at any
-positions.  Both find the pairs of a sample and an object that a ray has to be tested with.  For
-this purpose, `object_spans` computes which part of each row of the picture an object covers.
+There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at
+arbitrary positions.  Both find all pairs of a sample and an object that the ray through the sample
+may meet.  For this purpose, `object_spans` computes which part of each row of the picture an object
+covers.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Spans are widened by this many pixels on both sides: far more than their rounding errors.
 _SPAN_PADDING = 0.5
 
-# Scattered samples are sorted by single numbers if these are smaller than this.  Then the rounding
-# errors of the numbers are less than 1e-4 pixels.
+# Scattered samples are sorted by a single number each, if all numbers are smaller than this.  Then
+# the rounding errors of the numbers are less than 1e-4 pixels.
 _MAX_SINGLE_KEY = 2.0**39
 
 # The order of scattered samples along a row is exact for positions up to this many pixels from the
@@ -36,7 +37,7 @@ def object_spans(
     height: float = 0.0,
     pad: float = 0.0,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Compute which part of each row of the picture is covered by each object of one shape.
+    """Compute the spans of all objects of one shape in rows of the picture.
 
     A span is the part of one row that one object covers, whether or not other objects hide it.
 
@@ -49,29 +50,29 @@ def object_spans(
     rows : (rows,) float array
         Upper border of each row, in pixels from the top of the picture, in ascending order.
     columns : (float, float)
-        Minimum and maximum column, in pixels from the left border of the picture.  Objects that are
+        Interval of columns, in pixels from the left border of the picture.  Objects that are
         entirely outside of this interval are skipped.
     height : float
         Height of the rows, in pixels.  If it is 0, a row is a line, and the spans are exact except
-        for rounding.
+        for rounding errors.
     pad : float
         Number of pixels by which spans are widened on both sides.
 
     Returns
     -------
     object_index : (n,) int array
-        Index of each span's object in the list of all objects of the scene.
+        Index of each span's object among all objects of the scene.
     row : (n,) int array
         Index of each span's row in `rows`.
     left, right : (n,) float arrays
         Ends of each span, in pixels from the left border of the picture; left <= right.
     """
     bounds = prepared.bounds.take(shape.objects.slice)
-    candidates = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
-    first_row = rows.searchsorted(bounds.top[candidates] - pad - height)
-    end_row = rows.searchsorted(bounds.bottom[candidates] + pad, side="right")
+    candidate = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
+    first_row = rows.searchsorted(bounds.top[candidate] - pad - height)
+    end_row = rows.searchsorted(bounds.bottom[candidate] + pad, side="right")
     span_candidate, row = segment_indices(np.maximum(end_row - first_row, 0), first_row)
-    position = candidates[span_candidate]
+    position = candidate[span_candidate]
     object_index = position + shape.objects.start
     left, right = shape.row_extent(object_index, rows[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
@@ -108,66 +109,50 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Number of samples in the width of a pixel, for the choice of the width of packets.
+        """Mean number of samples in the width of a pixel, by which packets are sized.
 
         This is a weighted geometric mean of the numbers across a pixel and down a pixel.  A packet
-        (a group of neighbouring hits) lies along a row, so the first number has more weight.
+        (a group of neighbouring hits) lies along a row, so the number across has more weight.
         """
         columns, rows = self.per_pixel
         return float(columns**0.75 * rows**0.25)
 
-    def ray_s(self, frame: CameraFrame) -> Floats:
-        """Compute the rightward direction component of the ray through each sample.
+    def ray_right(self, frame: CameraFrame) -> Floats:
+        """Compute the rightward component of the ray through each of n samples.
 
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera; their directions are (s, g, depth), in camera axes.
+            The camera.  Rays have the directions (ray_right, ray_down, frame.depth) in camera axes,
+            which point to the right, down and ahead.
 
         Returns
         -------
-        s : (n,) float array
-            Rightward component of each sample's ray direction.
+        ray_right : (n,) float array
+            Rightward component of each ray's direction.
         """
-        return np.add.outer(self.shift * frame.step_u, frame.ray_s(self.x)).ravel()
+        return np.add.outer(self.shift * frame.pixel_width, frame.ray_right(self.x)).ravel()
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return the positions of the given samples in the picture.
+        """Return the positions of selected samples in the picture.
 
         Parameters
         ----------
         index : (k,) int array
-            Index of each sample.
+            Indices of the samples to select.
 
         Returns
         -------
         x, y : (k,) float arrays
-            Distances from the left and upper borders of the picture, in pixels.
+            Distances of the samples from the left and upper borders of the picture, in pixels.
         """
         row, column = np.divmod(index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
-        """Return the row and the column of the given samples in the grid of samples.
-
-        Parameters
-        ----------
-        index : (k,) int array
-            Index of each sample.
-
-        Returns
-        -------
-        row, column : (k,) int arrays
-            Indices into `y` and `x`.
-        """
-        row, column = np.divmod(index, self.x.size)
-        return row, column
-
     def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
-        The result consists of spans.  A span is a pair of one object and consecutive samples in one
-        row.
+        The samples are grouped into spans: consecutive samples in one row, for the same object.
 
         Parameters
         ----------
@@ -179,11 +164,11 @@ class Rows(NamedTuple):
         Returns
         -------
         object_index : (spans,) int array
-            Index of each span's object in the list of all objects of the scene.
+            Index of each span's object among all objects of the scene.
         row : (spans,) int array
             Index of each span's row in `y`.
         first_sample : (spans,) int array
-            Index of the first sample of each span.
+            Index of each span's first sample.
         count : (spans,) int array
             Number of samples in each span, possibly 0.
         """
@@ -195,23 +180,6 @@ class Rows(NamedTuple):
         start = np.ceil((left - first_x) * per_pixel).clip(0, columns).astype(np.intp)
         stop = (np.floor((right - first_x) * per_pixel) + 1).clip(0, columns).astype(np.intp)
         return object_index, row, row * columns + start, np.maximum(stop - start, 0)
-
-
-def pixel_centers(rows: slice, columns: slice) -> Rows:
-    """Place one sample at the centre of each pixel in a rectangle of the picture.
-
-    Parameters
-    ----------
-    rows, columns : slices
-        The pixels, counted from the upper left corner of the picture; start and stop are given.
-
-    Returns
-    -------
-    samples : Rows
-        The samples, row by row, in the order of the pixels.
-    """
-    y, x = (np.arange(interval.start, interval.stop) + 0.5 for interval in (rows, columns))
-    return Rows(y, x, np.zeros(y.size))
 
 
 class Scattered(NamedTuple):
@@ -226,8 +194,9 @@ class Scattered(NamedTuple):
     row_start : (rows,) int array
         Index of the first sample in each row of pixels.  Rows without samples are omitted.
     key : (n,) float array
-        A number for each sample, from its row and x: see `_sort_key`.  The numbers are in ascending
-        order, except for rounding errors that are negligible compared with `_SPAN_PADDING`.
+        A number that encodes the row and x of each sample: see `_sort_key`.  The numbers are in
+        ascending order, except for rounding errors that are negligible compared with
+        `_SPAN_PADDING`.
     """
 
     y: Floats
@@ -237,7 +206,7 @@ class Scattered(NamedTuple):
 
     @classmethod
     def from_positions(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
-        """Create samples by sorting positions in the picture.
+        """Create samples from positions in the picture, which are sorted.
 
         Parameters
         ----------
@@ -273,56 +242,41 @@ class Scattered(NamedTuple):
         """Assumed number of samples in the width of a pixel: 1, since the real one is unknown."""
         return 1.0
 
-    def ray_s(self, frame: CameraFrame) -> Floats:
-        """Compute the rightward direction component of the ray through each sample.
+    def ray_right(self, frame: CameraFrame) -> Floats:
+        """Compute the rightward component of the ray through each of n samples.
 
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera; their directions are (s, g, depth), in camera axes.
+            The camera.  Rays have the directions (ray_right, ray_down, frame.depth) in camera axes,
+            which point to the right, down and ahead.
 
         Returns
         -------
-        s : (n,) float array
-            Rightward component of each sample's ray direction.
+        ray_right : (n,) float array
+            Rightward component of each ray's direction.
         """
-        return frame.ray_s(self.x)
+        return frame.ray_right(self.x)
 
     def positions(self, index: Ints) -> tuple[Floats, Floats]:
-        """Return the positions of the given samples in the picture.
+        """Return the positions of selected samples in the picture.
 
         Parameters
         ----------
         index : (k,) int array
-            Index of each sample.
+            Indices of the samples to select.
 
         Returns
         -------
         x, y : (k,) float arrays
-            Distances from the left and upper borders of the picture, in pixels.
+            Distances of the samples from the left and upper borders of the picture, in pixels.
         """
         return self.x[index], self.y[index]
-
-    def grid_positions(self, index: Ints) -> tuple[Ints, Ints]:
-        """Return the row and the column of the pixels that contain the given samples.
-
-        Parameters
-        ----------
-        index : (k,) int array
-            Index of each sample.
-
-        Returns
-        -------
-        row, column : (k,) int arrays
-            Row and column of the pixel, counted from the upper left corner of the picture.
-        """
-        return self.y[index].astype(np.intp), self.x[index].astype(np.intp)
 
     def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
-        The result has the same form as that of `Rows.sample_spans`: each (object, sample) pair is
-        given as a span of one sample.
+        The result has the form of that of `Rows.sample_spans`, with one sample in each span.
 
         Parameters
         ----------
@@ -333,11 +287,11 @@ class Scattered(NamedTuple):
 
         Returns
         -------
-        object_index : (n,) int array
-            For each (object, sample) pair, the index of its object in the list of all objects.
-        row, first_sample : (n,) int arrays
-            For each pair, the index of its sample.  Both are the same array: the vertical position
-            of the span is `y[row]`, and its only sample is `first_sample`.
+        object_index : (spans,) int array
+            Index of each span's object among all objects of the scene.
+        row, first_sample : (spans,) int arrays
+            Index of each span's only sample.  Both are the same array: the span has the vertical
+            position y[row].
         count : None
             None means that each span has one sample.
         """
@@ -353,20 +307,20 @@ class Scattered(NamedTuple):
 
 
 def _sort_key(row: Ints, x: Floats) -> Floats:
-    """Encode each position as one number; the numbers are ordered by row, then by x.
+    """Encode each position as one number, such that the numbers are ordered by row, then by x.
 
     Parameters
     ----------
     row : (n,) int array
         Row of each position, at most `schema.MAX_PIXELS`.
     x : (n,) float array
-        Position along the row, in pixels; infinity is allowed.
+        Distance of each position from the left border of the picture, in pixels; may be infinite.
 
     Returns
     -------
     key : (n,) float array
-        A number for each position.  Two positions can have equal numbers if they differ by very
-        little, or are farther from the left border than `_MAX_SORTED_X`.
+        The number for each position.  Two positions may have equal numbers if they differ by very
+        little, or if both are farther from the left border than `_MAX_SORTED_X`.
     """
     # Rounding never changes the order, because the product is exact.
     key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)

@@ -1,7 +1,7 @@
 """Visibility: which surface does the ray through each sample meet first?
 
-Rays are tested only with objects that may be visible at their samples: with the samples in the span
-of a row that an object covers.  Then the nearest of the intersections at each sample is selected.
+An object is tested only with the rays through samples that it may cover in the picture.  Then the
+nearest of the intersections at each sample is selected.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _MAX_DISTANCE = np.finfo(np.float64).max
 
 
 def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
-    """Find the nearest surface that the ray through each sample meets.
+    """Find the first surface that the ray through each sample hits.
 
-    If several surfaces are at exactly the same distance, the first of them in the scene file is
-    hit.
+    If several surfaces are at exactly the same distance, the first of them in the scene file
+    counts.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     Returns
     -------
     hits : Hits
-        One hit for each sample whose ray meets a surface; none for the other samples.
+        One hit for each sample whose ray meets a surface.  Other samples have no hit.
     """
     groups = _intersect_objects(prepared, samples)
     visible = _select_visible(prepared, groups, _nearest_distances(samples, groups))
@@ -48,7 +48,7 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
 
 
 def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """Find the nearest surface that the ray through each sample meets, and all surfaces behind.
+    """Find the first surface that the ray through each sample hits, and all surfaces behind it.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[
 class _Intersections(NamedTuple):
     """Intersections of rays with objects, for n pairs of a sample and an object of one shape.
 
-    The ray through a sample has the direction (s, g, depth), in camera axes.  The pairs are
-    arranged in spans: consecutive samples in one row, paired with the same object.
+    The ray through a sample has the direction (ray_right, ray_down, depth), in camera axes.  The
+    pairs are arranged in spans: consecutive samples in one row, paired with the same object.
 
     Attributes
     ----------
@@ -89,30 +89,30 @@ class _Intersections(NamedTuple):
         Number of samples in each span; None if each span has one sample.
     object_index : (spans,) int array
         Index of each span's object, among all objects of the scene.
-    g : (spans,) float array
-        Second direction component of the rays in each span.
+    ray_down : (spans,) float array
+        Downward component of the rays in each span.
     sample : (n,) int array
         Index of each pair's sample.
-    s : (n,) float array
-        First direction component of the ray through the sample.
+    ray_right : (n,) float array
+        Rightward component of the ray through the sample.
     t : (n,) float array
-        Distance of the object along the ray, in units of the length of (s, g, depth); infinity if
-        the ray misses the object.
-    detail : (n,) array
+        Distance of the object along the ray, in units of the length of the ray's direction;
+        infinity if the ray misses the object.
+    surface_data : (n,) array
         Second result of `Spheres.intersect` or `Boxes.intersect`.
     """
 
     shape: Shape
     sample_count: Ints | None
     object_index: Ints
-    g: Floats
+    ray_down: Floats
     sample: Ints
-    s: Floats
+    ray_right: Floats
     t: Floats
-    detail: NDArray[Any]
+    surface_data: NDArray[Any]
 
     def select(self, mask: Bools) -> _Intersections:
-        """Select pairs of a sample and an object.
+        """Select intersections, for pairs of a sample and an object.
 
         Parameters
         ----------
@@ -127,20 +127,20 @@ class _Intersections(NamedTuple):
         index = indices(mask)
         if index.size == mask.size:
             return self
-        shape, sample_count, object_index, g, *pairs = self
+        shape, sample_count, object_index, ray_down, *pair_fields = self
         if sample_count is None:
-            object_index, g = object_index.take(index), g.take(index)
+            object_index, ray_down = object_index.take(index), ray_down.take(index)
         else:
             sample_count = np.diff(index.searchsorted(sample_count.cumsum()), prepend=0)
-        pairs = [values.take(index) for values in pairs]
-        return _Intersections(shape, sample_count, object_index, g, *pairs)
+        pair_fields = [field.take(index) for field in pair_fields]
+        return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
         """Divide hits into runs, and find the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
         object.  Runs of scattered samples also end at the borders of squares of `_RUN_WIDTH`
-        pixels, and at the borders of layers of depth: see `CameraFrame.depth_layer`.
+        pixels, and of layers of depth: see `CameraFrame.depth_layer`.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class _Intersections(NamedTuple):
         frame : CameraFrame
             The rays of the camera.
         depth : (n,) float array
-            Depth of each hit: the component ahead of the vector from the eye.
+            Depth of each hit: the forward component of the vector from the eye.
 
         Returns
         -------
@@ -157,7 +157,7 @@ class _Intersections(NamedTuple):
             Index of the first hit of each run, in ascending order.
         """
         is_planar = self.shape.is_planar
-        is_start = run_starts(self.detail) if is_planar else np.zeros(depth.size, dtype=np.bool_)
+        is_start = run_starts(self.surface_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
             x, y = samples.positions(self.sample)
             layer = frame.depth_layer(depth, _RUN_WIDTH)
@@ -169,7 +169,7 @@ class _Intersections(NamedTuple):
 
 
 def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
-    """Intersect the ray through each sample with all objects that may be visible there.
+    """Intersect the ray through each sample with all objects that may be visible at the sample.
 
     Parameters
     ----------
@@ -185,18 +185,20 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
         whose ray misses the object.
     """
     frame, groups = prepared.frame, []
-    all_s, all_g = samples.ray_s(frame), frame.ray_g(samples.y)
+    sample_right, row_down = samples.ray_right(frame), frame.ray_down(samples.y)
     for shape in prepared.shapes:
         object_index, row, first_sample, sample_count = samples.sample_spans(shape, prepared)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
-        g, s = all_g.take(row), all_s.take(sample)
-        t, detail = shape.intersect(object_index, g, s, sample_count)
-        groups.append(_Intersections(shape, sample_count, object_index, g, sample, s, t, detail))
+        down, right = row_down.take(row), sample_right.take(sample)
+        t, data = shape.intersect(object_index, down, right, sample_count)
+        groups.append(
+            _Intersections(shape, sample_count, object_index, down, sample, right, t, data)
+        )
     return groups
 
 
 def _nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
-    """Compute the distance of the nearest intersection on the ray through each sample.
+    """Compute the distance of the first intersection along the ray through each sample.
 
     Parameters
     ----------
@@ -235,7 +237,7 @@ def _select_visible(
     -------
     visible : list of _Intersections
         The nearest intersection at each sample, in the same groups.  If several objects are at this
-        distance, the intersection with the first of them in the scene file.
+        distance, only the first of them in the scene file is selected.
     """
     visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
     if sum(group.t.size for group in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
@@ -244,17 +246,17 @@ def _select_visible(
     file_positions = [
         repeat_runs(file_index.take(group.object_index), group.sample_count) for group in visible
     ]
-    first = np.full(nearest.size, file_index.size)
+    first_position = np.full(nearest.size, file_index.size)
     for group, file_position in zip(visible, file_positions, strict=True):
-        np.minimum.at(first, group.sample, file_position)
+        np.minimum.at(first_position, group.sample, file_position)
     return [
-        group.select(file_position == first.take(group.sample))
+        group.select(file_position == first_position.take(group.sample))
         for group, file_position in zip(visible, file_positions, strict=True)
     ]
 
 
 def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Compute positions and tangent planes of the surfaces at intersections.
+    """Convert intersections to hits: compute their positions, runs and tangent planes.
 
     Parameters
     ----------
@@ -276,14 +278,15 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     from_eye, shape_hits, empty = np.empty((3, bounds[-1])), [], np.zeros(0, dtype=np.intp)
     for group, start, end in zip(groups, bounds, bounds[1:], strict=False):
         group_from_eye = from_eye[:, start:end]
-        np.multiply(group.t, group.s, out=group_from_eye[0])
-        np.multiply(group.t, repeat_runs(group.g, group.sample_count), out=group_from_eye[1])
+        ray_down = repeat_runs(group.ray_down, group.sample_count)
+        np.multiply(group.t, group.ray_right, out=group_from_eye[0])
+        np.multiply(group.t, ray_down, out=group_from_eye[1])
         np.multiply(group.t, frame.depth, out=group_from_eye[2])
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         length = np.diff(run_start, append=end - start)
         run_object = repeat_runs(group.object_index, group.sample_count)[run_start]
         surface = group.shape.tangent_planes(
-            run_object, length, group_from_eye, group.t, group.detail
+            run_object, length, group_from_eye, group.t, group.surface_data
         )
         interval = slice(start, end)
         shape_hits.append(

@@ -13,8 +13,8 @@ The grid uses five private concepts:
 
 patch
     A rectangle in the octahedral coordinates of one octant, which contains most of the objects
-    that the camera may see.  Each patch is divided into side x side cells; other directions of the
-    octant count as those at the border of the patch.
+    that the camera may see.  Each patch is divided into side x side cells; directions of the octant
+    outside of the patch are treated as those at its border.
 cell
     One square of a patch, for which the grid lists objects.
 entry
@@ -26,7 +26,7 @@ direction bounds
 
 An entry is listed in all cells that its rectangle overlaps.  The rectangle of a ball overlaps
 several cells, too, and yet the query must find each entry only once.  Therefore it finds the entry
-only in the first column and the first row that both rectangles have in common; for this purpose
+only in the first column and the first row that both rectangles have in common.  For this purpose
 each cell has four lists (see `_LIST_OF_PLACE`).
 
 Rectangles are loose bounds for long objects.  So the query also compares the direction bounds of
@@ -73,8 +73,8 @@ _MAX_SIDE, _MAX_ENTRIES, _MAX_CELLS = 320, 32 * BATCH_SIZE, 256 * BATCH_SIZE
 _PAIRS_PER_BATCH, _CELLS_PER_BATCH = 4 * CACHE_SIZE, 4 * CACHE_SIZE
 
 # On each of its sides, a patch excludes one in this many objects, which are listed in the cells at
-# its border.  Otherwise a single huge object could stretch the patch until all other objects lie in
-# one cell.
+# the border of the patch.  Otherwise a single huge object could stretch the patch until all other
+# objects lie in one cell.
 _OBJECTS_PER_OUTLIER = 64
 
 # Flags for the place of a cell in a rectangle: the cell is in the rectangle's first column, in its
@@ -170,25 +170,26 @@ class LightGrid(NamedTuple):
         """Yield, in batches, the objects that may lie between each ball and each light.
 
         The result is conservative: it includes every object that blocks a segment from a point of
-        the ball to the light, and some that do not.  It may include an object more than once, in
-        different octants.  The ball's own object is excluded.
+        the ball to the light, and some that block none.  An object may be repeated, once for each
+        octant of directions.  The ball's own object is excluded.
 
         Parameters
         ----------
         center : (3, n) float array
             Centres of the balls, in scene axes.
         radius : (n,) or (3, 1, n) float array
-            Radii of the balls; or, for boxes instead of balls, their half widths along each axis.
+            Radii of the balls.  If the points are enclosed by boxes instead of balls, these are the
+            half widths of the boxes along each axis.
         own_object : (n,) int array
-            Index of each ball's own object, which is excluded.
+            Index of an object that is excluded for each ball: the one on which its points lie.
         active : (lights, n) bool array
             Whether to search for objects between the light and the ball.
 
         Yields
         ------
         triples : (3, k) int array
-            Row 0 contains indices of lights, row 1 indices of balls, and row 2 indices of objects
-            that may block segments from the ball to the light.
+            Row 0 contains light indices, row 1 ball indices, and row 2 indices of objects that may
+            block segments from the ball to the light.
         """
         light_count, ball_count = active.shape
         # Each light and ball have one box of vectors, which is split into up to eight parts.
@@ -214,10 +215,12 @@ class LightGrid(NamedTuple):
                 yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
     def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
-        """Yield, for each rectangle, the ranges of `listed` that belong to the cells it overlaps.
+        """Find, for each rectangle, the ranges of `listed` that contain the entries it may meet.
 
-        `listed` contains entries: parts of objects.  Only some of a cell's four lists are included,
-        so that no entry is read twice for one rectangle.
+        A rectangle bounds the directions from a light to some points.  An entry is the part of an
+        object in one octant of directions.  `listed` contains the entries in each cell of
+        directions, in four lists for each cell.  Only some of the four lists are included, so that
+        no entry is read twice for one rectangle.
 
         Parameters
         ----------
@@ -232,7 +235,7 @@ class LightGrid(NamedTuple):
         rectangle_index : (k,) int array
             Index of each range's rectangle.
         start, length : (k,) int arrays
-            Each range is listed[start], ..., listed[start + length - 1]; length is at least 1.
+            Each range is listed[start] to listed[start + length - 1]; `length` is at least 1.
         """
         for rectangle_index, cell, place in _overlapped_cells(rectangle, patch, self.side):
             start, stop = (
@@ -252,7 +255,7 @@ def build_light_grid(
     is_visible: Bools,
     is_occluder: Bools,
 ) -> LightGrid | None:
-    """Build the grid that finds the objects that may lie between a point and each light.
+    """Build a grid that finds the objects that may lie between a point and each light.
 
     For each light, the grid divides directions into cells, and lists the objects in each cell.
 
@@ -261,7 +264,7 @@ def build_light_grid(
     light_position : (lights, 3) float array
         Positions of the lights, in scene axes.
     low, high : (3, n) float arrays
-        Opposite corners of the bounding boxes of all objects, in scene axes.
+        Smallest and largest coordinates of each object, in scene axes.
     position_error : (n,) float array
         Bound on the rounding errors of points on each object, by which the object is enlarged.
     is_visible : (n,) bool array
@@ -309,18 +312,19 @@ def build_light_grid(
 def _choose_patches(
     octant: Ints, rectangle: Floats, octant_count: int
 ) -> tuple[Ints, Floats, Floats]:
-    """Choose a rectangle of directions, called patch, in each octant with visible objects.
+    """Choose a patch in each octant of directions with visible objects.
 
-    Octahedral coordinates (u, v) map the directions of one octant into the unit square.  The patch
-    contains most of the octant's visible objects: see `_patch_around`.
+    Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
+    a rectangle in these coordinates that contains most of the octant's visible objects: see
+    `_patch_around`.
 
     Parameters
     ----------
     octant : (n,) int array
-        The octant of each rectangle, in ascending order.
+        Octant of each rectangle, in ascending order.
     rectangle : (4, n) float array
-        Bounding rectangles of the parts of visible objects in each octant: minimum and maximum u,
-        then minimum and maximum v.
+        Bounding rectangles of the parts of visible objects in each octant.  The rows contain the
+        minimum and the maximum of u, then the minimum and the maximum of v.
     octant_count : int
         Number of octants of all lights: 8 for each light.
 
@@ -329,7 +333,7 @@ def _choose_patches(
     patch : (octant_count,) int array
         Index of the patch in each octant, or -1 if the octant contains no visible object.
     origin, size : (2, patches) float arrays
-        Minimum u and v, and extents in u and v, of each patch.
+        Minimum u and v of each patch, and its extents in u and v.
     """
     start, _ = run_lengths(octant)
     patch = np.full(octant_count, -1)
@@ -340,16 +344,16 @@ def _choose_patches(
 
 
 def _patch_around(rectangle: Floats) -> tuple[Floats, Floats]:
-    """Compute a rectangle, called patch, that contains most of n rectangles.
+    """Compute the bounding rectangle of most of n rectangles, which is called patch.
 
-    The patch is a bounding rectangle without outliers: on each of its four sides, at most one
-    rectangle in `_OBJECTS_PER_OUTLIER` extends beyond the patch.  Octahedral coordinates (u, v) map
-    the directions of one octant into the unit square.
+    Outliers are ignored: on each of the patch's four sides, at most one rectangle in
+    `_OBJECTS_PER_OUTLIER` extends beyond the patch.  Octahedral coordinates (u, v) map the
+    directions of one octant into the unit square.
 
     Parameters
     ----------
     rectangle : (4, n) float array
-        Minimum and maximum u, then minimum and maximum v, in octahedral coordinates.
+        The rectangles in octahedral coordinates: minimum and maximum u, then minimum and maximum v.
 
     Returns
     -------
@@ -367,22 +371,22 @@ def _patch_around(rectangle: Floats) -> tuple[Floats, Floats]:
 def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Move distant lights towards the scene, to `_MAX_LIGHT_DISTANCE` times the scene's size.
 
-    Directions from a farther light would differ by less than the bounds on their rounding errors.
+    A light that is farther away has the same directions, except for a negligible angle.
 
     Parameters
     ----------
     light_position : (n, 3) float array
         Positions of the lights, in scene axes.
     low, high : (3, objects) float arrays
-        Opposite corners of the bounding boxes of all objects in the scene, in scene axes.
+        Smallest and largest coordinates of each object in the scene.
 
     Returns
     -------
     position : (3, n, 1) float array
         New positions of the lights; lights that are not distant keep their positions.
     error : (n, 1) float array
-        Bound on the error of vectors from points of the scene to the light.  The error comes from
-        rounding and, if the light was moved, from the change of direction.
+        Bound on the error of vectors from points of the scene to the light.  It covers rounding
+        and, if the light was moved, the change of direction.
     """
     scene_low, scene_high = low.min(axis=1, keepdims=True), high.max(axis=1, keepdims=True)
     center, size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
@@ -405,7 +409,7 @@ def _split_by_octant(
     Parameters
     ----------
     low, high : (3, lights, n) float arrays
-        Opposite corners of the boxes: the minimum and the maximum of each vector component.
+        Minimum and maximum of each vector component, for each box.
     patch : (8 * lights,) int array
         Element octant * lights + light is negative if this octant of the light is to be skipped.
     active : (lights, n) or (1, 1) bool array
@@ -414,9 +418,9 @@ def _split_by_octant(
     Returns
     -------
     octant : (m,) int array
-        The octant of each part, in ascending order.  Bit k is set if component k is negative.
+        Octant of each part, in ascending order.  Bit k is set if component k is negative.
     box : (m,) int array
-        The box of each part: light * n + the index of the box among those of the light.
+        Box of each part: light * n + the index of the box among those of the light.
     rectangle : (4, m) float array
         Minimum and maximum of u, then of v: the octahedral coordinates u = |x| / (|x| + |y| + |z|)
         and v = |y| / (|x| + |y| + |z|) of the vectors (x, y, z) in the part.
@@ -449,7 +453,7 @@ def _split_by_octant(
 
 
 def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:
-    """Bound the ratios of components, and the sum of components, for each of m sets of vectors.
+    """Bound ratios and sums of vector components, for each of m sets of vectors.
 
     Each pair of rows contains the minimum and the maximum of one quantity.  Maxima are stored
     negated, so that enlarging a set of vectors never increases any row.  All bounds are widened by
@@ -486,7 +490,7 @@ def _relative_to_patch(rectangle: Floats, patch: Ints, origin: Floats, size: Flo
     Parameters
     ----------
     rectangle : (4, n) float array
-        Minimum and maximum u, then minimum and maximum v, in octahedral coordinates.
+        The rectangles in octahedral coordinates: minimum and maximum u, then minimum and maximum v.
     patch : (n,) int array
         Index of the patch of each rectangle.
     origin, size : (2, patches) float arrays
@@ -504,11 +508,12 @@ def _relative_to_patch(rectangle: Floats, patch: Ints, origin: Floats, size: Flo
 def _cells_per_side(
     rectangle: Floats, object_count: int, light_count: int, patch_count: int
 ) -> int:
-    """Choose the number of cells along each side of a patch.
+    """Choose the number of cells along each side of the patches of a light grid.
 
-    The number of cells in a patch is about the number of objects.  There are upper limits for
-    (1) the number of cells in a patch, (2) the number of cells in all patches together, and (3) how
-    often objects are listed in cells, on average for each light.
+    A patch is a square array of cells in which objects are listed.  The number of cells in a patch
+    is about the number of objects.  There are upper limits for (1) the number of cells in a patch,
+    (2) the number of cells in all patches together, and (3) the mean number of items, for each
+    light, in all lists.
 
     Parameters
     ----------
@@ -535,9 +540,9 @@ def _fill_lists(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
-    Cells are squares of directions, and belong to patches.  Each cell has four lists.  The list for
-    an entry depends on whether the cell is in the first column, and in the first row, of the
-    entry's rectangle: see `_LIST_OF_PLACE`.
+    Cells are squares of directions; a patch consists of side x side cells.  Each cell has four
+    lists of entries.  The list for an entry depends on whether the cell is in the first column, and
+    in the first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
 
     Parameters
     ----------
@@ -578,8 +583,8 @@ def _overlapped_cells(
 ) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
     """Yield, in batches, all pairs of a rectangle and a cell that the rectangle overlaps.
 
-    The cells are the side x side squares of the rectangle's patch.  The part of a rectangle beyond
-    its patch is moved to the cells at the border of the patch.
+    Each rectangle belongs to a patch, which is divided into side x side cells.  Parts of rectangles
+    outside of the patch are moved to the cells at the border of the patch.
 
     Parameters
     ----------

@@ -28,8 +28,8 @@ Shape: TypeAlias = Spheres | Boxes
 # number of lights, and of pairs of a light and an object, in one batch of lights.
 _MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
 
-# No more batches of lights are cached when the cache has at least this many bytes.  To prepare
-# other batches again takes less time than most of the work for which they are prepared.
+# Once the cache of light batches has at least this many bytes, no batches are added.  Preparing
+# the other batches again takes less time than the work for which they are prepared.
 _MAX_CACHED_BYTES = 1 << 26
 
 # Width of a packet (a group of neighbouring hits) relative to sqrt(pixels / objects), the side of
@@ -64,8 +64,13 @@ class Lights(NamedTuple):
     grid: LightGrid | None
 
     @property
+    def near_position(self) -> Floats:
+        """Positions (lights, 3), in scene axes; distant lights are moved closer, as in `grid`."""
+        return self.position if self.grid is None else self.grid.light[:, :, 0].T
+
+    @property
     def nbytes(self) -> int:
-        """Number of bytes in the arrays that grow with the number of objects."""
+        """Number of bytes in the arrays whose size increases with the number of objects."""
         arrays = [self.side, *(self.grid or ())]
         return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
@@ -147,7 +152,7 @@ class PreparedScene:
         self.position_error = POSITION_ROUNDING * (coordinate_size + np.abs(frame.eye).sum())
         # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
         # pixels are lower than wide, there are more packets instead.
-        pixel_count = frame.width * frame.height * sqrt(frame.step_v / frame.step_u)
+        pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
         self.packet_width = _PACKET_SCALE * sqrt(pixel_count / max(coordinate_size.size, 1))
         self._lights, self.light_count = scene.lights, len(scene.lights)
         self._cache, self._lock = dict[int, Lights](), Lock()
@@ -158,7 +163,7 @@ class PreparedScene:
         Parameters
         ----------
         max_samples : int
-            Maximum number of samples.
+            Maximum number of samples, used if few objects lie on each ray.
 
         Returns
         -------
@@ -169,16 +174,16 @@ class PreparedScene:
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """Iterator over all lights of the scene, in small batches, which limit memory."""
+        """Iterator over all lights of the scene, in small batches that limit memory."""
         object_count = max(self.curvature.size, 1)
         step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, step):
             yield self._cached_light_batch(slice(start, start + step))
 
     def _cached_light_batch(self, index: slice) -> Lights:
-        """Return a batch of lights from the cache, or prepare it.
+        """Return a batch of lights from the cache, or prepare the batch.
 
-        A prepared batch is added to the cache, unless the cache is full.
+        A newly prepared batch is added to the cache, unless the cache is full.
 
         Parameters
         ----------
@@ -199,9 +204,9 @@ class PreparedScene:
         return self.prepare_lights(index)
 
     def prepare_lights(self, index: slice = slice(None)) -> Lights:
-        """Compute positions, intensities, sides of objects and the light grid of several lights.
+        """Precompute the data of lights that shading and shadow tests use.
 
-        The cache of batches is not used.
+        The result is neither read from nor added to the cache of light batches.
 
         Parameters
         ----------
@@ -211,7 +216,8 @@ class PreparedScene:
         Returns
         -------
         lights : Lights
-            The data of these lights for shading and for shadow tests.
+            Positions, intensities, the side of each object on which each light lies, and the light
+            grid, which lists objects by their direction from each light.
         """
         lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
@@ -244,8 +250,8 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether an object with the same geometry has a smaller `file_index`.  Spheres come first,
-        then boxes.
+        Whether another object with the same geometry comes before this one in the file.  The
+        elements for spheres come first, then those for boxes.
     """
     radius, corners = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
     # Six numbers for each object.  No box has a corner at infinity, so no sphere equals a box.
