@@ -16,18 +16,18 @@ Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
 Bools: TypeAlias = NDArray[np.bool_]
 Sides: TypeAlias = NDArray[np.int8]
+# The components x, y and z of vectors: three arrays of one shape.
 Triple: TypeAlias = tuple[Floats, Floats, Floats]
-"""The components x, y and z of vectors: three arrays of one shape."""
+# A single vector.
 Vector: TypeAlias = tuple[float, float, float]
-"""A single vector."""
 
+# Number of elements in a batch whose arrays are to stay in the cache of a CPU core: an array of
+# this many floats takes 256 KiB.  Tuned on the project's scenes.
 CACHE_SIZE = 1 << 15
-"""Number of elements in a batch whose arrays are to stay in the cache of a CPU core: an array of
-this many floats takes 256 KiB.  Tuned on the project's scenes."""
 
+# Number of elements in a batch whose arrays only have to fit into memory.  The maximum sizes of all
+# batches are multiples of `CACHE_SIZE` or `BATCH_SIZE`; no picture depends on them.
 BATCH_SIZE = 1 << 16
-"""Number of elements in a batch whose arrays only have to fit into memory.  The maximum sizes of
-all batches are multiples of `CACHE_SIZE` or `BATCH_SIZE`; no picture depends on them."""
 
 
 def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
@@ -271,11 +271,11 @@ def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
     batch : slice
         Slice of consecutive items.  Each batch begins where the previous batch ends.
     """
-    total = sizes.cumsum()
+    cumulative_size = sizes.cumsum()
     start = 0
     while start < sizes.size:
-        before = total[start] - sizes[start]
-        stop = max(start + 1, int(total.searchsorted(before + max_size, side="right")))
+        limit = cumulative_size[start] - sizes[start] + max_size
+        stop = max(start + 1, int(cumulative_size.searchsorted(limit, side="right")))
         yield slice(start, stop)
         start = stop
 

@@ -36,9 +36,9 @@ from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, run_starts, 
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
+# For n edges, the index (n,) of the cell that each edge may cross, and the values (6, n) of its
+# edge function at six points of the cell.  Unknown values are NaN.
 EdgeValues: TypeAlias = tuple[Ints, Floats]
-"""For n edges, the index (n,) of the cell that each edge may cross, and the values (6, n) of its
-edge function at six points of the cell.  Unknown values are NaN."""
 
 # The six points of a cell, in widths of the cell from its centre: the centre; the centres of the
 # right, left, lower and upper side; and the lower right corner.

@@ -152,25 +152,34 @@ def silhouette_pixels(
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     for shape in prepared.shapes:
         limits = columns.start, columns.stop
-        owner, row, left, right = object_spans(shape, prepared, borders[:-1], limits, height=1.0)
+        object_index, row, left, right = object_spans(
+            shape, prepared, borders[:-1], limits, height=1.0
+        )
         # The interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
         for border in (row, row + 1):
-            border_left, border_right = shape.row_extent(owner, borders[border], 0.0)
+            border_left, border_right = shape.row_extent(object_index, borders[border], 0.0)
             inner_start = np.maximum(inner_start, border_left)
             inner_stop = np.minimum(inner_stop, border_right)
-        covers_row = (top[owner] < borders[row]) & (bottom[owner] > borders[row + 1])
+        covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])
         covers_row &= inner_start < inner_stop
         start, stop = np.floor(left), np.floor(right) + 1
         # Pixels that are covered entirely; if there are none, the interval is empty, at the end.
         inner_start, inner_stop = np.ceil(inner_start), np.floor(inner_stop)
         inner_start = np.where(covers_row, inner_start, stop).clip(start, stop)
         inner_stop = np.where(covers_row, inner_stop, stop).clip(inner_start, stop)
-        intervals += [(row, owner, start, inner_start), (row, owner, inner_stop, stop)]
-    all_row, all_owner, *ends = (np.concatenate(field) for field in zip(*intervals, strict=True))
-    start_column, stop_column = (x.clip(columns.start, columns.stop).astype(np.intp) for x in ends)
+        intervals += [
+            (row, object_index, start, inner_start),
+            (row, object_index, inner_stop, stop),
+        ]
+    all_row, all_object_index, *ends = (
+        np.concatenate(field) for field in zip(*intervals, strict=True)
+    )
+    start_column, stop_column = (
+        end.clip(columns.start, columns.stop).astype(np.intp) for end in ends
+    )
     interval, column = segment_indices(stop_column - start_column, start_column)
-    return all_row[interval] + rows.start, column, all_owner[interval]
+    return all_row[interval] + rows.start, column, all_object_index[interval]
 
 
 def silhouettes(
@@ -210,30 +219,33 @@ def silhouettes(
         Values of the edge function of the silhouette at the six points of the cell.
     """
     frame, spheres, boxes = prepared.frame, prepared.spheres, prepared.boxes
-    of_sphere = indices(spheres.objects.contains(object_index))
-    if of_sphere.size:
-        sphere, sphere_ray = object_index[of_sphere], map3(lambda x: x[:, of_sphere], ray)
-        sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[of_sphere])
-        center = map3(np.subtract, take3(spheres.from_eye, sphere), sphere_apex)
-        yield cell[of_sphere], sphere_edge_function(sphere_ray, center, spheres.radius[sphere])
-    of_box = indices(boxes.objects.contains(object_index))
-    if of_box.size:
+    on_sphere = indices(spheres.objects.contains(object_index))
+    if on_sphere.size:
+        sphere_index, sphere_ray = object_index[on_sphere], map3(lambda x: x[:, on_sphere], ray)
+        sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[on_sphere])
+        center = map3(np.subtract, take3(spheres.from_eye, sphere_index), sphere_apex)
+        yield (
+            cell[on_sphere],
+            sphere_edge_function(sphere_ray, center, spheres.radius[sphere_index]),
+        )
+    on_box = indices(boxes.objects.contains(object_index))
+    if on_box.size:
         # Planes are computed once for each pair of an apex and a box.
-        box, box_count = boxes.objects.positions(object_index[of_box]), boxes.objects.size
-        pair_key = apex_index[of_box] * box_count + box
+        box_index, box_count = boxes.objects.positions(object_index[on_box]), boxes.objects.size
+        pair_key = apex_index[on_box] * box_count + box_index
         distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
         pair_apex, pair_box = np.divmod(distinct_key, box_count)
         position = apex_position.T[:, pair_apex]
         low, high = boxes.min_pt[:, pair_box] - position, boxes.max_pt[:, pair_box] - position
         planes = frame.vector_to_camera(silhouette_planes(low, high))
-        box_ray = map3(lambda x: x[:, of_box], ray)
+        box_ray = map3(lambda x: x[:, on_box], ray)
         values = box_edge_functions(map3(lambda x: x[:, pair_index], planes), box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the box ends where the planes through the neighbouring edges begin.
         is_near = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
         # A plane that is zero bounds nothing.  If all six are zero, nothing is known of the box.
         is_near &= (variation > 0) | ~(variation > 0).any(axis=0)
-        yield cell[of_box[is_near.nonzero()[1]]], values[:, is_near]
+        yield cell[on_box[is_near.nonzero()[1]]], values[:, is_near]
 
 
 class CellSurfaces(NamedTuple):
@@ -380,10 +392,13 @@ class CellSurfaces(NamedTuple):
         from_eye, distance = take3(box_hits.from_eye, on_box), box_hits.distance[on_box]
         visible = visible_index[on_box]
         visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
-        box, is_eye_inside = boxes.objects.positions(hit_object), prepared.is_eye_inside[hit_object]
+        box_index, is_eye_inside = (
+            boxes.objects.positions(hit_object),
+            prepared.is_eye_inside[hit_object],
+        )
         for axis in range(3):
             height = frame.scene_component(from_eye, axis)
-            low, high = boxes.min_pt[axis, box], boxes.max_pt[axis, box]
+            low, high = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
             is_high = is_eye_inside == (height > 0)
             face_height = np.where(is_high, high, low) - frame.eye[axis]
             # The ray meets the plane of the face at this factor times the hit.

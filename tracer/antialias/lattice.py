@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from tracer.arrays import Floats, Ints
 from tracer.trace.samples import Rows
 
+# Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in widths
+# of the cell.
 Points2D: TypeAlias = NDArray[np.complex128]
-"""Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in widths
-of the cell."""
 
 # For each number of points in a rank-1 lattice: the number of columns from the point of each row to
 # the point in the next row.  The square of this number is -1 modulo the number of points, so a
@@ -76,8 +76,8 @@ class Lattice(NamedTuple):
             A rank-1 lattice of 13, 25 or 65 points, or a rank-1 lattice of 5 points that is
             repeated in both directions.
         """
-        repeated = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
-        lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated
+        repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
+        lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated_lattices
         large_enough = (lattice for lattice in lattices if lattice.size >= ratio * per_side**2)
         return min(large_enough, key=lambda lattice: lattice.size)
 
@@ -136,11 +136,11 @@ class Lattice(NamedTuple):
         mean : (height, width, 3) float array
             Mean radiance of each pixel.
         """
-        points = radiance.reshape(3, -1, self.rows, width, self.columns)
+        point_radiance = radiance.reshape(3, -1, self.rows, width, self.columns)
         # Row by row, because the order in which NumPy adds along an axis depends on the width.
-        total = points[:, :, 0].copy()
+        total = point_radiance[:, :, 0].copy()
         for row in range(1, self.rows):
-            total += points[:, :, row]
+            total += point_radiance[:, :, row]
         return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
 
     def _row_offset(self, row: Ints) -> Floats:
@@ -164,5 +164,5 @@ class Lattice(NamedTuple):
         return np.where(row // self.rows % 2, center - column, column - center) / points
 
 
+# One point in each pixel: the centre.
 CENTERS = Lattice(1, 1)
-"""One point in each pixel: the centre."""

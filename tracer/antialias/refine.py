@@ -158,11 +158,11 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classified.is_crowded
     mean = _mean_of_cells(prepared, classified, smooth, is_refinable)
-    crowded, lattice = (
+    crowded_index, lattice = (
         indices(is_inner & classified.is_crowded),
         Lattice.at_least(per_side, ratio=1),
     )
-    mean[:, crowded], _ = _mean_of_samples(prepared, classified, crowded, lattice)
+    mean[:, crowded_index], _ = _mean_of_samples(prepared, classified, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
@@ -201,15 +201,19 @@ def _mean_of_cells(
     is_pending = is_refinable & (has_lines | classified.is_unresolved | ~is_accurate)
     if first_lattice is not None:
         has_only_lines = is_pending & has_lines & ~(classified.is_unresolved | is_inaccurate)
-        index = indices(is_pending if is_first_for_all else has_only_lines)
-        sampled_mean, missed_edge = _mean_of_samples(prepared, classified, index, first_lattice)
-        finished = index[~missed_edge]
-        mean[:, finished], is_pending[finished] = sampled_mean[:, ~missed_edge], False
-    pending = indices(is_pending)
+        sampled_index = indices(is_pending if is_first_for_all else has_only_lines)
+        sampled_mean, missed_edge = _mean_of_samples(
+            prepared, classified, sampled_index, first_lattice
+        )
+        finished_index = sampled_index[~missed_edge]
+        mean[:, finished_index], is_pending[finished_index] = sampled_mean[:, ~missed_edge], False
+    pending_index = indices(is_pending)
     if second_lattice is not None:
-        mean[:, pending], _ = _mean_of_samples(prepared, classified, pending, second_lattice)
+        mean[:, pending_index], _ = _mean_of_samples(
+            prepared, classified, pending_index, second_lattice
+        )
         return mean
-    for batch in index_batches(pending, _cells_per_batch(prepared, samples_per_cell=4)):
+    for batch in index_batches(pending_index, _cells_per_batch(prepared, samples_per_cell=4)):
         mean[:, batch] = _mean_of_quarters(prepared, classified, smooth.error, batch)
     return mean
 
@@ -312,13 +316,15 @@ def _mean_of_quarters(
     smooth = means_of_quarters(center, error[cell_index], quarter_center, tolerance)
     has_all_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
-    tested = indices(has_all_unresolved & (line_count == 0))
+    tested_index = indices(has_all_unresolved & (line_count == 0))
     lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
-    sampled_mean, missed_edge = _mean_of_samples(prepared, classified, cell_index[tested], lattice)
-    expected_mean = smooth.radiance.reshape(3, count, 4).take(tested, axis=1).mean(axis=2)
+    sampled_mean, missed_edge = _mean_of_samples(
+        prepared, classified, cell_index[tested_index], lattice
+    )
+    expected_mean = smooth.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
     agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
     is_smooth = np.zeros(count, dtype=np.bool_)
-    is_smooth[tested[agrees]] = True
+    is_smooth[tested_index[agrees]] = True
     is_refinable = ~is_smooth.repeat(4)
     quarter_mean = _mean_of_cells(prepared, classified_quarters, smooth, is_refinable)
     mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)

@@ -84,16 +84,16 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     # The number of a region has one bit for each line of its cell: 1 on the line's positive side.
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
     region = np.repeat(cell[None] << max_lines, points.size, axis=0)
-    for bit in range(max_lines):
-        crossed, values = _evaluate_lines(lines, line_start, bit, cell, position)
-        region[:, crossed] |= (values > 0) << bit
+    for line_number in range(max_lines):
+        crossed_cell, values = _evaluate_lines(lines, line_start, line_number, cell, position)
+        region[:, crossed_cell] |= (values > 0) << line_number
     position, region = position.T.ravel(), region.T.ravel()
     triangles = _divide_into_triangles(lines, line_start, max_lines)
     weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
-    needed = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
+    needed_index = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
     placed = WeightedPoints(cell.repeat(points.size), position, weight, region)
     pairs = zip(placed, triangles, strict=True)
-    return WeightedPoints(*(np.append(field, extra[needed]) for field, extra in pairs))
+    return WeightedPoints(*(np.append(field, extra[needed_index]) for field, extra in pairs))
 
 
 def samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
@@ -179,11 +179,11 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     region = cell << max_lines
     square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corner: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
-    for bit in range(max_lines):
-        index, values = _evaluate_lines(lines, line_start, bit, cell, corner)
+    for line_number in range(max_lines):
+        index, values = _evaluate_lines(lines, line_start, line_number, cell, corner)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
-        region[index[positive_count == 3]] |= 1 << bit
+        region[index[positive_count == 3]] |= 1 << line_number
         crossed = indices((positive_count == 1) | (positive_count == 2))
         # Rotate the corners so that the first corner is the one that is alone on its side.
         is_first_positive, index = positive_count[crossed] == 1, index[crossed]
@@ -196,8 +196,8 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         corner[:, index] = a, on_ab, on_ac
         corner = np.concatenate([corner, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         parent_region = region[index]
-        region[index] = parent_region | is_first_positive << bit
-        region = np.concatenate([region, *[parent_region | ~is_first_positive << bit] * 2])
+        region[index] = parent_region | is_first_positive << line_number
+        region = np.concatenate([region, *[parent_region | ~is_first_positive << line_number] * 2])
         cell = np.concatenate([cell, cell[index], cell[index]])
     side, other_side = corner[1] - corner[0], corner[2] - corner[0]
     # No product of complex numbers: NumPy rounds it differently at the end of an array.

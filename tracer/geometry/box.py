@@ -118,13 +118,13 @@ class Boxes:
             contains all positions at which a ray in the row meets the box; left > right if there
             are no such positions.
         """
-        frame, box = self.frame, self.objects.positions(object_index)
+        frame, box_index = self.frame, self.objects.positions(object_index)
         ray_down = frame.ray_down(rows + height / 2)
-        min_right, max_right = np.full(box.size, -np.inf), np.full(box.size, np.inf)
+        min_right, max_right = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
         # The margin contains the rounding errors of ray directions, too.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane in range(6):
-            slope, tilt, level = (component[plane].take(box) for component in self.planes)
+            slope, tilt, level = (component[plane].take(box_index) for component in self.planes)
             # Take the ray within the row for which the plane's bound on `ray_right` is loosest.
             max_rest = tilt * ray_down + np.abs(tilt) * margin + level
             # If the slope is 0, the bound is infinite: the plane admits all rays of the row, or
@@ -166,14 +166,14 @@ class Boxes:
             The face at this distance: twice the axis (0, 1 or 2) to which the face is
             perpendicular, plus 1 if the normal on the eye's side points up this axis.
         """
-        frame, box = self.frame, self.objects.positions(object_index)
+        frame, box_index = self.frame, self.objects.positions(object_index)
         enters, leaves, face_codes = [], [], []
         for axis in range(3):
             right, down, ahead = frame.axes[:, axis].tolist()
             span_part = ray_down * down + frame.depth * ahead
             direction = ray_right * right + repeat_runs(span_part, ray_count)
             low, high = (
-                corner[axis, box] - frame.eye[axis] for corner in (self.min_pt, self.max_pt)
+                corner[axis, box_index] - frame.eye[axis] for corner in (self.min_pt, self.max_pt)
             )
             is_eye_above = high < 0
             if np.all(is_eye_above | (low > 0)):
@@ -191,7 +191,7 @@ class Boxes:
         enter, leave = np.maximum(*enters[:2]), np.minimum(*leaves[:2])
         enter, leave = np.maximum(enter, enters[2]), np.minimum(leave, leaves[2])
         t, plane_t, hits = enter, enters, enter <= leave
-        is_eye_inside = self.is_eye_inside[box]
+        is_eye_inside = self.is_eye_inside[box_index]
         if is_eye_inside.any():
             is_eye_inside = repeat_runs(is_eye_inside, ray_count)
             t, hits = np.where(is_eye_inside, leave, t), hits | is_eye_inside
@@ -236,11 +236,11 @@ class Boxes:
         eye_height : (runs,) float array
             Distance of the eye from the plane of the face.
         """
-        box = self.objects.positions(object_index)
+        box_index = self.objects.positions(object_index)
         run_code = face_code.take(run_length.cumsum() - run_length)
         face, sign = run_code.astype(np.intp) >> 1, np.where(run_code & 1, 1.0, -1.0)
-        low, high = take_2d(self.min_pt, face, box), take_2d(self.max_pt, face, box)
-        level = np.where(self.is_eye_inside[box] == (sign > 0), low, high)
+        low, high = take_2d(self.min_pt, face, box_index), take_2d(self.max_pt, face, box_index)
+        level = np.where(self.is_eye_inside[box_index] == (sign > 0), low, high)
         eye_height = sign * (self.frame.eye[face] - level)
         x, y, z = (np.asarray(sign * axis[face]) for axis in self.frame.axes)
         return face, sign, level, (x, y, z), eye_height
@@ -260,8 +260,8 @@ class Boxes:
         low, high : tuples of three (n,) float arrays
             Smallest and largest coordinates x, y and z of each box, in scene axes.
         """
-        box = self.objects.positions(object_index)
-        return take3(self.min_pt, box), take3(self.max_pt, box)
+        box_index = self.objects.positions(object_index)
+        return take3(self.min_pt, box_index), take3(self.max_pt, box_index)
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
         """Decide whether each light lies inside its box, for n pairs.
@@ -380,8 +380,14 @@ class Boxes:
         # the box grown by the thickness on all sides, and the box shrunk by the thickness.
         enter, leave = np.array(-np.inf), np.array(np.inf)
         enter_shrunk, leave_shrunk = enter, leave
-        for from_x, to_x, low, high in zip(start, end, *self.corners(object_index), strict=True):
-            direction, to_low, to_high = to_x - from_x, low - from_x, high - from_x
+        for start_coordinate, end_coordinate, low, high in zip(
+            start, end, *self.corners(object_index), strict=True
+        ):
+            direction, to_low, to_high = (
+                end_coordinate - start_coordinate,
+                low - start_coordinate,
+                high - start_coordinate,
+            )
             if np.count_nonzero(direction) < direction.size:
                 lengths = np.abs(to_low) + np.abs(to_high) + thickness
                 direction = direction + (direction == 0) * (MIN_COMPONENT * lengths)
@@ -446,8 +452,14 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
         Whether the segment enters or leaves the box strictly between its ends.
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
-    for from_x, to_x, low_x, high_x in zip(start, end, low, high, strict=True):
-        near, far = _intersect_slab(low_x - from_x, high_x - from_x, to_x - from_x)
+    for start_coordinate, end_coordinate, low_coordinate, high_coordinate in zip(
+        start, end, low, high, strict=True
+    ):
+        near, far = _intersect_slab(
+            low_coordinate - start_coordinate,
+            high_coordinate - start_coordinate,
+            end_coordinate - start_coordinate,
+        )
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return crosses

@@ -265,22 +265,22 @@ def camera_frame(
         The rays of the camera.
     """
     view_direction = normalize(camera.view_dir)
-    # Shirley's axes: u points right, v up, and w back.  Those of a CameraFrame point right, down
+    # Shirley's axes u, v and w point right, up and back.  Those of a CameraFrame point right, down
     # and ahead.
-    w = normalize(camera.normal)
-    if w @ view_direction > 0:
-        w = -w
+    back = normalize(camera.normal)
+    if back @ view_direction > 0:
+        back = -back
     # For single vectors, `np.cross` takes ten times as long as `cross`.
-    u = normalize(np.array(cross(normalize(camera.view_up).tolist(), w.tolist())))
-    v = np.array(cross(w.tolist(), u.tolist()))
+    right = normalize(np.array(cross(normalize(camera.view_up).tolist(), back.tolist())))
+    up = np.array(cross(back.tolist(), right.tolist()))
     window_center = camera.proj_distance * view_direction
     pixel_width, pixel_height = camera.view_width / width, camera.view_height / height
     return CameraFrame(
         eye=np.array(camera.view_point),
-        axes=np.array([u, -v, -w]),
-        center_right=float(window_center @ u) + offset[0] * pixel_width,
-        center_down=-float(window_center @ v) + offset[1] * pixel_height,
-        depth=-float(window_center @ w),
+        axes=np.array([right, -up, -back]),
+        center_right=float(window_center @ right) + offset[0] * pixel_width,
+        center_down=-float(window_center @ up) + offset[1] * pixel_height,
+        depth=-float(window_center @ back),
         pixel_width=pixel_width,
         pixel_height=pixel_height,
         width=width,
@@ -327,12 +327,12 @@ class ScreenBounds(NamedTuple):
         rows = (frame.row_of(slope * frame.depth) for slope in down)
         return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in right))
 
-    def take(self, index: Bools | slice) -> ScreenBounds:
+    def take(self, selection: Bools | slice) -> ScreenBounds:
         """Select rectangles by mask or slice.
 
         Parameters
         ----------
-        index : (n,) bool array or slice
+        selection : (n,) bool array or slice
             Mask or slice of the rectangles to select.
 
         Returns
@@ -340,7 +340,7 @@ class ScreenBounds(NamedTuple):
         selected : ScreenBounds
             The selected rectangles, in the same order.
         """
-        return ScreenBounds(*(side[index] for side in self))
+        return ScreenBounds(*(side[selection] for side in self))
 
     def in_picture(self, frame: CameraFrame) -> Bools:
         """Test whether each object's bounding rectangle overlaps the picture.

@@ -23,64 +23,64 @@ _EPSILON = float(np.finfo(np.float64).eps)
 # Sides of a surface: the sign of the height of a point above the surface.
 OUTSIDE, ON, INSIDE = 1, 0, -1
 
+# A hit counts as on a surface if its distance from the surface is at most this fraction of the
+# lengths from which the hit was computed.  About twenty operations, each with an error of at most 2
+# e, lead from the scene to a hit.
 SURFACE_TOLERANCE = 64 * _EPSILON
-"""A hit counts as on a surface if its distance from the surface is at most this fraction of the
-lengths from which the hit was computed.  About twenty operations, each with an error of at most
-2 e, lead from the scene to a hit."""
 
+# A light counts as on a surface if its distance from the surface is at most this fraction of the
+# surface's coordinates.  The position of a light is given, so only a few operations lead to its
+# height above a surface; but the numbers in the scene file may have been rounded themselves.
 LIGHT_TOLERANCE = 8 * _EPSILON
-"""A light counts as on a surface if its distance from the surface is at most this fraction of the
-surface's coordinates.  The position of a light is given, so only a few operations lead to its
-height above a surface; but the numbers in the scene file may have been rounded themselves."""
 
+# The eye counts as on a sphere if its distance from the surface is at most this fraction of the
+# radius: two rounding errors of a length of 1.
 UNIT_TOLERANCE = 2 * _EPSILON
-"""The eye counts as on a sphere if its distance from the surface is at most this fraction of the
-radius: two rounding errors of a length of 1."""
 
+# Bound on the error of the squared distance of a point from a line, relative to the larger of the
+# two squares whose difference it is.  It exceeds the rounding error, 16 e, and the tolerance of
+# spheres, 2 * 64 e, together: 144 e = 3.2e-14.
 SQUARE_ROUNDING = 1e-13
-"""Bound on the error of the squared distance of a point from a line, relative to the larger of the
-two squares whose difference it is.  It exceeds the rounding error, 16 e, and the tolerance of
-spheres, 2 * 64 e, together: 144 e = 3.2e-14."""
 
+# Bound on the errors of ray directions, and of planes that bound boxes, relative to their size.
+# Fewer than 100 operations lead to them: 50 e = 1.1e-14.
 PLANE_ROUNDING = 1e-12
-"""Bound on the errors of ray directions, and of planes that bound boxes, relative to their size.
-Fewer than 100 operations lead to them: 50 e = 1.1e-14."""
 
+# Bound on the errors of directions from a light, and of points that are snapped to planes, relative
+# to the distance from the light.  It exceeds 64 e = 1.4e-14, and is small enough for distant lights
+# such as the sun, from which the whole scene may have an angular size of 1e-9 radians.
 DIRECTION_ROUNDING = 1e-13
-"""Bound on the errors of directions from a light, and of points that are snapped to planes,
-relative to the distance from the light.  It exceeds 64 e = 1.4e-14, and is small enough for distant
-lights such as the sun, from which the whole scene may have an angular size of 1e-9 radians."""
 
+# Bounds on positions are widened by this fraction of the coordinates from which they are computed:
+# 10,000 times as much as all rounding errors together, 450 e = 1e-13.
 POSITION_ROUNDING = 1e-9
-"""Bounds on positions are widened by this fraction of the coordinates from which they are computed:
-10,000 times as much as all rounding errors together, 450 e = 1e-13."""
 
+# If the power |c|^2 - r^2 of the eye with respect to a sphere is less than this fraction of |c|^2,
+# then it consists mostly of rounding errors, which are 4 e = 9e-16.  Here c is the vector from the
+# eye to the sphere's centre, and r is the radius.  The directions of tangents depend on the square
+# root of the power, whose relative error is larger still.
 MIN_POWER = 1e-14
-"""If the power |c|^2 - r^2 of the eye with respect to a sphere is less than this fraction of |c|^2,
-then it consists mostly of rounding errors, which are 4 e = 9e-16.  Here c is the vector from the
-eye to the sphere's centre, and r is the radius.  The directions of tangents depend on the square
-root of the power, whose relative error is larger still."""
 
+# If 1 + l.v is less than this, with unit vectors l and v, then cancellation has increased its
+# relative rounding error, 2 e, to more than 2,000 e = 4.4e-13.
 MIN_HALF_SQUARE = 1e-3
-"""If 1 + l.v is less than this, with unit vectors l and v, then cancellation has increased its
-relative rounding error, 2 e, to more than 2,000 e = 4.4e-13."""
 
+# If |l + v|^2 is less than this, with unit vectors l and v, then it consists of rounding errors:
+# those of its components are at most 2 e, so that |l + v|^2 = 1e-24 is known to two in 1,000.
 MIN_HALF_LENGTH2 = 1e-24
-"""If |l + v|^2 is less than this, with unit vectors l and v, then it consists of rounding errors:
-those of its components are at most 2 e, so that |l + v|^2 = 1e-24 is known to two in 1,000."""
 
+# Maximum factor by which a power may amplify the rounding error of its base, which is 4 e in a
+# highlight: the power is then known to 1,024 e = 2.3e-13.
 MAX_AMPLIFICATION = 256.0
-"""Maximum factor by which a power may amplify the rounding error of its base, which is 4 e in a
-highlight: the power is then known to 1,024 e = 2.3e-13."""
 
+# Replaces a zero component of a direction, relative to the lengths around it, to avoid 0 / 0.  It
+# is used only in tests that may treat a segment parallel to two planes as one that meets the planes
+# far away.
 MIN_COMPONENT = 1e-30
-"""Replaces a zero component of a direction, relative to the lengths around it, to avoid 0 / 0.  It
-is used only in tests that may treat a segment parallel to two planes as one that meets the planes
-far away."""
 
+# Added to divisors of at least 0 to avoid 0 / 0: negligible compared with any length in a scene, of
+# which the least is 1e-75.
 MIN_DIVISOR = 1e-300
-"""Added to divisors of at least 0 to avoid 0 / 0: negligible compared with any length in a scene,
-of which the least is 1e-75."""
 
 
 def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:

@@ -34,8 +34,8 @@ from tracer.geometry.rounding import (
 )
 from tracer.scene.model import Surfaces
 
+# Stands for the axis of a face (0, 1 or 2) at hits on spheres, which have no faces.
 NO_FACE = 3
-"""Stands for the axis of a face (0, 1 or 2) at hits on spheres, which have no faces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,19 +151,23 @@ class Spheres:
         # A row consists of columns of rays.  At the sphere, the rays of a column are at most a
         # margin away from the ray in its centre.  So if any ray of the column meets the sphere, the
         # ray in the centre meets the sphere grown by the margin.
-        frame, sphere = self.frame, self.objects.positions(object_index)
-        radius = self.radius[sphere]
+        frame, sphere_index = self.frame, self.objects.positions(object_index)
+        radius = self.radius[sphere_index]
         slope_margin = 0.5 * height * frame.pixel_height / frame.depth
-        grown_radius = radius + slope_margin * np.maximum(self.from_eye[2][sphere] + radius, 0)
-        power = self.power[sphere] - (grown_radius - radius) * (grown_radius + radius)
+        grown_radius = radius + slope_margin * np.maximum(
+            self.from_eye[2][sphere_index] + radius, 0
+        )
+        power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
         ray_down = frame.ray_down(rows + height / 2)
-        ray_ahead2, right, ahead, disc_radius2 = self._cut_discs(sphere, grown_radius, ray_down)
+        ray_ahead2, right, ahead, disc_radius2 = self._cut_discs(
+            sphere_index, grown_radius, ray_down
+        )
         low, high = _tangent_slopes(right, ahead, disc_radius2, power)
         ray_ahead = np.sqrt(ray_ahead2)
         return frame.column_of(low * ray_ahead), frame.column_of(high * ray_ahead)
 
     def _cut_discs(
-        self, sphere: Ints, radius: Floats, ray_down: Floats
+        self, sphere_index: Ints, radius: Floats, ray_down: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Compute the disc that a plane of rays cuts out of a sphere, for n (sphere, plane) pairs.
 
@@ -173,7 +177,7 @@ class Spheres:
 
         Parameters
         ----------
-        sphere : (n,) int array
+        sphere_index : (n,) int array
             Index of each pair's sphere among all spheres.
         radius : (n,) float array
             Radius that replaces the sphere's own radius.
@@ -189,7 +193,7 @@ class Spheres:
         disc_radius2 : (n,) float array
             Squared radius of each disc; negative if the plane misses the sphere.
         """
-        (right, down, forward), depth = take3(self.from_eye, sphere), self.frame.depth
+        (right, down, forward), depth = take3(self.from_eye, sphere_index), self.frame.depth
         ray_ahead2 = ray_down * ray_down + depth * depth
         ray_ahead = np.sqrt(ray_ahead2)
         plane_distance = (down * depth - forward * ray_down) / ray_ahead
@@ -231,26 +235,30 @@ class Spheres:
             normal n and the ray's direction d.  For boxes, it is an int8 number that encodes the
             face.
         """
-        sphere = self.objects.positions(object_index)
-        discs = self._cut_discs(sphere, self.radius[sphere], ray_down)
+        sphere_index = self.objects.positions(object_index)
+        discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
         ray_ahead2, right, ahead, disc_radius2 = discs
         ray_ahead = np.sqrt(ray_ahead2)
         length2 = ray_right * ray_right + repeat_runs(ray_ahead2, ray_count)
         # Cross product and dot product of the vector (right, ahead) and the ray.
         cross_product = repeat_runs(right * ray_ahead, ray_count)
         cross_product -= repeat_runs(ahead, ray_count) * ray_right
-        root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
+        discriminant_root = np.sqrt(
+            length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2
+        )
         dot_product = repeat_runs(right, ray_count) * ray_right
         dot_product += repeat_runs(ahead * ray_ahead, ray_count)
-        divisor = dot_product + root
-        power = self.power[sphere]
+        divisor = dot_product + discriminant_root
+        power = self.power[sphere_index]
         is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
         t = power / divisor
         if not is_eye_outside_all:  # the farther root, in the form with less cancellation
-            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
+            far_t = np.where(
+                dot_product > 0, divisor / length2, power / (dot_product - discriminant_root)
+            )
             t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
-        return np.where(t > 0, t, np.inf), root
+        return np.where(t > 0, t, np.inf), discriminant_root
 
     def tangent_planes(
         self,
@@ -291,13 +299,15 @@ class Spheres:
         eye_height : float array
             Distance of the eye from the tangent plane: (n,) for spheres, (runs,) for boxes.
         """
-        sphere = self.objects.positions(object_index)
+        sphere_index = self.objects.positions(object_index)
         # Negative where the eye is inside: the normal then points to the centre.
-        signed_radius = np.where(self.is_eye_inside[sphere], -1.0, 1.0) * self.radius[sphere]
+        signed_radius = (
+            np.where(self.is_eye_inside[sphere_index], -1.0, 1.0) * self.radius[sphere_index]
+        )
         curvature = repeat_runs(1 / signed_radius, run_length)
-        center = (repeat_runs(component[sphere], run_length) for component in self.from_eye)
+        center = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
         x, y, z = ((hit - c) * curvature for hit, c in zip(from_eye, center, strict=True))
-        face, sign, level = np.full(sphere.size, NO_FACE), np.ones(()), np.zeros(())
+        face, sign, level = np.full(sphere_index.size, NO_FACE), np.ones(()), np.zeros(())
         return face, sign, level, (x, y, z), surface_data * np.abs(curvature) * t
 
     # Tests of shadow segments: segments from hits to lights.
@@ -340,9 +350,9 @@ class Spheres:
             points.  For boxes, this is the largest of the signed distances from the planes of the
             six faces, which is at most the distance from the box for points outside.
         """
-        sphere = self.objects.positions(object_index)
-        offset = map3(np.subtract, take3(self.center, sphere), point)
-        return np.sqrt(dot(offset, offset)) - self.radius[sphere]
+        sphere_index = self.objects.positions(object_index)
+        offset = map3(np.subtract, take3(self.center, sphere_index), point)
+        return np.sqrt(dot(offset, offset)) - self.radius[sphere_index]
 
     def occludes(
         self,
@@ -377,10 +387,10 @@ class Spheres:
         blocked : (n,) bool array
             Whether the object blocks the segment.
         """
-        sphere = self.objects.positions(object_index)
+        sphere_index = self.objects.positions(object_index)
         to_light = map3(np.subtract, light, hit)
-        to_center = map3(np.subtract, take3(self.center, sphere), hit)
-        radius = self.radius[sphere]
+        to_center = map3(np.subtract, take3(self.center, sphere_index), hit)
+        radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
         # If both ends are outside, the sphere blocks the segment if the point of the line that is
@@ -391,18 +401,18 @@ class Spheres:
         is_line_cut = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
-        tolerance = hit_tolerance(self.coordinate_size[sphere], hit, self.frame.eye)
+        tolerance = hit_tolerance(self.coordinate_size[sphere_index], hit, self.frame.eye)
         hit_side = side_of_surface(hit_height, tolerance)
-        special = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
-        if special.size:
-            hit_side, side = hit_side[special], side[special]
-            projection, length2 = projection[special], length2[special]
-            starts_inside = self.is_eye_inside[sphere[special]]
+        special_index = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
+        if special_index.size:
+            hit_side, side = hit_side[special_index], side[special_index]
+            projection, length2 = projection[special_index], length2[special_index]
+            starts_inside = self.is_eye_inside[sphere_index[special_index]]
             from_inside = (projection < 0) | (side == OUTSIDE)
             from_surface = np.where(starts_inside, from_inside, projection > 0)
             to_surface = (hit_side == OUTSIDE) & (projection < length2)
             from_elsewhere = np.where(side == ON, to_surface, hit_side != side)
-            blocked[special] = np.where(hit_side == ON, from_surface, from_elsewhere)
+            blocked[special_index] = np.where(hit_side == ON, from_surface, from_elsewhere)
         return blocked
 
     def test_capsules(
@@ -437,8 +447,8 @@ class Spheres:
         blocks_all : (n,) bool array
             True only if the object certainly blocks all segments.
         """
-        sphere = self.objects.positions(object_index)
-        center, radius = take3(self.center, sphere), self.radius[sphere]
+        sphere_index = self.objects.positions(object_index)
+        center, radius = take3(self.center, sphere_index), self.radius[sphere_index]
         axis = map3(np.subtract, end, start)
         to_center = map3(np.subtract, center, start)
         projection, length2 = dot(to_center, axis), dot(axis, axis)
@@ -446,18 +456,23 @@ class Spheres:
         end_distance2 = start_distance2 - 2 * projection + length2
         # Squared distance of the centre from the axis, as a line, and a bound on errors of squares.
         line_distance2 = start_distance2 - projection * projection / length2
-        error = SQUARE_ROUNDING * start_distance2
-        outer2 = (radius + thickness) ** 2 + error
-        inner2 = np.maximum(radius - thickness, 0) ** 2 - error
-        starts_outside, ends_outside = start_distance2 > outer2, end_distance2 > outer2
+        square_error = SQUARE_ROUNDING * start_distance2
+        outer_radius2 = (radius + thickness) ** 2 + square_error
+        inner_radius2 = np.maximum(radius - thickness, 0) ** 2 - square_error
+        starts_outside, ends_outside = (
+            start_distance2 > outer_radius2,
+            end_distance2 > outer_radius2,
+        )
         is_before, is_behind = projection < 0, projection > length2
-        contains_capsule = np.maximum(start_distance2, end_distance2) < inner2
+        contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
         misses = (
-            (line_distance2 > outer2) | (starts_outside & is_before) | (ends_outside & is_behind)
+            (line_distance2 > outer_radius2)
+            | (starts_outside & is_before)
+            | (ends_outside & is_behind)
         )
         may_block = ~(misses | contains_capsule)
-        blocks_all = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner2)
+        blocks_all = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner_radius2)
         return may_block, blocks_all
 
 

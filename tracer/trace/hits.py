@@ -74,12 +74,12 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(run_values, self.run_length)
 
-    def per_hit(self, values: Floats) -> Floats:
+    def per_hit(self, tangent_values: Floats) -> Floats:
         """Convert one value for each tangent plane to one value for each hit.
 
         Parameters
         ----------
-        values : float array
+        tangent_values : float array
             Values computed from `normal` or `eye_height`: (runs,) for planar shapes, where all hits
             of a run share a tangent plane; otherwise (n,).
 
@@ -88,16 +88,18 @@ class ShapeHits(NamedTuple):
         hit_values : (n,) float array
             The value of each hit.
         """
-        return repeat_runs(values, self.run_length) if self.shape.is_planar else values
+        return (
+            repeat_runs(tangent_values, self.run_length) if self.shape.is_planar else tangent_values
+        )
 
-    def height_of(self, point: Floats, vector: Triple) -> Floats:
+    def height_of(self, point: Floats, to_point: Triple) -> Floats:
         """Compute the height of a point above the tangent plane at each of n hits.
 
         Parameters
         ----------
         point : (3,) float array
             The point, in scene axes.
-        vector : tuple of three (n,) float arrays
+        to_point : tuple of three (n,) float arrays
             Vectors from the hits to the point, in camera axes.
 
         Returns
@@ -108,7 +110,7 @@ class ShapeHits(NamedTuple):
         if self.shape.is_planar:
             # In scene axes, a light in the plane of a face has height 0 exactly.
             return self.per_hit(self.sign * (point[self.face] - self.level))
-        return dot(self.normal, vector)
+        return dot(self.normal, to_point)
 
 
 class Hits(NamedTuple):
@@ -187,12 +189,12 @@ class Hits(NamedTuple):
         """
         return values[self.run_object].repeat(np.diff(self.run_start))
 
-    def points(self, index: Ints | slice) -> Triple:
+    def points(self, hit_index: Ints | slice) -> Triple:
         """Compute the positions of selected hits, in scene axes.
 
         Parameters
         ----------
-        index : (k,) int array or slice
+        hit_index : (k,) int array or slice
             Indices of the hits to select.
 
         Returns
@@ -200,4 +202,4 @@ class Hits(NamedTuple):
         position : tuple of three (k,) float arrays
             Coordinates x, y and z of each hit.
         """
-        return self.prepared.frame.point_to_scene(take3(self.from_eye, index))
+        return self.prepared.frame.point_to_scene(take3(self.from_eye, hit_index))

@@ -182,10 +182,10 @@ class Shading:
             cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.length2[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
-            glossy = indices(is_hit_lit & self._is_glossy)
-            if glossy.size:
+            glossy_index = indices(is_hit_lit & self._is_glossy)
+            if glossy_index.size:
                 strength = np.zeros(is_hit_lit.size)
-                strength[glossy] = geometry.highlight_strength(light_index, glossy)
+                strength[glossy_index] = geometry.highlight_strength(light_index, glossy_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
     def reflection_terms(self) -> Iterator[tuple[int, Floats, Floats | None]]:

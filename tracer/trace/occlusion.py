@@ -387,8 +387,12 @@ def shadow_edges(
         put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
         edges.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
     light_index, hit_index, occluder_index = edges.distinct()
-    visible = indices(~take_2d(in_umbra, light_index, hit_index))
-    visible_edges = light_index[visible], hit_index[visible], occluder_index[visible]
+    visible_index = indices(~take_2d(in_umbra, light_index, hit_index))
+    visible_edges = (
+        light_index[visible_index],
+        hit_index[visible_index],
+        occluder_index[visible_index],
+    )
     is_crowded = np.any(edges.is_crowded & ~in_umbra, axis=0)
     return is_blocked | in_umbra, visible_edges, is_crowded
 
@@ -447,9 +451,13 @@ def _test_footprints(
     # If both the light and the hit are inside the grown object, it contains the whole segment, and
     # does not block it, although the unchanged object may.
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
-    near = indices(blocks_grown | (light_distance <= radius))
-    near_triples = triples.take(near, axis=1)
-    radius, blocks_grown, light_distance = radius[near], blocks_grown[near], light_distance[near]
+    near_index = indices(blocks_grown | (light_distance <= radius))
+    near_triples = triples.take(near_index, axis=1)
+    radius, blocks_grown, light_distance = (
+        radius[near_index],
+        blocks_grown[near_index],
+        light_distance[near_index],
+    )
     blocks = _blocks(hits, lights, shape, near_triples)
     covers = blocks & _blocks(hits, lights, shape, near_triples, -radius)
     covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON

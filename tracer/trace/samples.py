@@ -327,5 +327,5 @@ def _sort_key(row: Ints, x: Floats) -> Floats:
     return key
 
 
+# Positions in the picture through which rays are traced.
 Samples: TypeAlias = Rows | Scattered
-"""Positions in the picture through which rays are traced."""

@@ -104,8 +104,8 @@ _MAX_LIGHT_DISTANCE = 2.0**22
 # Eight bools that are all True, read as one integer.
 _EIGHT_TRUE = 0x0101010101010101
 
+# Minimum (m,) and maximum (m,) of a quantity.
 _Interval: TypeAlias = tuple[Floats, Floats]
-"""Minimum (m,) and maximum (m,) of a quantity."""
 
 
 class LightGrid(NamedTuple):
@@ -194,13 +194,13 @@ class LightGrid(NamedTuple):
         light_count, ball_count = active.shape
         # Each light and ball have one box of vectors, which is split into up to eight parts.
         to_light = self.light - center[:, None]
-        octant, box, rectangle, bounds = _split_by_octant(
+        octant, box_index, rectangle, bounds = _split_by_octant(
             to_light - radius, to_light + radius, self.patch, active
         )
         # No condition on the far end: an object may extend beyond the ball, away from the light.
         bounds[7] = -np.inf
         bounds = bounds.T.astype(self.entry_bounds.dtype, order="C")
-        patch = self.patch.take(octant * light_count + box // ball_count)
+        patch = self.patch.take(octant * light_count + box_index // ball_count)
         rectangle = _relative_to_patch(rectangle, patch, self.origin, self.size)
         for part_index, start, length in self._ranges_to_read(rectangle, patch):
             for batch in batches(length, _PAIRS_PER_BATCH):
@@ -208,9 +208,11 @@ class LightGrid(NamedTuple):
                 entry = self.listed.take(join_ranges(start[batch], length[batch]))
                 is_within = self.entry_bounds.take(entry, axis=0) >= bounds.take(batch_part, axis=0)
                 # The same as is_within.all(axis=1), but much faster.
-                match = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
-                occluder = self.entry_object.take(entry.take(match))
-                light_index, ball_index = np.divmod(box.take(batch_part.take(match)), ball_count)
+                match_index = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
+                occluder = self.entry_object.take(entry.take(match_index))
+                light_index, ball_index = np.divmod(
+                    box_index.take(batch_part.take(match_index)), ball_count
+                )
                 kept = indices(occluder != own_object.take(ball_index))
                 yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
@@ -285,21 +287,21 @@ def build_light_grid(
     low, high = (light - error) - high[:, None], (light + error) - low[:, None]
     octant_count = 8 * light_count
     any_patch, all_active = np.zeros(octant_count, dtype=np.intp), np.ones((1, 1), dtype=np.bool_)
-    octant, box, rectangle, bounds = _split_by_octant(low, high, any_patch, all_active)
-    box_light, object_index = np.divmod(box, object_count)
+    octant, box_index, rectangle, bounds = _split_by_octant(low, high, any_patch, all_active)
+    box_light, object_index = np.divmod(box_index, object_count)
     octant = octant * light_count + box_light
     receiver = indices(is_visible[object_index])
     patch, origin, size = _choose_patches(octant[receiver], rectangle[:, receiver], octant_count)
-    entry = indices((patch[octant] >= 0) & is_occluder[object_index])
+    entry_index = indices((patch[octant] >= 0) & is_occluder[object_index])
     # Rounding to float32 is monotonic: what compares as >= still does.
     dtype = np.float32 if size.min() > _MIN_FLOAT32_WIDTH else np.float64
     # Rows are swapped in pairs, and negated, so that each minimum of a ball is compared with the
     # maximum of an entry, and the other way round.
-    entry_bounds = -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(entry, axis=1)
+    entry_bounds = -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(entry_index, axis=1)
     entry_bounds = entry_bounds.T.astype(dtype, order="C")
-    entry_patch, entry_object = patch[octant[entry]], object_index[entry]
-    rectangle = rectangle.take(entry, axis=1)
-    del low, high, octant, box, box_light, bounds, object_index  # large, with many objects
+    entry_patch, entry_object = patch[octant[entry_index]], object_index[entry_index]
+    rectangle = rectangle.take(entry_index, axis=1)
+    del low, high, octant, box_index, box_light, bounds, object_index  # large, with many objects
     rectangle = _relative_to_patch(rectangle, entry_patch, origin, size)
     patch_count = origin.shape[1]
     side = _cells_per_side(rectangle, object_count, light_count, patch_count)
@@ -389,11 +391,11 @@ def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Flo
         and, if the light was moved, the change of direction.
     """
     scene_low, scene_high = low.min(axis=1, keepdims=True), high.max(axis=1, keepdims=True)
-    center, size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
-    from_center = light_position.T - center
-    factor = _MAX_LIGHT_DISTANCE * size / np.abs(from_center).sum(axis=0)
-    position = np.where(factor < 1, center + factor * from_center, light_position.T)
-    turn_error = np.where(factor < 1, 2 * size / _MAX_LIGHT_DISTANCE, 0)
+    scene_center, scene_size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
+    from_center = light_position.T - scene_center
+    factor = _MAX_LIGHT_DISTANCE * scene_size / np.abs(from_center).sum(axis=0)
+    position = np.where(factor < 1, scene_center + factor * from_center, light_position.T)
+    turn_error = np.where(factor < 1, 2 * scene_size / _MAX_LIGHT_DISTANCE, 0)
     error = DIRECTION_ROUNDING * np.abs(position).sum(axis=0) + turn_error
     return position[:, :, None], error[:, None]
 
@@ -419,7 +421,7 @@ def _split_by_octant(
     -------
     octant : (m,) int array
         Octant of each part, in ascending order.  Bit k is set if component k is negative.
-    box : (m,) int array
+    box_index : (m,) int array
         Box of each part: light * n + the index of the box among those of the light.
     rectangle : (4, m) float array
         Minimum and maximum of u, then of v: the octahedral coordinates u = |x| / (|x| + |y| + |z|)
@@ -433,14 +435,14 @@ def _split_by_octant(
     has_x, has_y, has_z = np.moveaxis(np.array([high >= 0, low <= 0]), 1, 0)
     reached = [z & y & x & active for z, y, x in product(has_z, has_y, has_x)]
     is_wanted = (patch >= 0).reshape(8, -1, 1)
-    octant, box = np.divmod(indices(np.array(reached) & is_wanted), low[0].size)
+    octant, box_index = np.divmod(indices(np.array(reached) & is_wanted), low[0].size)
     components = []
-    for k in range(3):
-        is_negative = (octant >> k & 1).astype(np.bool_)
-        low_k, high_k = low[k].take(box), high[k].take(box)
-        minimum = np.maximum(np.where(is_negative, -high_k, low_k), 0)
+    for axis in range(3):
+        is_negative = (octant >> axis & 1).astype(np.bool_)
+        axis_low, axis_high = low[axis].take(box_index), high[axis].take(box_index)
+        minimum = np.maximum(np.where(is_negative, -axis_high, axis_low), 0)
         # For a box that only touches a coordinate plane, 0 / 0 would give no bound.
-        maximum = np.where(is_negative, -low_k, high_k) + MIN_DIVISOR
+        maximum = np.where(is_negative, -axis_low, axis_high) + MIN_DIVISOR
         components.append((minimum, maximum))
     # Minimum and maximum of |x|, |y| and |z|.
     (x0, x1), (y0, y1), (z0, z1) = components
@@ -449,7 +451,7 @@ def _split_by_octant(
     )
     rectangle[::2] -= DIRECTION_ROUNDING
     rectangle[1::2] += DIRECTION_ROUNDING
-    return octant, box, rectangle, _direction_bounds(*components)
+    return octant, box_index, rectangle, _direction_bounds(*components)
 
 
 def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:

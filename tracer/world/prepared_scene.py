@@ -21,8 +21,8 @@ from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
 from tracer.world.light_grid import LightGrid, build_light_grid
 
+# All objects of one kind; `Spheres` documents the methods.
 Shape: TypeAlias = Spheres | Boxes
-"""All objects of one kind; `Spheres` documents the methods."""
 
 # Maximum number of pairs of a sample and an object on its ray in one batch of samples; maximum
 # number of lights, and of pairs of a light and an object, in one batch of lights.
