@@ -251,7 +251,7 @@ def _add_lights(
     is_blocked, edge_triples, is_crowded = shadow_edges(hits, lights, frontlit, search_radius)
     shading.add(geometry, frontlit & ~is_blocked)
     terminators = surfaces.terminators(lights.near_position, geometry.n_dot_l, geometry.length2)
-    edges = chain(surfaces.shadow_silhouettes(lights.near_position, *edge_triples), terminators)
+    edges = chain(surfaces.shadow_silhouettes(lights.near_position, edge_triples), terminators)
     lines, curved_cell = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, frontlit, footprint)
     highlight_cells = [hit_cell[hit_index] for hit_index in highlights]
@@ -288,5 +288,5 @@ def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[Edg
         center_right = frame.ray_right(cells.center_x[cell])
         center_down = frame.ray_down(cells.center_y[cell])
         ray = cell_rays(frame, center_right, center_down, cells.width)
-        eye_index = np.zeros_like(cell)
-        yield from silhouettes(prepared, frame.eye[None], eye_index, object_index, cell, ray)
+        triples = np.array([np.zeros_like(cell), cell, object_index])
+        yield from silhouettes(prepared, frame.eye[None], triples, ray)

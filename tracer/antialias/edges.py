@@ -150,11 +150,10 @@ def silhouette_pixels(
     top, bottom = prepared.bounds.top, prepared.bounds.bottom
     # For each interval of pixels: row, object, and the columns at which it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
+    limits = columns.start, columns.stop
     for shape in prepared.shapes:
-        limits = columns.start, columns.stop
-        object_index, row, left, right = object_spans(
-            shape, prepared, borders[:-1], limits, height=1.0
-        )
+        spans = object_spans(shape, prepared, borders[:-1], limits, height=1.0)
+        object_index, row, left, right = spans
         # The interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
         for border in (row, row + 1):
@@ -168,27 +167,17 @@ def silhouette_pixels(
         inner_start, inner_stop = np.ceil(inner_start), np.floor(inner_stop)
         inner_start = np.where(covers_row, inner_start, stop).clip(start, stop)
         inner_stop = np.where(covers_row, inner_stop, stop).clip(inner_start, stop)
-        intervals += [
-            (row, object_index, start, inner_start),
-            (row, object_index, inner_stop, stop),
-        ]
-    all_row, all_object_index, *ends = (
-        np.concatenate(field) for field in zip(*intervals, strict=True)
-    )
-    start_column, stop_column = (
-        end.clip(columns.start, columns.stop).astype(np.intp) for end in ends
-    )
+        for interval_start, interval_stop in ((start, inner_start), (inner_stop, stop)):
+            intervals.append((row, object_index, interval_start, interval_stop))
+    fields = (np.concatenate(field) for field in zip(*intervals, strict=True))
+    all_row, all_object_index, *ends = fields
+    start_column, stop_column = (end.clip(*limits).astype(np.intp) for end in ends)
     interval, column = segment_indices(stop_column - start_column, start_column)
     return all_row[interval] + rows.start, column, all_object_index[interval]
 
 
 def silhouettes(
-    prepared: PreparedScene,
-    apex_position: Floats,
-    apex_index: Ints,
-    object_index: Ints,
-    cell: Ints,
-    ray: Triple,
+    prepared: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
     """Yield the edge functions of the silhouettes of objects, as seen from apexes.
 
@@ -203,8 +192,9 @@ def silhouettes(
         The scene, prepared for the camera.
     apex_position : (m, 3) float array
         Positions of the apexes, in the axes of the scene.
-    apex_index, object_index, cell : (n,) int arrays
-        Indices of n triples: an apex, an object, and a cell that the object's silhouette may cross.
+    triples : (3, n) int array
+        Row 0 contains apex indices, row 1 cell indices, and row 2 indices of objects whose
+        silhouette may cross the cell.
     ray : tuple of three (6, n) float arrays
         Components, in the axes of the camera, of the vectors from the apex towards the surface
         points that are visible at the six points of the cell.  An array may have a single row,
@@ -219,15 +209,14 @@ def silhouettes(
         Values of the edge function of the silhouette at the six points of the cell.
     """
     frame, spheres, boxes = prepared.frame, prepared.spheres, prepared.boxes
+    apex_index, cell, object_index = triples
     on_sphere = indices(spheres.objects.contains(object_index))
     if on_sphere.size:
         sphere_index, sphere_ray = object_index[on_sphere], map3(lambda x: x[:, on_sphere], ray)
         sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[on_sphere])
         center = map3(np.subtract, take3(spheres.from_eye, sphere_index), sphere_apex)
-        yield (
-            cell[on_sphere],
-            sphere_edge_function(sphere_ray, center, spheres.radius[sphere_index]),
-        )
+        values = sphere_edge_function(sphere_ray, center, spheres.radius[sphere_index])
+        yield cell[on_sphere], values
     on_box = indices(boxes.objects.contains(object_index))
     if on_box.size:
         # Planes are computed once for each pair of an apex and a box.
@@ -392,10 +381,8 @@ class CellSurfaces(NamedTuple):
         from_eye, distance = take3(box_hits.from_eye, on_box), box_hits.distance[on_box]
         visible = visible_index[on_box]
         visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
-        box_index, is_eye_inside = (
-            boxes.objects.positions(hit_object),
-            prepared.is_eye_inside[hit_object],
-        )
+        box_index = boxes.objects.positions(hit_object)
+        is_eye_inside = prepared.is_eye_inside[hit_object]
         for axis in range(3):
             height = frame.scene_component(from_eye, axis)
             low, high = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
@@ -412,7 +399,7 @@ class CellSurfaces(NamedTuple):
                 yield self.cell[visible[batch]], inverse_t - face_inverse_t
 
     def shadow_silhouettes(
-        self, light_position: Floats, light_index: Ints, hit_index: Ints, occluder_index: Ints
+        self, light_position: Floats, edge_triples: Ints
     ) -> Iterator[EdgeValues]:
         """Yield the edges of shadows: the silhouettes of occluders, as seen from lights.
 
@@ -422,9 +409,10 @@ class CellSurfaces(NamedTuple):
         ----------
         light_position : (m, 3) float array
             Positions of the lights, in the axes of the scene.
-        light_index, hit_index, occluder_index : (n,) int arrays
-            Indices of n triples: a light, a hit, and an object whose shadow may have an edge within
-            the footprint of the hit (the part of the surface that is visible in the cell).
+        edge_triples : (3, n) int array
+            Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects whose
+            shadow may have an edge within the footprint of the hit (the part of the surface that is
+            visible in the cell).
 
         Yields
         ------
@@ -437,15 +425,14 @@ class CellSurfaces(NamedTuple):
         """
         prepared = self.hits.prepared
         light_from_eye = prepared.frame.points_to_camera(light_position)
-        for batch in index_batches(np.arange(light_index.size)):
-            light, occluder, hit = light_index[batch], occluder_index[batch], hit_index[batch]
-            ray, inverse_t = self.trace_rays(hit)
+        for batch in index_batches(np.arange(edge_triples.shape[1])):
+            light_index, hit_index, occluder_index = edge_triples[:, batch]
+            ray, inverse_t = self.trace_rays(hit_index)
             # Vectors from the light to the surface, divided by t.
-            scaled_light = scale3(take3(light_from_eye, light), inverse_t)
+            scaled_light = scale3(take3(light_from_eye, light_index), inverse_t)
             light_ray = map3(np.subtract, ray, scaled_light)
-            yield from silhouettes(
-                prepared, light_position, light, occluder, self.cell[hit], light_ray
-            )
+            triples = np.array([light_index, self.cell[hit_index], occluder_index])
+            yield from silhouettes(prepared, light_position, triples, light_ray)
 
     def terminators(
         self, light_position: Floats, n_dot_l: Floats, length2: Floats

@@ -172,9 +172,8 @@ class Boxes:
             right, down, ahead = frame.axes[:, axis].tolist()
             span_part = ray_down * down + frame.depth * ahead
             direction = ray_right * right + repeat_runs(span_part, ray_count)
-            low, high = (
-                corner[axis, box_index] - frame.eye[axis] for corner in (self.min_pt, self.max_pt)
-            )
+            low = self.min_pt[axis, box_index] - frame.eye[axis]
+            high = self.max_pt[axis, box_index] - frame.eye[axis]
             is_eye_above = high < 0
             if np.all(is_eye_above | (low > 0)):
                 # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
@@ -380,14 +379,9 @@ class Boxes:
         # the box grown by the thickness on all sides, and the box shrunk by the thickness.
         enter, leave = np.array(-np.inf), np.array(np.inf)
         enter_shrunk, leave_shrunk = enter, leave
-        for start_coordinate, end_coordinate, low, high in zip(
-            start, end, *self.corners(object_index), strict=True
-        ):
-            direction, to_low, to_high = (
-                end_coordinate - start_coordinate,
-                low - start_coordinate,
-                high - start_coordinate,
-            )
+        # The x components first, then those of y and z.
+        for start_x, end_x, low, high in zip(start, end, *self.corners(object_index), strict=True):
+            direction, to_low, to_high = end_x - start_x, low - start_x, high - start_x
             if np.count_nonzero(direction) < direction.size:
                 lengths = np.abs(to_low) + np.abs(to_high) + thickness
                 direction = direction + (direction == 0) * (MIN_COMPONENT * lengths)
@@ -452,14 +446,8 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
         Whether the segment enters or leaves the box strictly between its ends.
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
-    for start_coordinate, end_coordinate, low_coordinate, high_coordinate in zip(
-        start, end, low, high, strict=True
-    ):
-        near, far = _intersect_slab(
-            low_coordinate - start_coordinate,
-            high_coordinate - start_coordinate,
-            end_coordinate - start_coordinate,
-        )
+    for start_x, end_x, low_x, high_x in zip(start, end, low, high, strict=True):  # then y, then z
+        near, far = _intersect_slab(low_x - start_x, high_x - start_x, end_x - start_x)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
     return crosses

@@ -107,11 +107,11 @@ class Spheres:
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (right, down, ahead), radius2 = from_eye, radius * radius
-        slopes_down, slopes_right = (
+        slopes = (
             _tangent_slopes(x, ahead, radius2, x * x + ahead * ahead - radius2)
             for x in (down, right)
         )
-        bounds = ScreenBounds.from_slopes(frame, slopes_down, slopes_right)
+        bounds = ScreenBounds.from_slopes(frame, *slopes)
         objects, coordinate_size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
         seen_from_eye = from_eye, power, bounds, power <= 0
         return cls(frame, objects, center, radius, *seen_from_eye, 1 / radius, coordinate_size)
@@ -154,16 +154,13 @@ class Spheres:
         frame, sphere_index = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere_index]
         slope_margin = 0.5 * height * frame.pixel_height / frame.depth
-        grown_radius = radius + slope_margin * np.maximum(
-            self.from_eye[2][sphere_index] + radius, 0
-        )
+        max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
+        grown_radius = radius + slope_margin * max_depth
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
         ray_down = frame.ray_down(rows + height / 2)
-        ray_ahead2, right, ahead, disc_radius2 = self._cut_discs(
-            sphere_index, grown_radius, ray_down
-        )
+        discs = self._cut_discs(sphere_index, grown_radius, ray_down)
+        ray_ahead, right, ahead, disc_radius2 = discs
         low, high = _tangent_slopes(right, ahead, disc_radius2, power)
-        ray_ahead = np.sqrt(ray_ahead2)
         return frame.column_of(low * ray_ahead), frame.column_of(high * ray_ahead)
 
     def _cut_discs(
@@ -186,20 +183,19 @@ class Spheres:
 
         Returns
         -------
-        ray_ahead2 : (n,) float array
-            Square of the component ahead, in the plane, of the rays: ray_down^2 + depth^2.
+        ray_ahead : (n,) float array
+            Component ahead, in each plane, of its rays: sqrt(ray_down^2 + depth^2).
         right, ahead : (n,) float arrays
             Components of the vector from the eye to the centre of each disc, in the plane.
         disc_radius2 : (n,) float array
             Squared radius of each disc; negative if the plane misses the sphere.
         """
         (right, down, forward), depth = take3(self.from_eye, sphere_index), self.frame.depth
-        ray_ahead2 = ray_down * ray_down + depth * depth
-        ray_ahead = np.sqrt(ray_ahead2)
+        ray_ahead = np.sqrt(ray_down * ray_down + depth * depth)
         plane_distance = (down * depth - forward * ray_down) / ray_ahead
         ahead = (down * ray_down + forward * depth) / ray_ahead
         disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
-        return ray_ahead2, right, ahead, disc_radius2
+        return ray_ahead, right, ahead, disc_radius2
 
     def intersect(
         self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
@@ -230,43 +226,34 @@ class Spheres:
             Distance from the eye, in units of the length of the ray's direction; infinity if the
             ray misses the object.  If the eye is inside the object or on its surface, this is the
             distance at which the ray leaves the object.
-        surface_data : (n,) array
+        hit_data : (n,) array
             Argument for `tangent_planes`.  For spheres, this is |n . d| radius, with the unit
             normal n and the ray's direction d.  For boxes, it is an int8 number that encodes the
             face.
         """
-        sphere_index = self.objects.positions(object_index)
+        sphere_index, depth = self.objects.positions(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
-        ray_ahead2, right, ahead, disc_radius2 = discs
-        ray_ahead = np.sqrt(ray_ahead2)
-        length2 = ray_right * ray_right + repeat_runs(ray_ahead2, ray_count)
+        ray_ahead, right, ahead, disc_radius2 = discs
+        length2 = repeat_runs(ray_down * ray_down + depth * depth, ray_count)
+        length2 = ray_right * ray_right + length2
         # Cross product and dot product of the vector (right, ahead) and the ray.
         cross_product = repeat_runs(right * ray_ahead, ray_count)
         cross_product -= repeat_runs(ahead, ray_count) * ray_right
-        discriminant_root = np.sqrt(
-            length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2
-        )
+        root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
         dot_product = repeat_runs(right, ray_count) * ray_right
         dot_product += repeat_runs(ahead * ray_ahead, ray_count)
-        divisor = dot_product + discriminant_root
+        divisor = dot_product + root
         power = self.power[sphere_index]
         is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
         t = power / divisor
         if not is_eye_outside_all:  # the farther root, in the form with less cancellation
-            far_t = np.where(
-                dot_product > 0, divisor / length2, power / (dot_product - discriminant_root)
-            )
+            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
             t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
-        return np.where(t > 0, t, np.inf), discriminant_root
+        return np.where(t > 0, t, np.inf), root
 
     def tangent_planes(
-        self,
-        object_index: Ints,
-        run_length: Ints,
-        from_eye: Floats,
-        t: Floats,
-        surface_data: Floats,
+        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, hit_data: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the tangent plane of the surface at each of n hits.
 
@@ -280,7 +267,7 @@ class Spheres:
             Number of hits in each run.
         from_eye : (3, n) float array
             Vectors from the eye to the hits, in camera axes.
-        t, surface_data : (n,) arrays
+        t, hit_data : (n,) arrays
             The results of `intersect` for the rays through the hits.
 
         Returns
@@ -301,14 +288,12 @@ class Spheres:
         """
         sphere_index = self.objects.positions(object_index)
         # Negative where the eye is inside: the normal then points to the centre.
-        signed_radius = (
-            np.where(self.is_eye_inside[sphere_index], -1.0, 1.0) * self.radius[sphere_index]
-        )
-        curvature = repeat_runs(1 / signed_radius, run_length)
+        normal_sign = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
+        curvature = repeat_runs(1 / (normal_sign * self.radius[sphere_index]), run_length)
         center = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
         x, y, z = ((hit - c) * curvature for hit, c in zip(from_eye, center, strict=True))
         face, sign, level = np.full(sphere_index.size, NO_FACE), np.ones(()), np.zeros(())
-        return face, sign, level, (x, y, z), surface_data * np.abs(curvature) * t
+        return face, sign, level, (x, y, z), hit_data * np.abs(curvature) * t
 
     # Tests of shadow segments: segments from hits to lights.
 
@@ -457,22 +442,16 @@ class Spheres:
         # Squared distance of the centre from the axis, as a line, and a bound on errors of squares.
         line_distance2 = start_distance2 - projection * projection / length2
         square_error = SQUARE_ROUNDING * start_distance2
-        outer_radius2 = (radius + thickness) ** 2 + square_error
-        inner_radius2 = np.maximum(radius - thickness, 0) ** 2 - square_error
-        starts_outside, ends_outside = (
-            start_distance2 > outer_radius2,
-            end_distance2 > outer_radius2,
-        )
+        outer_square = (radius + thickness) ** 2 + square_error
+        inner_square = np.maximum(radius - thickness, 0) ** 2 - square_error
+        starts_outside, ends_outside = start_distance2 > outer_square, end_distance2 > outer_square
         is_before, is_behind = projection < 0, projection > length2
-        contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
+        contains_capsule = np.maximum(start_distance2, end_distance2) < inner_square
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
-        misses = (
-            (line_distance2 > outer_radius2)
-            | (starts_outside & is_before)
-            | (ends_outside & is_behind)
-        )
+        is_beside = line_distance2 > outer_square
+        misses = is_beside | (starts_outside & is_before) | (ends_outside & is_behind)
         may_block = ~(misses | contains_capsule)
-        blocks_all = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner_radius2)
+        blocks_all = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner_square)
         return may_block, blocks_all
 
 

@@ -286,7 +286,7 @@ class _EdgeSet:
         if sum(keys.size for keys in self._keys[1:]) > _EDGES_PER_BATCH:
             self._remove_duplicates()
 
-    def distinct(self) -> tuple[Ints, Ints, Ints]:
+    def distinct(self) -> Ints:
         """Return all shadow edges in the set, sorted by light, then by hit, then by occluder.
 
         A shadow edge is a triple of a light, a hit, and an occluder whose shadow may end near the
@@ -295,12 +295,11 @@ class _EdgeSet:
 
         Returns
         -------
-        light_index, hit_index, occluder_index : (m,) int arrays
-            The light, the hit and the occluder of each edge.
+        edges : (3, m) int array
+            Row 0 contains light indices, row 1 hit indices, and row 2 occluder indices.
         """
         self._remove_duplicates()
-        light_index, hit_index, occluder_index = np.unravel_index(self._keys[0], self._shape)
-        return light_index, hit_index, occluder_index
+        return np.array(np.unravel_index(self._keys[0], self._shape))
 
     def _remove_duplicates(self) -> None:
         """Sort the keys of shadow edges, and remove duplicates and the edges of crowded hits.
@@ -347,7 +346,7 @@ def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
 
 def shadow_edges(
     hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
-) -> tuple[Bools, tuple[Ints, Ints, Ints], Bools]:
+) -> tuple[Bools, Ints, Bools]:
     """Test which hits are in shadow, and find the shadow edges near each hit.
 
     An edge is near a hit if it may cross the hit's footprint: the part of the surface around the
@@ -370,31 +369,26 @@ def shadow_edges(
     is_blocked : (lights, n) bool array
         Whether an object, other than that on which the hit lies, blocks the segment from the hit to
         the light; meaningless where `frontlit` is False.
-    edges : tuple of three (m,) int arrays
-        Indices of the light, the hit and the occluder of each visible edge, sorted in this order.
-        If a hit has more than `_MAX_EDGES_PER_HIT` edges of one light, these edges are omitted.
+    edge_triples : (3, m) int array
+        The visible edges, sorted by light, then by hit, then by occluder.  Row 0 contains light
+        indices, row 1 hit indices, and row 2 occluder indices.  If a hit has more than
+        `_MAX_EDGES_PER_HIT` edges of one light, these edges are omitted.
     is_crowded : (n,) bool array
         Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of one light.
     """
     is_blocked, in_umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
     edges = _EdgeSet((*frontlit.shape, hits.prepared.position_error.size))
     for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit, footprint):
-        triples, blocks, covers, has_edge = _test_footprints(
-            hits, lights, shape, triples, footprint
-        )
+        tests = _test_footprints(hits, lights, shape, triples, footprint)
+        triples, blocks, covers, has_edge = tests
         put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
         put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
         put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
         edges.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
-    light_index, hit_index, occluder_index = edges.distinct()
-    visible_index = indices(~take_2d(in_umbra, light_index, hit_index))
-    visible_edges = (
-        light_index[visible_index],
-        hit_index[visible_index],
-        occluder_index[visible_index],
-    )
+    edge_triples = edges.distinct()
+    is_visible = ~take_2d(in_umbra, edge_triples[0], edge_triples[1])
     is_crowded = np.any(edges.is_crowded & ~in_umbra, axis=0)
-    return is_blocked | in_umbra, visible_edges, is_crowded
+    return is_blocked | in_umbra, edge_triples[:, is_visible], is_crowded
 
 
 def _test_footprints(
@@ -453,15 +447,11 @@ def _test_footprints(
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
     near_index = indices(blocks_grown | (light_distance <= radius))
     near_triples = triples.take(near_index, axis=1)
-    radius, blocks_grown, light_distance = (
-        radius[near_index],
-        blocks_grown[near_index],
-        light_distance[near_index],
-    )
+    radius, light_distance = radius[near_index], light_distance[near_index]
     blocks = _blocks(hits, lights, shape, near_triples)
     covers = blocks & _blocks(hits, lights, shape, near_triples, -radius)
     covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON
-    has_edge = ~covers & (blocks_grown | (np.abs(light_distance) <= radius))
+    has_edge = ~covers & (blocks_grown[near_index] | (np.abs(light_distance) <= radius))
     return near_triples, blocks, covers, has_edge
 
 
@@ -591,15 +581,12 @@ def _build_square_packets(
         The row packets, sorted so that the children of each square packet are consecutive.
     """
     first_hit = row_packets.child_start
-    square_x, square_y = (
-        position // square_width for position in hits.samples.positions(hits.sample[first_hit])
-    )
+    x, y = hits.samples.positions(hits.sample[first_hit])
     layer = hits.prepared.frame.depth_layer(hits.from_eye[2][first_hit], square_width)
-    order = np.lexsort((square_x, square_y, row_packets.object_index))
+    keys = layer, x // square_width, y // square_width, row_packets.object_index
+    order = np.lexsort(keys)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
-    start, count = run_lengths(
-        row_packets.object_index, square_x[order], square_y[order], layer[order]
-    )
+    start, count = run_lengths(*(key[order] for key in keys))
     return _merge_row_packets(row_packets, start, count), row_packets
 
 

@@ -98,7 +98,7 @@ class _Intersections(NamedTuple):
     t : (n,) float array
         Distance of the object along the ray, in units of the length of the ray's direction;
         infinity if the ray misses the object.
-    surface_data : (n,) array
+    hit_data : (n,) array
         Second result of `Spheres.intersect` or `Boxes.intersect`.
     """
 
@@ -109,7 +109,7 @@ class _Intersections(NamedTuple):
     sample: Ints
     ray_right: Floats
     t: Floats
-    surface_data: NDArray[Any]
+    hit_data: NDArray[Any]
 
     def select(self, mask: Bools) -> _Intersections:
         """Select intersections, for pairs of a sample and an object.
@@ -157,7 +157,7 @@ class _Intersections(NamedTuple):
             Index of the first hit of each run, in ascending order.
         """
         is_planar = self.shape.is_planar
-        is_start = run_starts(self.surface_data) if is_planar else np.zeros(depth.size, dtype=bool)
+        is_start = run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
             x, y = samples.positions(self.sample)
             layer = frame.depth_layer(depth, _RUN_WIDTH)
@@ -286,7 +286,7 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
         length = np.diff(run_start, append=end - start)
         run_object = repeat_runs(group.object_index, group.sample_count)[run_start]
         surface = group.shape.tangent_planes(
-            run_object, length, group_from_eye, group.t, group.surface_data
+            run_object, length, group_from_eye, group.t, group.hit_data
         )
         interval = slice(start, end)
         shape_hits.append(
