@@ -210,9 +210,8 @@ class LightGrid(NamedTuple):
                 # The same as is_within.all(axis=1), but much faster.
                 match_index = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
                 occluder = self.entry_object.take(entry.take(match_index))
-                light_index, ball_index = np.divmod(
-                    box_index.take(batch_part.take(match_index)), ball_count
-                )
+                match_box = box_index.take(batch_part.take(match_index))
+                light_index, ball_index = np.divmod(match_box, ball_count)
                 kept = indices(occluder != own_object.take(ball_index))
                 yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
@@ -305,10 +304,8 @@ def build_light_grid(
     rectangle = _relative_to_patch(rectangle, entry_patch, origin, size)
     patch_count = origin.shape[1]
     side = _cells_per_side(rectangle, object_count, light_count, patch_count)
-    list_start, listed = _fill_lists(rectangle, entry_patch, side, patch_count)
-    return LightGrid(
-        light, patch, side, origin, size, list_start, listed, entry_bounds, entry_object
-    )
+    lists = _fill_lists(rectangle, entry_patch, side, patch_count)
+    return LightGrid(light, patch, side, origin, size, *lists, entry_bounds, entry_object)
 
 
 def _choose_patches(
@@ -317,8 +314,9 @@ def _choose_patches(
     """Choose a patch in each octant of directions with visible objects.
 
     Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
-    a rectangle in these coordinates that contains most of the octant's visible objects: see
-    `_patch_around`.
+    a rectangle in these coordinates: the bounding rectangle of the octant's visible objects without
+    outliers.  On each of its four sides, at most one object in `_OBJECTS_PER_OUTLIER` extends
+    beyond the patch.
 
     Parameters
     ----------
@@ -340,34 +338,14 @@ def _choose_patches(
     start, _ = run_lengths(octant)
     patch = np.full(octant_count, -1)
     patch[octant[start]] = np.arange(start.size)
-    patches = [_patch_around(group) for group in np.split(rectangle, start[1:], axis=1)]
+    patches = []
+    for octant_rectangles in np.split(rectangle, start[1:], axis=1):
+        outlier_count = octant_rectangles.shape[1] // _OBJECTS_PER_OUTLIER
+        low = np.partition(octant_rectangles[::2], outlier_count)[:, outlier_count]
+        high = np.partition(octant_rectangles[1::2], -1 - outlier_count)[:, -1 - outlier_count]
+        patches.append((low, high - low))
     origin, size = np.array(patches).transpose(1, 2, 0)
     return patch, origin, size
-
-
-def _patch_around(rectangle: Floats) -> tuple[Floats, Floats]:
-    """Compute the bounding rectangle of most of n rectangles, which is called patch.
-
-    Outliers are ignored: on each of the patch's four sides, at most one rectangle in
-    `_OBJECTS_PER_OUTLIER` extends beyond the patch.  Octahedral coordinates (u, v) map the
-    directions of one octant into the unit square.
-
-    Parameters
-    ----------
-    rectangle : (4, n) float array
-        The rectangles in octahedral coordinates: minimum and maximum u, then minimum and maximum v.
-
-    Returns
-    -------
-    origin : (2,) float array
-        Minimum u and v of the patch.
-    size : (2,) float array
-        Extents of the patch in u and v.
-    """
-    outlier_count = rectangle.shape[1] // _OBJECTS_PER_OUTLIER
-    origin = np.partition(rectangle[::2], outlier_count)[:, outlier_count]
-    end = np.partition(rectangle[1::2], -1 - outlier_count)[:, -1 - outlier_count]
-    return origin, end - origin
 
 
 def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
@@ -614,9 +592,8 @@ def _overlapped_cells(
         # A strip consists of the cells that one rectangle overlaps in one column.
         strip_rectangle, column = segment_indices(column_count[batch], left[batch])
         strip_rectangle += batch.start
-        first_cell = (patch.take(strip_rectangle) * side + column) * side + top.take(
-            strip_rectangle
-        )
+        cell_column = patch.take(strip_rectangle) * side + column
+        first_cell = cell_column * side + top.take(strip_rectangle)
         strip, cell = segment_indices(row_count.take(strip_rectangle), first_cell)
         is_first_column = column == left.take(strip_rectangle)
         place = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip)

@@ -222,9 +222,7 @@ class PreparedScene:
         lights = self._lights[index]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
-        sides = [
-            shape.side_of_light(shape.objects.indices(), (x, y, z)) for shape in self._all_shapes
-        ]
+        sides = [s.side_of_light(s.objects.indices(), (x, y, z)) for s in self._all_shapes]
         boxes = [shape.bounding_boxes() for shape in self._all_shapes]
         low, high = (np.concatenate(corners, axis=1) for corners in zip(*boxes, strict=True))
         is_visible = self.bounds.in_picture(self.frame)
