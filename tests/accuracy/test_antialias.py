@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from tracer import (
     Scene,
     Sphere,
     explain,
+    first_hits,
     load_scene,
     render,
 )
@@ -49,19 +51,19 @@ WALL = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
 
 
 @cache
-def uniform(scene: Scene, per_side: int) -> Floats:
-    """Average a grid of per_side x per_side samples in each pixel, without antialiasing."""
+def uniform_grid(scene: Scene, per_side: int) -> Floats:
+    """Render a scene with a uniform grid of per_side x per_side samples in each pixel."""
     return render_supersampled(scene, per_side)
 
 
 def reference_picture(scene: Scene) -> Floats:
-    """Return the mean radiance of pixels (height, width, 3): certified, or that of a fine grid."""
+    """Compute the mean radiance of pixels (height, width, 3): certified, or by a fine grid."""
     try:
         certified = true_picture(scene, CERTIFIED_ERROR)
     except ValueError:  # for example if the eye is on a surface
-        return uniform(scene, REFERENCE_SIDE)
+        return uniform_grid(scene, REFERENCE_SIDE)
     # If the window is extremely far from the eye, the certificate's bounds stay wide.
-    return certified.image if certified.error.max() < 0.05 else uniform(scene, REFERENCE_SIDE)
+    return certified.image if certified.error.max() < 0.05 else uniform_grid(scene, REFERENCE_SIDE)
 
 
 def assert_no_worse_than_grid(
@@ -80,14 +82,14 @@ def assert_no_worse_than_grid(
     """
     truth = reference_picture(scene)
     for samples in sample_counts:
-        image, grid = render(scene, samples), uniform(scene, math.isqrt(samples))
+        image, grid = render(scene, samples), uniform_grid(scene, math.isqrt(samples))
         largest, grid_largest = np.abs(image - truth).max(), np.abs(grid - truth).max()
         assert rmse(image, truth) <= rmse(grid, truth) + 1e-12, samples
         assert largest <= error_factor * grid_largest + 1e-12, samples
 
 
 def view(*surfaces: Surface, pixels: int = 16, light=(0, 0, 10), **camera: object) -> Scene:
-    """Return a scene seen from far away, along the z-axis.
+    """Build a scene that is seen from far away, along the z-axis.
 
     The picture has pixels x pixels pixels, and shows a square of width 4 of the plane z = 0.
     """
@@ -96,8 +98,8 @@ def view(*surfaces: Surface, pixels: int = 16, light=(0, 0, 10), **camera: objec
     return scene_of(*surfaces, camera=camera, size=(pixels, pixels), lights=light)
 
 
-def small(name: str) -> Scene:
-    """Return a scene of the project with a width of 64 pixels."""
+def load_small(name: str) -> Scene:
+    """Load a scene of the project, and reduce its picture to a width of 64 pixels."""
     scene = load_scene(SCENES / f"{name}.xml")
     return replace(scene, width=64, height=round(64 * scene.height / scene.width))
 
@@ -106,7 +108,7 @@ def small(name: str) -> Scene:
     "name", scene_parameters("room", "highlights", "four-spheres", "one-box", "touching")
 )
 def test_no_worse_than_the_uniform_grid(name):
-    assert_no_worse_than_grid(small(name))
+    assert_no_worse_than_grid(load_small(name))
 
 
 @pytest.mark.slow
@@ -115,9 +117,9 @@ def test_no_worse_than_the_uniform_grid(name):
 def test_split_pixels_are_no_worse_than_the_uniform_grid(name):
     # Without the fixture, lattices of samples would replace classification in some scenes, which
     # are full of silhouettes at this size.
-    assert_no_worse_than_grid(small(name))
+    assert_no_worse_than_grid(load_small(name))
     if name in ("many-objects", "room", "two-boxes"):
-        assert_no_worse_than_grid(small(name), sample_counts=(9, 25, 36, 49, 100))
+        assert_no_worse_than_grid(load_small(name), sample_counts=(9, 25, 36, 49, 100))
 
 
 def test_pictures_full_of_silhouettes_are_lattices():
@@ -180,12 +182,36 @@ def test_a_light_in_a_closed_surface_lights_nothing_outside(closed):
     assert not render(scene, 16).any()
 
 
+@pytest.mark.parametrize("slope", [-0.6, -0.3, 0.05, 0.4, 0.7])
+def test_every_pixel_that_a_terminator_crosses_is_found(slope, monkeypatch):
+    found, real_classify = [], refine.classify
+
+    def record_classification(*arguments):
+        found.append(real_classify(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(refine, "classify", record_classification)
+    light = np.array([100, 100 * slope, -5])
+    render(view(BALL, light=light), 4)
+    cells, lines = found[0].cells, found[0].lines
+    # n . l, with the vector l to the light, at the four corners of each pixel; NaN beside the ball.
+    corners = [
+        first_hits(view(BALL), cells.center_x + dx, cells.center_y + dy)
+        for dx, dy in product((-0.5, 0.5), repeat=2)
+    ]
+    n_dot_l = np.array([(hits.normal * (light - hits.point)).sum(axis=1) for hits in corners])
+    is_crossed = (n_dot_l > 1e-6).any(axis=0) & (n_dot_l < -1e-6).any(axis=0)
+    is_crossed &= np.isfinite(n_dot_l).all(axis=0)
+    assert is_crossed.sum() > 3
+    assert {*np.flatnonzero(is_crossed & ~found[0].is_unresolved)} <= {*lines.cell}
+
+
 @pytest.mark.parametrize(("name", "improvement"), [("one-sphere", 9), ("four-spheres", 14)])
 def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
     # Both are computed in closed form, and so is the decrease of light towards them.
-    scene = small(name)
+    scene = load_small(name)
     truth = true_picture(scene, CERTIFIED_ERROR).image
-    assert rmse(render(scene, 16), truth) <= rmse(uniform(scene, 4), truth) / improvement
+    assert rmse(render(scene, 16), truth) <= rmse(uniform_grid(scene, 4), truth) / improvement
 
 
 def test_pixels_full_of_dim_shadows_are_sampled(monkeypatch):

@@ -30,7 +30,7 @@ AXES = np.eye(3)
 
 
 class Ray(NamedTuple):
-    """A scene that is seen by one ray, and the expected radiance.
+    """A scene that one ray hits, and the expected radiance of this ray.
 
     Attributes
     ----------
@@ -58,14 +58,14 @@ class Ray(NamedTuple):
 
 
 def gray_phong(specular: float, exponent: float, diffuse: float = 0) -> Phong:
-    """Return a shader whose colours are the same in all channels."""
+    """Build a shader whose colours are the same in all channels."""
     return Phong(diffuse=(diffuse,) * 3, specular=(specular,) * 3, exponent=exponent)
 
 
 def floor_from_above(
     light: tuple | list, radiance: float | list, shader: Phong, tolerance: float
 ) -> Ray:
-    """Return a floor with a shader, seen from straight above: n = v = (0, 1, 0)."""
+    """Build the case of a floor seen from straight above: n = v = (0, 1, 0)."""
     name = f"floor, exponent {shader.exponent:g}, {radiance}"
     return Ray(name, EYE, DOWN, light, [replace(FLOOR, shader=shader)], radiance, tolerance)
 

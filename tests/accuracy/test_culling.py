@@ -75,8 +75,8 @@ def _occlusion_by_all(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     return is_blocked
 
 
-def assert_same(scene: Scene) -> None:
-    """Assert that the tracer renders the same picture as `brute_force`, to the last bit.
+def assert_unchanged(scene: Scene) -> None:
+    """Assert that the picture is that of `brute_force`, to the last bit.
 
     The tracer renders with large packets, with packets of single hits, and with short packets; and
     from samples in rows, and from scattered samples.
@@ -103,26 +103,26 @@ def render_scattered(scene: Scene) -> Floats:
 @settings(max_examples=3 * settings.default.max_examples)
 @given(scenes(FEW_OBJECTS, st.just(23), st.just(31)))
 def test_culling_changes_no_random_scene(scene):
-    assert_same(scene)
+    assert_unchanged(scene)
 
 
 def test_culling_changes_no_crowd():
-    assert_same(random_scene("crowd", 0, 23, 31))
+    assert_unchanged(random_scene("crowd", 0, 23, 31))
 
 
 @pytest.mark.parametrize("hard", hard_scenes("culling"))
 def test_culling_changes_no_hard_scene(hard: HardScene):
     scene = hard.scene
-    assert_same(scene)
+    assert_unchanged(scene)
     for light in scene.lights if len(scene.lights) > 1 else ():
-        assert_same(replace(scene, lights=[light]))
+        assert_unchanged(replace(scene, lights=[light]))
 
 
 @pytest.mark.slow
 @settings(max_examples=3 * settings.default.max_examples)
 @given(scenes(FEW_OBJECTS, st.integers(2, 200), st.integers(1, 100)), st.integers(0, 5))
 def test_culling_changes_no_scene_however_large(scene, zooms):
-    assert_same(scene)
+    assert_unchanged(scene)
     for _ in range(zooms):
         # Zoom in on the first pixel that differs most from its neighbour: on an outline or the edge
         # of a shadow, which in the end is 10^6 times as large.
@@ -130,22 +130,22 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
         frame = camera_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
-        local = np.array([frame.ray_right(x)[0], frame.ray_down(y)[0], frame.depth])
+        direction = np.array([frame.ray_right(x)[0], frame.ray_down(y)[0], frame.depth])
         camera = replace(
             scene.camera,
-            view_dir=local @ frame.axes,
+            view_dir=direction @ frame.axes,
             proj_normal=scene.camera.normal,
-            proj_distance=math.hypot(*local),
+            proj_distance=math.hypot(*direction),
             view_width=scene.camera.view_width / 16,
             view_height=scene.camera.view_height / 16,
         )
         scene = replace(scene, camera=camera)
-        assert_same(scene)
+        assert_unchanged(scene)
 
 
-def assert_like(scene: Scene, usual: Scene) -> None:
-    """Assert that a scene is culled correctly, and looks like another one of usual size."""
-    assert_same(scene)
+def assert_looks_like(scene: Scene, usual: Scene) -> None:
+    """Assert that culling changes nothing, and that the scene looks like one of usual size."""
+    assert_unchanged(scene)
     np.testing.assert_allclose(render(scene), render(usual), rtol=0, atol=1e-5)
 
 
@@ -158,7 +158,7 @@ def test_floors_without_end(size, thickness):
         corners = {"min_pt": (-size, -thickness, -size), "max_pt": (size, 0, size)}
         return replace(scene, surfaces=[replace(floor, **corners), ball])
 
-    assert_like(with_size(size), with_size(1e6))
+    assert_looks_like(with_size(size), with_size(1e6))
 
 
 @pytest.mark.parametrize("direction", [(1, 2, 1.5), (1, 1, 0), (0, 1, 0)])
@@ -169,7 +169,7 @@ def test_distant_lights(distance, direction):
     def with_light_at(distance: float) -> Scene:
         return replace(scene, lights=[PointLight(position=distance * np.array(direction))])
 
-    assert_like(with_light_at(distance), with_light_at(1e6))
+    assert_looks_like(with_light_at(distance), with_light_at(1e6))
 
 
 def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(monkeypatch):
@@ -199,7 +199,7 @@ def test_runs_consist_of_neighbours():
 
 
 def with_nine_lights(scene: Scene) -> Scene:
-    """Return the scene with nine lights of two colours in a row."""
+    """Replace the lights of a scene by nine lights of two colours in a row."""
     lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
     return replace(scene, lights=lights)
 
@@ -270,7 +270,7 @@ def test_a_ball_that_touches_the_eye_from_behind_is_not_visible():
 
 
 def record_sizes(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> list[int]:
-    """Record how many items each batch has that a generator function yields.
+    """Record the sizes of the batches that a generator function yields.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def record_sizes(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> l
 
 
 def balls_side_by_side(light: Vector, count: int, radius: float, ground: Sphere) -> Scene:
-    """Return a scene with this many balls of one radius at random positions, and a ground."""
+    """Build a scene with `count` balls of one radius at random positions, and a ground."""
     rng = np.random.default_rng(1)
     balls = [Sphere(center=c, radius=radius) for c in rng.uniform(-1, 1, (count, 3)).tolist()]
     camera = Camera(view_point=(0, 0, 9), proj_distance=4)

@@ -17,7 +17,7 @@ each_kind = pytest.mark.parametrize("kind", KINDS)
 each_count = pytest.mark.parametrize("samples", [1, 16])
 
 
-def scenes_of(kind: str, samples: int) -> list[Scene]:
+def random_scenes_of(kind: str, samples: int) -> list[Scene]:
     """Return random scenes of a kind: only one, of few pixels, if it has a thousand objects."""
     if kind == "crowd":
         return [random_scene(kind, 0, 11, 8)]
@@ -28,7 +28,7 @@ def scenes_of(kind: str, samples: int) -> list[Scene]:
 @each_kind
 @each_count
 def test_scale(kind, samples):
-    for scene in scenes_of(kind, samples):
+    for scene in random_scenes_of(kind, samples):
         image = render(scene, samples)
         # Multiplication by a power of two is exact, as long as no square leaves the range.
         for power in (-200, -1, 40, 200):
@@ -38,7 +38,7 @@ def test_scale(kind, samples):
 @each_kind
 @each_count
 def test_duplicates(kind, samples):
-    for scene in scenes_of(kind, samples):
+    for scene in random_scenes_of(kind, samples):
         duplicated = replace(scene, surfaces=[*scene.surfaces] * 2)
         assert np.array_equal(render(duplicated, samples), render(scene, samples))
 
@@ -46,7 +46,7 @@ def test_duplicates(kind, samples):
 @each_kind
 @each_count
 def test_order_of_lights(kind, samples):
-    for scene in scenes_of(kind, samples):
+    for scene in random_scenes_of(kind, samples):
         reversed_lights = replace(scene, lights=scene.lights[::-1])
         # A sum of three positive terms has two rounding errors in either order.
         np.testing.assert_allclose(
@@ -57,7 +57,7 @@ def test_order_of_lights(kind, samples):
         )
 
 
-def has_ties(kind: str, scene: Scene) -> bool:
+def may_have_ties(kind: str, scene: Scene) -> bool:
     """Return whether the inner side of the floor may be visible, with objects that stand on it."""
     return kind in ("touching", "duplicated") and -1 <= scene.camera.view_point[1] <= 0
 
@@ -68,7 +68,7 @@ def test_order_of_surfaces_and_size_of_batches(kind, samples, monkeypatch):
     # If surfaces are at the same distance, the first in the file is visible.  So that the order
     # does not matter, all surfaces get one shader here.
     rng, shader = np.random.default_rng(1), Lambertian(diffuse=(0.9, 0.5, 0.1))
-    scenes = [scene for scene in scenes_of(kind, samples) if not has_ties(kind, scene)]
+    scenes = [scene for scene in random_scenes_of(kind, samples) if not may_have_ties(kind, scene)]
     assert scenes
     for scene in scenes:
         surfaces = [replace(surface, shader=shader) for surface in scene.surfaces]

@@ -229,7 +229,7 @@ def test_decisions_from_afar(distance):
 
 
 def largest_error(scenes: Iterable[Scene]) -> float:
-    """Return the largest error of any pixel; all pixels must show the only object of their scene.
+    """Compute the largest error of any pixel in scenes whose only object fills the picture.
 
     If the object is white and Lambertian, and a separate light shines in each channel, then the
     error of a channel is that of a component of the normal.
