@@ -184,16 +184,16 @@ def test_a_light_in_a_closed_surface_lights_nothing_outside(closed):
 
 @pytest.mark.parametrize("slope", [-0.6, -0.3, 0.05, 0.4, 0.7])
 def test_every_pixel_that_a_terminator_crosses_is_found(slope, monkeypatch):
-    found, real_classify = [], refine.classify
+    classifications, real_classify = [], refine.classify
 
     def record_classification(*arguments):
-        found.append(real_classify(*arguments))
-        return found[-1]
+        classifications.append(real_classify(*arguments))
+        return classifications[-1]
 
     monkeypatch.setattr(refine, "classify", record_classification)
     light = np.array([100, 100 * slope, -5])
     render(view(BALL, light=light), 4)
-    cells, lines = found[0].cells, found[0].lines
+    cells, lines = classifications[0].cells, classifications[0].lines
     # n . l, with the vector l to the light, at the four corners of each pixel; NaN beside the ball.
     corners = [
         first_hits(view(BALL), cells.center_x + dx, cells.center_y + dy)
@@ -203,7 +203,7 @@ def test_every_pixel_that_a_terminator_crosses_is_found(slope, monkeypatch):
     is_crossed = (n_dot_l > 1e-6).any(axis=0) & (n_dot_l < -1e-6).any(axis=0)
     is_crossed &= np.isfinite(n_dot_l).all(axis=0)
     assert is_crossed.sum() > 3
-    assert {*np.flatnonzero(is_crossed & ~found[0].is_unresolved)} <= {*lines.cell}
+    assert {*np.flatnonzero(is_crossed & ~classifications[0].is_unresolved)} <= {*lines.cell}
 
 
 @pytest.mark.parametrize(("name", "improvement"), [("one-sphere", 9), ("four-spheres", 14)])
@@ -322,11 +322,11 @@ def test_more_lights_than_bits_in_an_id(monkeypatch):
     wall = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))
     ball = Sphere(center=(0, 0, -4), radius=1.2, shader=RED)
     camera = Camera(view_width=1, view_height=1)
-    many = scene_of(wall, ball, camera=camera, size=(9, 9), lights=[first, *[other] * 65])
-    two = replace(many, lights=[first, replace(other, intensity=(65 / 66,) * 3)])
-    image = render(many, 64)
+    scene_of_many = scene_of(wall, ball, camera=camera, size=(9, 9), lights=[first, *[other] * 65])
+    scene_of_two = replace(scene_of_many, lights=[first, replace(other, intensity=(65 / 66,) * 3)])
+    image = render(scene_of_many, 64)
     # The wall and the ball, each reached by the first light, and shaded from it.
     assert np.unique(np.concatenate(ids)).size == 4
-    np.testing.assert_allclose(image, render(two, 64), atol=1e-12)
-    np.testing.assert_allclose(render(many, 16), render(two, 16), atol=1e-12)
-    assert_no_worse_than_grid(two, error_factor=2, sample_counts=(16, 64))
+    np.testing.assert_allclose(image, render(scene_of_two, 64), atol=1e-12)
+    np.testing.assert_allclose(render(scene_of_many, 16), render(scene_of_two, 16), atol=1e-12)
+    assert_no_worse_than_grid(scene_of_two, error_factor=2, sample_counts=(16, 64))

@@ -240,7 +240,8 @@ def _add_lights(
         shadow edge that was not searched for, too many shadow edges, or a narrow highlight.  An
         index may be repeated.
     crowded_cell : (j,) int array
-        Indices of cells with so many shadow edges that a lattice of samples costs less.
+        Indices of cells in which finding all shadow edges would cost more than a lattice of
+        samples.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = light_geometry(hits, lights)

@@ -71,8 +71,8 @@ def is_supersampling_cheaper(prepared: PreparedScene, per_side: int) -> bool:
     Returns
     -------
     is_cheaper : bool
-        True if silhouettes of many different objects cross the same pixels: so many, compared with
-        per_side x per_side, that uniform samples cost less.
+        True if the mean number of pairs of silhouettes that cross the same pixel is large compared
+        with per_side x per_side.
     """
     density = prepared.bounds.silhouette_density(prepared.frame)
     return density > _MAX_SILHOUETTE_PAIRS * per_side**2
