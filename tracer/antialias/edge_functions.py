@@ -295,7 +295,7 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
 class InverseDepth(NamedTuple):
     """The surfaces at n hits as functions on the picture: 1 / t, where a ray meets them at t.
 
-    Here t is the factor by which a ray d from the eye is multiplied to end on the surface.
+    A ray d from the eye, multiplied by t, ends on the surface.
 
     - A plane n . x = n . p has 1 / t = d . n / (n . p), which is a linear function of d.
     - A sphere |t d - C|^2 = r^2 with the centre C has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P

@@ -206,7 +206,7 @@ def silhouettes(
         Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge.
         Silhouettes of boxes that do not cross the cell are excluded.
     values : (6, k) float array
-        Values of the edge function of the silhouette at the six points of the cell.
+        Values of each silhouette's edge function at the six points of the cell.
     """
     frame, spheres, boxes = prepared.frame, prepared.spheres, prepared.boxes
     apex_index, cell, object_index = triples

@@ -260,8 +260,8 @@ def _mean_of_samples(
     mean : (3, m) float array
         Mean linear RGB radiance of each sampled cell.
     missed_edge : (m,) bool array
-        Whether an edge crosses the cell that is not among its lines.  This is True if two samples
-        in the same region hit different faces or objects, or the same face under different lights.
+        Whether the lines of the cell miss an edge.  This is True if two samples in the same region
+        hit different faces or objects, or the same face under different lights.
     """
     cells, lines, count = classified.cells, classified.lines, cell_index.size
     mean, missed_edge = np.empty((3, count)), np.zeros(count, dtype=np.bool_)

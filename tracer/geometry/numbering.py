@@ -54,7 +54,7 @@ class ObjectRange(NamedTuple):
         Returns
         -------
         is_of_shape : (n,) bool array
-            Whether the object has this shape, that is, whether the index is in this range.
+            Whether the object has this shape.
         """
         return (object_index >= self.start) & (object_index < self.start + self.size)
 

@@ -110,8 +110,7 @@ def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
     Parameters
     ----------
     coordinate_size : (n,) float array
-        Upper bound on |x| + |y| + |z| for all points of the surface with which each hit is
-        compared.
+        Upper bound on |x| + |y| + |z| for all points of the surface near each hit.
     hit : tuple of three (n,) float arrays
         Coordinates x, y and z of the hits, in scene axes.
     eye : (3,) float array

@@ -74,8 +74,8 @@ class FirstHits:
 def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = None) -> FirstHits:
     """Find the first surface hit by the ray through each position of the picture.
 
-    If several surfaces are at exactly the same distance, the first of them in the scene file
-    counts.
+    Ties are decided by the order of the scene file: of several surfaces at exactly the same
+    distance, the first is hit.
 
     Parameters
     ----------

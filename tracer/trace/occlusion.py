@@ -367,8 +367,8 @@ def shadow_edges(
     Returns
     -------
     is_blocked : (lights, n) bool array
-        Whether an object, other than that on which the hit lies, blocks the segment from the hit to
-        the light; meaningless where `frontlit` is False.
+        Whether an object other than the hit's own blocks the segment from the hit to the light;
+        meaningless where `frontlit` is False.
     edge_triples : (3, m) int array
         The visible edges, sorted by light, then by hit, then by occluder.  Row 0 contains light
         indices, row 1 hit indices, and row 2 occluder indices.  If a hit has more than

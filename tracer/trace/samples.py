@@ -109,7 +109,7 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Mean number of samples in the width of a pixel, by which packets are sized.
+        """Mean number of samples in the width of a pixel, for the choice of the size of packets.
 
         This is a weighted geometric mean of the numbers across a pixel and down a pixel.  A packet
         (a group of neighbouring hits) lies along a row, so the number across has more weight.

@@ -27,8 +27,8 @@ _MAX_DISTANCE = np.finfo(np.float64).max
 def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     """Find the first surface that the ray through each sample hits.
 
-    If several surfaces are at exactly the same distance, the first of them in the scene file
-    counts.
+    Ties are decided by the order of the scene file: of several surfaces at exactly the same
+    distance, the first is hit.
 
     Parameters
     ----------
