@@ -346,7 +346,7 @@ class InverseDepth(NamedTuple):
             # Planes.  If the eye is on a sphere, the tangent plane at the hit replaces the sphere.
             k[:, interval] = [group.per_hit(normal / -group.eye_height) for normal in group.normal]
             if not group.shape.is_planar:
-                sphere_index = group.repeat_runs(group.run_object)  # spheres are the first objects
+                sphere_index = spheres.objects.positions(group.repeat_runs(group.run_object))
                 power_of_eye = spheres.power[sphere_index]
                 center = np.array(take3(spheres.from_eye, sphere_index))
                 w[interval] = np.where(power_of_eye != 0, 1 / power_of_eye, 0)

@@ -212,7 +212,8 @@ def silhouettes(
     apex_index, cell, object_index = triples
     on_sphere = indices(spheres.objects.contains(object_index))
     if on_sphere.size:
-        sphere_index, sphere_ray = object_index[on_sphere], map3(lambda x: x[:, on_sphere], ray)
+        sphere_index = spheres.objects.positions(object_index[on_sphere])
+        sphere_ray = map3(lambda x: x[:, on_sphere], ray)
         sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[on_sphere])
         center = map3(np.subtract, take3(spheres.from_eye, sphere_index), sphere_apex)
         values = sphere_edge_function(sphere_ray, center, spheres.radius[sphere_index])
@@ -462,7 +463,8 @@ class CellSurfaces(NamedTuple):
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
             lower right corner.  The function is the cosine of the angle between n and l.
         """
-        prepared, hit_object = self.hits.prepared, self.hits.hit_object
+        prepared, spheres = self.hits.prepared, self.hits.prepared.spheres
+        hit_object = self.hits.hit_object
         light_from_eye = prepared.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.
         turn = self.footprint * prepared.curvature[hit_object]
@@ -470,7 +472,8 @@ class CellSurfaces(NamedTuple):
             light_index, hit_index = np.divmod(pair_index, turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
             # The rays meet the sphere at ray / inverse_t.  All vectors are multiplied by inverse_t.
-            center = take3(prepared.spheres.from_eye, hit_object[hit_index])
+            sphere_index = spheres.objects.positions(hit_object[hit_index])
+            center = take3(spheres.from_eye, sphere_index)
             normal = map3(np.subtract, ray, scale3(center, inverse_t))
             light = scale3(take3(light_from_eye, light_index), inverse_t)
             to_light = map3(np.subtract, light, ray)

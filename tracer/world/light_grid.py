@@ -379,7 +379,7 @@ def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Flo
 
 
 def _split_by_octant(
-    low: Floats, high: Floats, patch: Ints, active: Bools
+    low: Floats, high: Floats, patch_of_octant: Ints, active: Bools
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Split boxes of vectors at the coordinate planes, and bound the directions in each part.
 
@@ -390,7 +390,7 @@ def _split_by_octant(
     ----------
     low, high : (3, lights, n) float arrays
         Minimum and maximum of each vector component, for each box.
-    patch : (8 * lights,) int array
+    patch_of_octant : (8 * lights,) int array
         Element octant * lights + light is negative if this octant of the light is to be skipped.
     active : (lights, n) or (1, 1) bool array
         Whether to process the box.
@@ -412,7 +412,7 @@ def _split_by_octant(
     # Whether each box contains vectors with x >= 0, and with x <= 0; the same for y and z.
     has_x, has_y, has_z = np.moveaxis(np.array([high >= 0, low <= 0]), 1, 0)
     reached = [z & y & x & active for z, y, x in product(has_z, has_y, has_x)]
-    is_wanted = (patch >= 0).reshape(8, -1, 1)
+    is_wanted = (patch_of_octant >= 0).reshape(8, -1, 1)
     octant, box_index = np.divmod(indices(np.array(reached) & is_wanted), low[0].size)
     components = []
     for axis in range(3):

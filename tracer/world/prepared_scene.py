@@ -174,7 +174,10 @@ class PreparedScene:
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """Iterator over all lights of the scene, in small batches that limit memory."""
+        """Iterator over all lights of the scene, in batches of at most `_MAX_LIGHTS` lights.
+
+        In scenes with many objects, batches have fewer lights, which limits memory.
+        """
         object_count = max(self.curvature.size, 1)
         step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, step):
