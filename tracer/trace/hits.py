@@ -74,12 +74,12 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(run_values, self.run_length)
 
-    def per_hit(self, tangent_values: Floats) -> Floats:
+    def per_hit(self, values: Floats) -> Floats:
         """Convert one value for each tangent plane to one value for each hit.
 
         Parameters
         ----------
-        tangent_values : float array
+        values : float array
             Values computed from `normal` or `eye_height`: (runs,) for planar shapes, where all hits
             of a run share a tangent plane; otherwise (n,).
 
@@ -88,9 +88,7 @@ class ShapeHits(NamedTuple):
         hit_values : (n,) float array
             The value of each hit.
         """
-        return (
-            repeat_runs(tangent_values, self.run_length) if self.shape.is_planar else tangent_values
-        )
+        return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
     def height_of(self, point: Floats, to_point: Triple) -> Floats:
         """Compute the height of a point above the tangent plane at each of n hits.

@@ -111,6 +111,11 @@ class _Intersections(NamedTuple):
     t: Floats
     hit_data: NDArray[Any]
 
+    @property
+    def pair_object(self) -> Ints:
+        """Index (n,) of each pair's object, among all objects of the scene."""
+        return repeat_runs(self.object_index, self.sample_count)
+
     def select(self, mask: Bools) -> _Intersections:
         """Select intersections, for pairs of a sample and an object.
 
@@ -243,15 +248,12 @@ def _select_visible(
     if sum(group.t.size for group in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
         return visible  # no sample has two nearest intersections
     file_index = prepared.surfaces.file_index
-    file_positions = [
-        repeat_runs(file_index.take(group.object_index), group.sample_count) for group in visible
-    ]
     first_position = np.full(nearest.size, file_index.size)
-    for group, file_position in zip(visible, file_positions, strict=True):
-        np.minimum.at(first_position, group.sample, file_position)
+    for group in visible:
+        np.minimum.at(first_position, group.sample, file_index.take(group.pair_object))
     return [
-        group.select(file_position == first_position.take(group.sample))
-        for group, file_position in zip(visible, file_positions, strict=True)
+        group.select(file_index.take(group.pair_object) == first_position.take(group.sample))
+        for group in visible
     ]
 
 
@@ -284,7 +286,7 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
         np.multiply(group.t, frame.depth, out=group_from_eye[2])
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         length = np.diff(run_start, append=end - start)
-        run_object = repeat_runs(group.object_index, group.sample_count)[run_start]
+        run_object = group.pair_object[run_start]
         surface = group.shape.tangent_planes(
             run_object, length, group_from_eye, group.t, group.hit_data
         )
