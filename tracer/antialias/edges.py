@@ -324,7 +324,7 @@ class CellSurfaces(NamedTuple):
             yield self.cell[visible_index[batch]], inverse_t - hidden_inverse_t
         # A crease of a box may be hidden, and yet its other face may be visible in the cell.
         is_close |= hidden_hits.prepared.is_eye_inside[hidden_hits.hit_object]
-        yield from self._edges_with_other_faces(hidden_hits, visible_index, is_close)
+        yield from self._edges_with_faces(hidden_hits, visible_index, is_close)
 
     def creases(self) -> Iterator[EdgeValues]:
         """Yield the creases near hits: the edges between two visible faces of the same box.
@@ -343,26 +343,26 @@ class CellSurfaces(NamedTuple):
         """
         every_hit = np.arange(self.cell.size)
         is_candidate = np.ones(self.cell.size, dtype=np.bool_)
-        return self._edges_with_other_faces(self.hits, every_hit, is_candidate)
+        return self._edges_with_faces(self.hits, every_hit, is_candidate)
 
-    def _edges_with_other_faces(
+    def _edges_with_faces(
         self, box_hits: Hits, visible_index: Ints, is_candidate: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where visible surfaces of cells may meet other faces of hit boxes.
+        """Yield the edges where the visible surfaces of cells may meet faces of boxes.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The same
-        ray has another hit on a face of a box, which may be hidden, or may be the visible hit
-        itself.  The other faces of this box may be visible in the cell although no sample hits
+        ray hits a box, in front of which the visible surface may lie, or on which the visible hit
+        itself may lie.  Other faces of this box may be visible in the cell although no sample hits
         them.
 
         Parameters
         ----------
         box_hits : Hits
-            The n hits.  Hits on spheres are skipped.
+            The n hits on the boxes.  Hits on spheres are skipped.
         visible_index : (n,) int array
             Index of the visible hit on the same ray as each hit.
         is_candidate : (n,) bool array
-            Whether to search for edges with the other faces of the hit's box.
+            Whether to search for edges with the faces of the hit's box.
 
         Yields
         ------
@@ -378,9 +378,11 @@ class CellSurfaces(NamedTuple):
         frame, boxes = prepared.frame, prepared.boxes
         angle = _half_diagonal(frame, self.cell_width)
         on_box = indices(is_candidate & boxes.objects.contains(hit_object))
-        hit_object, hit_face = hit_object[on_box], box_hits.hit_face[on_box]
+        hit_object, visible = hit_object[on_box], visible_index[on_box]
         from_eye, distance = take3(box_hits.from_eye, on_box), box_hits.distance[on_box]
-        visible = visible_index[on_box]
+        # A face of the box, if the visible hit lies on it, has no edge with itself.
+        is_same_box = self.hits.hit_object[visible] == hit_object
+        visible_face = np.where(is_same_box, self.hits.hit_face[visible], -1)
         visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
         box_index = boxes.objects.positions(hit_object)
         is_eye_inside = prepared.is_eye_inside[hit_object]
@@ -394,7 +396,7 @@ class CellSurfaces(NamedTuple):
             radius, n_dot_v = factor * from_eye[2] * angle, np.abs(height) / distance
             max_gap = footprint + _footprint_on_face(radius, n_dot_v, angle)
             is_near = np.abs(factor * distance - visible_distance) <= max_gap
-            for batch in index_batches(indices(is_near & (hit_face != axis))):
+            for batch in index_batches(indices(is_near & (visible_face != axis))):
                 ray, inverse_t = self.trace_rays(visible[batch])
                 face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
                 yield self.cell[visible[batch]], inverse_t - face_inverse_t
