@@ -123,10 +123,10 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     if options.is_class and options.output and not is_folder(options.output):
         problem = "several pictures need a folder; end it in"
         exit_with(printable(f"-o {options.output}: {problem} {os.sep}"))
-    hand_ins = match_hand_ins(pictures, options.folder, options.b)
+    hand_ins = match_hand_ins(pictures, options.a, options.b)
     outputs = [_output_path(options, picture) for picture in pictures if options.output]
     outputs += [Path(options.html)] if options.html else []
-    references = (hand_in.right for hand_in in hand_ins if hand_in.right)
+    references = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
     forbid_overwriting_inputs(command_parser, outputs, (*pictures, *references))
     return options, hand_ins
 
@@ -177,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options, hand_ins = _parse(arguments)
     # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
-    jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.right))
+    jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
     compare = partial(compare_hand_in, options)
     compared = map_in_workers(compare, jobs, lambda hand_in: compare(hand_in._replace(error=_LOST)))
     results_and_pairs = sorted(track(compared, len(jobs), "pictures"), key=_sort_key)
@@ -266,15 +266,15 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         Both pictures, as the HTML page needs them.  None if no page is requested, if the sizes
         differ, or if the picture cannot be compared.
     """
-    picture_name, reference_name = (str(p) if p else None for p in (hand_in.picture, hand_in.right))
+    picture_name, reference_name = (str(p) if p else None for p in (hand_in.picture, hand_in.reference))
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
     missing_name = Path(hand_in.student, hand_in.scene) if hand_in.student else reference_name
     where = picture_name or str(missing_name)
     try:
-        if hand_in.error or not (hand_in.picture and hand_in.right):
+        if hand_in.error or not (hand_in.picture and hand_in.reference):
             raise Failure(where, hand_in.error)
         with errors_as_failure(where, "compared", memory_remedy="compare a part"):
-            return _compare(options, hand_in.picture, hand_in.right, result)
+            return _compare(options, hand_in.picture, hand_in.reference, result)
     except Failure as failure:
         return result._replace(error=str(failure)), None
     except Exception as bug:

@@ -1,4 +1,7 @@
-"""The results of a class on one page: by student and by scene, with all pairs of pictures."""
+"""Show the results of a class on one HTML page: a table by student and scene, and all pictures.
+
+A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.
+"""
 
 from __future__ import annotations
 
@@ -18,27 +21,32 @@ _LEGEND = (
 )
 
 
-def make_pair(result: Result, handin: Codes, right: Codes) -> Pair:
-    """Return what an HTML page shows of a hand-in: both pictures, their difference and figures.
+def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes) -> Pair:
+    """Prepare a hand-in, its reference picture and their difference for an HTML page.
 
     Parameters
     ----------
     result : Result
         The result of comparing the two pictures.
-    handin, right : (h, w, 3) uint8 arrays
-        Codes of the picture that was handed in, and of the right picture.
+    handin_codes, reference_codes : (h, w, 3) uint8 arrays
+        8-bit codes of the picture that a student handed in, and of the reference picture.
+
+    Returns
+    -------
+    Pair
+        What the page shows: the three pictures, a thumbnail, the diagnosis and the figures.
     """
-    diagnosis = result.diagnosis
+    diagnosis, linear = result.diagnosis, map(decode_to_linear, (handin_codes, reference_codes))
     return prepare_pair(
-        handin,
-        right,
-        *amplify_difference(decode_to_linear(handin), decode_to_linear(right)),
+        handin_codes,
+        reference_codes,
+        *amplify_difference(*linear),
         name=str(result.picture),
         good=result.agrees,
         word=result.verdict,
         left="hand-in",
         right="right",
-        thumbnail=encode_png(handin, thumbnail=True),
+        thumbnail=encode_png(handin_codes, thumbnail=True),
         notes=[str(diagnosis)],
         worst=result.worst if result.differing else None,
         figures=[
@@ -50,58 +58,47 @@ def make_pair(result: Result, handin: Codes, right: Codes) -> Pair:
     )  # fmt: skip
 
 
-def _make_cell(result: Result, pair: Pair | None, pair_index: int | None) -> Cell:
-    """Return the table cell for one result; rows are students, and columns are scenes.
-
-    Its text is the verdict, or, for a picture that differs, the sentences of the first cause.
-
-    Parameters
-    ----------
-    result : Result
-        The result of a comparison.
-    pair : Pair or None
-        The pair of pictures on the page, if there is one; the cell shows its thumbnail.
-    pair_index : int or None
-        Index of the pair on the page; the cell links to this pair.
-    """
-    text = result.verdict
-    if result.diagnosis and text == "differs":
-        text = result.diagnosis.first
-    return Cell(text, pair_index, result.agrees, pair["thumbnail"] if pair else None)
-
-
 def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
-    """Return a page, as HTML, that shows the results of a class.
+    """Render an HTML page that shows the results of a class.
 
-    It has a table by student and by scene, the pairs of pictures, the number of pictures with each
-    mistake, and what could not be compared.
+    The page contains a table by student and scene, the pairs of pictures, the number of pictures
+    with each mistake, and what could not be compared.
 
     Parameters
     ----------
     results : sequence of Result
-        All results of the class.
+        All results of the class, missing pictures included.
     pairs : dict of str to Pair
-        The pairs of pictures to show, by the path of the picture that was handed in.
+        What the page shows of each picture, by the path of the file that was handed in.
     folder : Path
         Folder of the class.  The page shows the paths of pictures relative to it.
+
+    Returns
+    -------
+    str
+        The page as HTML.
     """
-    index_of = {path: k for k, path in enumerate(pairs)}
+    pair_index = {path: k for k, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
     right_scenes: dict[str, set[str]] = defaultdict(set)
+    # What could not be compared, or has no pair of pictures on the page.
+    notes = list[str]()
     for result in results:
+        path, diagnosis = result.picture or "", result.diagnosis
         if result.student and result.scene:
-            path, student = result.picture or "", result.student
-            cell = _make_cell(result, pairs.get(path), index_of.get(path))
-            cells[student][result.scene].append(cell)
-            right_scenes[student].update([result.scene] if result.agrees else [])
+            text = diagnosis.first if diagnosis and not result.agrees else result.verdict
+            thumbnail = pairs[path]["thumbnail"] if path in pairs else None
+            cell = Cell(text, pair_index.get(path), result.agrees, thumbnail)
+            cells[result.student][result.scene].append(cell)
+            right_scenes[result.student].update([result.scene] if result.agrees else [])
+        if diagnosis and path not in pairs:
+            notes.append(f"{path}: {diagnosis}")
+        elif result.error and (path or not result.student):
+            notes.append(result.error)
     scenes = sorted({scene for cells_of_scenes in cells.values() for scene in cells_of_scenes})
     rows = [[[Cell(student)], [Cell(f"{len(right_scenes[student])} of {len(scenes)}")],
              *(cells[student].get(scene, []) for scene in scenes)]
             for student in sorted(cells)]  # fmt: skip
-    notes = [f"{result.picture}: {result.diagnosis}" for result in results
-             if result.diagnosis and result.picture not in pairs]  # fmt: skip
-    errors = [result.error for result in results if result.error and not (
-        result.student and result.scene and not result.picture)]  # fmt: skip
     return render_page(
         title=f"Hand-ins in {folder}",
         lead=f"{len(cells)} students, {len(scenes)} scenes.",
@@ -112,6 +109,6 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
         rows=rows,
         pairs=[pair | {"name": os.path.relpath(path, folder)} for path, pair in pairs.items()],
         legend=_LEGEND,
-        below=[*mistake_lines(results), *notes, *errors],
+        below=[*mistake_lines(results), *notes],
         is_folded=True,
     )

@@ -1,22 +1,35 @@
-"""Say what is wrong with a hand-in: with which mistakes a scene renders so, or where it differs.
+"""Diagnose hand-ins: name the mistakes that they contain, or state where they differ.
 
-A cause (a tuple of mistakes that are made together) is reported only if the scene, rendered with
-it, gives the hand-in.  With a scene, all mistakes of the table can be rendered; with a right
-picture alone, only some mistakes of the camera and of the encoding can be.
+A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.  A
+*cause* is a tuple of keywords of mistakes that are made together.  A cause is reported only if the
+scene, rendered with these mistakes, gives the hand-in.  Without the scene, a reference picture
+alone shows only some mistakes of the camera and of the encoding.
 """
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from reference.handins import symptoms
 from reference.handins.formulas import Array
 from reference.handins.mistakes import OF_PICTURE
-from reference.handins.search import MAX_PIXELS, Cause, Finding, KnownPictures, Search, difference
+from reference.handins.search import (
+    MAX_PIXELS,
+    Cause,
+    Finding,
+    MistakeRenderer,
+    Search,
+    difference,
+    to_columns,
+    to_picture,
+)
 from reference.pictures import Codes, Picture
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
@@ -24,14 +37,14 @@ AGREEING = ("identical", "rounding", "format")
 """Keywords of the diagnoses of right pictures."""
 UNKNOWN = "unknown"
 """Keyword of the diagnosis of a picture that no known mistake explains."""
-# Maximum number of surfaces, and of alternatives, that a text names.
+# Maximum number of surfaces, and of alternative causes, that a report names.
 _MAX_NAMED = 3
-# Lights are named that are wrong at this part of the pixels that differ.
-_MIN_LIGHT_SHARE = 0.1
-# Light read from a picture is off by at most this many levels, as its codes were rounded.
+# A light is named if it is wrong at more than this part of the wrong pixels.
+_MIN_LIGHT_PART = 0.1
+# Light that is read from a picture is off by at most this many levels, as its codes were rounded.
 _PICTURE_LEVELS = 3
 # How pictures that are turned are turned back, by the keywords of the mistakes.
-_TURNS: dict[str, Callable[[Codes], Codes]] = {
+_TURN_BACK: dict[str, Callable[[Codes], Codes]] = {
     "transposed": lambda codes: codes.swapaxes(0, 1),
     "turned-90": lambda codes: np.rot90(codes, -1),
     "turned-270": np.rot90,
@@ -40,15 +53,15 @@ _TURNS: dict[str, Callable[[Codes], Codes]] = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The verdict on a picture that was handed in, or the mistakes that explain its difference.
+    """The verdict on a picture that a student handed in, or the mistakes that it contains.
 
     Attributes
     ----------
     causes : tuple of dict of str to str
-        The alternatives, at least one.  Each contains the mistakes that are made together: their
-        keywords, and for each keyword its sentence, as in
-        ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as "identical", is an alternative
-        with one keyword, and then the only one.
+        The alternative causes, at least one.  Each contains the mistakes that are made together:
+        the key is the keyword of a mistake, and the value is its sentence, as in
+        ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as "identical", is a cause with
+        one keyword, and then the only one.
     before, after : str
         Sentences that the report contains before and after those of the causes; may be empty.
     hint : str
@@ -63,119 +76,105 @@ class Diagnosis:
 
     @property
     def kind(self) -> str:
-        """All keywords: those of one cause joined by ``+``, and the alternatives by ``|``."""
+        """All keywords: those of one cause are joined by ``+``, alternative causes by ``|``."""
         return "|".join("+".join(cause) for cause in self.causes)
 
     @property
     def first(self) -> str:
-        """The sentences of the first alternative, joined by spaces."""
+        """The sentences of the first cause, joined by spaces."""
         return " ".join(self.causes[0].values())
 
     def __str__(self) -> str:
-        """Return the report: all sentences, with at most `_MAX_NAMED` alternatives in brackets."""
-        alternatives = [
-            " ".join(sentence for kind, sentence in cause.items() if kind not in self.causes[0])
-            for cause in self.causes[1:]
-        ]
-        alternatives = [text for text in alternatives if text]
-        note = ""
+        """Return the report: all sentences, with a few alternative causes in brackets."""
+        first_cause, *others = self.causes
+        sentences = [" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
+                     for cause in others]  # fmt: skip
+        alternatives, note = [*filter(None, sentences)], ""
         if alternatives:
             unnamed_count = len(alternatives) - _MAX_NAMED + 1
             note = " Or: ".join(alternatives[: _MAX_NAMED - 1])
             note += f" Or one of {unnamed_count} more." if unnamed_count > 0 else ""
             note = f"(In this scene one cannot tell it from: {note})"
-        return _join_sentences(self.before, self.first, note, self.after)
+        return " ".join(filter(None, (self.before, self.first, note, self.after)))
 
     def preceded_by(self, sentence: str) -> Diagnosis:
-        """Return a copy whose report begins with another sentence; an empty one adds nothing."""
-        return replace(self, before=_join_sentences(sentence, self.before))
+        """Return a copy whose report begins with another sentence, which may be empty."""
+        return replace(self, before=f"{sentence} {self.before}".strip())
 
-    def with_mistake(self, kind: str, sentence: str, before: str = "") -> Diagnosis:
-        """Return a copy in which each cause has one more mistake, at its beginning.
+    def with_mistake(self, keyword: str, sentence: str) -> Diagnosis:
+        """Return a copy in which each cause begins with one more mistake.
 
         If this diagnosis states that the picture is right, the mistake becomes the only cause.
 
         Parameters
         ----------
-        kind, sentence : str
+        keyword, sentence : str
             Keyword of the mistake, and the sentence that describes it.
-        before : str
-            Sentence with which the report begins.
         """
-        other_causes = () if self.kind in AGREEING else self.causes
-        causes = tuple({kind: sentence} | cause for cause in other_causes)
-        return replace(self, causes=causes or ({kind: sentence},)).preceded_by(before)
+        other_causes = ({},) if self.kind in AGREEING else self.causes
+        return replace(self, causes=tuple({keyword: sentence} | cause for cause in other_causes))
 
-    def preferring(self, preferred: Iterable[str]) -> Diagnosis:
-        """Return a copy with the causes in another order: preferred ones first.
+    def most_frequent_first(self, frequency: Counter[str]) -> Diagnosis:
+        """Return a copy whose causes are sorted by frequency, the most frequent first.
 
         Parameters
         ----------
-        preferred : iterable of str
-            Causes, the most preferred first, as their keywords joined by ``+``.  Other causes
-            follow in the order of this diagnosis.
+        frequency : Counter of str
+            The frequency of each cause; the key is the cause's keywords, joined by ``+``.
         """
-        place = {cause: k for k, cause in enumerate(preferred)}
-        order = sorted(self.causes, key=lambda cause: place.get("+".join(cause), len(place)))
-        return replace(self, causes=tuple(order))
+        causes = sorted(self.causes, key=lambda cause: -frequency["+".join(cause)])
+        return replace(self, causes=tuple(causes))
 
 
-def _join_sentences(*sentences: str) -> str:
-    """Join sentences by spaces; empty ones are skipped."""
-    return " ".join(filter(None, sentences))
-
-
-def _verdict(
-    kind: str, sentence: str, before: str = "", after: str = "", hint: str = ""
-) -> Diagnosis:
-    """Return a diagnosis with one keyword; the other arguments are those of `Diagnosis`."""
-    return Diagnosis(({kind: sentence},), before, after, hint)
+def _verdict(keyword: str, sentence: str) -> Diagnosis:
+    """Return a diagnosis with one keyword, such as "identical", and a sentence that explains it."""
+    return Diagnosis(({keyword: sentence},))
 
 
 class Solution:
-    """The right picture of a task, with which pictures that were handed in are compared.
+    """The solution of a task: a scene or a reference picture, with which hand-ins are compared.
+
+    A hand-in is a picture that a student handed in.
 
     Parameters
     ----------
     scene : Scene or Picture
-        The scene; or, if there is no scene, a right picture.
+        The scene; or, if there is no scene, the reference picture.
     name : str
         The scene's file as a user types it on a command line; it appears in reports.
 
     Attributes
     ----------
     scene : Scene or None
-        None if only a right picture is known.
+        None if only a reference picture is known.
     picture : Picture
-        The right picture.
+        The reference picture.
     codes : (h, w, 3) uint8 array
-        The codes of the right picture.
+        The codes of the reference picture.
     """
 
     def __init__(self, scene: Scene | Picture, name: str = "") -> None:
-        self.name, self._known = name, dict[tuple[int, int], KnownPictures]()
-        self.scene = scene if isinstance(scene, Scene) else None
+        self.name, self.scene = name, scene if isinstance(scene, Scene) else None
         self.picture = Picture(_render_codes(scene)) if isinstance(scene, Scene) else scene
         self.codes: Codes = self.picture.codes
-        self.height, self.width = self.codes.shape[:2]
+        # Renderers of two sizes are cached: those of all sizes of a class would fill the memory.
+        self._renderer = lru_cache(maxsize=2)(self._new_renderer)
 
-    def _known_pictures(self, height: int, width: int) -> KnownPictures:
-        """Return the known pictures, right and with mistakes, of a size in pixels.
+    def _new_renderer(self, height: int, width: int) -> MistakeRenderer:
+        """Return a renderer of pictures with mistakes.
 
-        Those of the right size and of one more size are cached; more would take too much memory.
-        Without a scene, only the size of the right picture is possible.
+        Parameters
+        ----------
+        height, width : int
+            Size of the pictures in pixels: without a scene, the size of the reference picture.
         """
-        size = height, width
-        if size not in self._known:
-            right_size = self.height, self.width
-            self._known = {k: known for k, known in self._known.items() if k == right_size}
-            scene = self.scene and replace(self.scene, width=width, height=height)
-            codes = self.codes if size == right_size or not scene else _render_codes(scene)
-            surface = _visible_surfaces(scene) if scene else codes.any(axis=2).ravel() - 1
-            formulas = {} if scene else OF_PICTURE
-            known = KnownPictures(scene or codes, _to_columns(codes), surface, width, formulas)
-            self._known[size] = known
-        return self._known[size]
+        codes = self.codes
+        if not self.scene:
+            surface_index = codes.any(axis=2).ravel() - 1
+            return MistakeRenderer(codes, to_columns(codes), surface_index, width, OF_PICTURE)
+        scene = replace(self.scene, width=width, height=height)
+        codes = codes if codes.shape[:2] == (height, width) else _render_codes(scene)
+        return MistakeRenderer(scene, to_columns(codes), _visible_surfaces(scene), width, {})
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
@@ -184,54 +183,61 @@ class Solution:
         Parameters
         ----------
         picture : Picture
-            The picture that was handed in.  Another size than the right one is a mistake; for a
-            turned picture, the picture that is turned back is diagnosed.
+            The picture that a student handed in.  If its size is wrong, this is reported as a
+            mistake.  If it is turned, the picture is turned back and then diagnosed.
         """
-        codes = picture.codes
-        height, width = codes.shape[:2]
-        if (height, width) == (self.height, self.width):
+        (height, width), (right_height, right_width) = picture.codes.shape[:2], self.codes.shape[:2]
+        if (height, width) == (right_height, right_width):
             return self._diagnose_at_own_size(picture)
-        size = f"The picture has {width}x{height} pixels in place of {self.width}x{self.height}."
-        if diagnosis := diagnose_single_color(codes):
+        size = f"The picture has {width}x{height} pixels in place of {right_width}x{right_height}."
+        if diagnosis := diagnose_single_color(picture.codes):
             return diagnosis
-        if keyword_and_sentence := symptoms.find_right_picture_within(codes, self.codes):
-            return _verdict(*keyword_and_sentence, before=size)
-        if (height, width) == (self.width, self.height):
-            upright = {turn: np.ascontiguousarray(turned(codes)) for turn, turned in _TURNS.items()}
-            turn = min(upright, key=lambda turn: int(_distance(upright[turn], self.codes).sum()))
-            sentence = self._known_pictures(self.height, self.width).text[turn]
+        if keyword_and_sentence := symptoms.find_reference_within(picture.codes, self.codes):
+            return _verdict(*keyword_and_sentence).preceded_by(size)
+        if (height, width) == (right_width, right_height):
+            upright = {keyword: np.ascontiguousarray(turn_back(picture.codes))
+                       for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
+            turn = min(upright, key=lambda turn: difference(upright[turn], self.codes, 2).sum())
             diagnosis = self._diagnose_at_own_size(picture._replace(codes=upright[turn]))
             if diagnosis.kind != UNKNOWN:
-                return diagnosis.with_mistake(turn, sentence, size)
+                sentence = self._renderer(right_height, right_width).mistakes[turn].sentence
+                return diagnosis.with_mistake(turn, sentence).preceded_by(size)
+        if not self.scene:
+            return _verdict("size", size)
         return self._diagnose_at_own_size(picture).with_mistake("size", size)
 
     def _diagnose_at_own_size(self, picture: Picture) -> Diagnosis:
-        """Diagnose a picture, compared with the right picture that has the size of `picture`."""
-        codes, picture_save = picture.codes, picture.save
+        """Diagnose a picture, compared with the reference picture of the same size.
+
+        Parameters
+        ----------
+        picture : Picture
+            The picture that a student handed in.  Without a scene, it has the size of the reference
+            picture.
+        """
+        codes, save = picture.codes, picture.save
         height, width = codes.shape[:2]
-        known = self._known_pictures(height, width)
-        right_codes = _to_picture(known.right_codes, width)
-        if diagnosis := diagnose_agreement(codes, right_codes) or diagnose_single_color(codes):
+        renderer = self._renderer(height, width)
+        reference_codes = to_picture(renderer.reference_codes, width)
+        if diagnosis := diagnose_agreement(codes, reference_codes) or diagnose_single_color(codes):
             return diagnosis
         codes = self.picture.save(codes) if self.picture.save else codes
         lossy_levels = max(picture.lossy_levels, self.picture.lossy_levels)
         search = Search(
-            _to_columns(codes),
-            known,
+            to_columns(codes),
+            renderer,
             lossy_levels or _PICTURE_LEVELS * (self.scene is None),
-            picture_save and (lambda flat: _to_columns(picture_save(_to_picture(flat, width)))),
+            save and (lambda columns: to_columns(save(to_picture(columns, width)))),
         )
         if lossy_levels and search.is_wrong.mean() < 0.01:
             return _verdict("format", "It is the right picture.")
         finding = search.find()
         if finding.causes:
-            causes = tuple(_sentences_of(cause, search) for cause in finding.causes)
-            after = (
-                f"That leaves {finding.remaining_count:,} of {search.wrong_count:,} pixels"
-                " that differ."
-            )
-            return Diagnosis(causes, after=after if finding.remaining_count else "")
-        if not search.lossy_levels and (keyword_and_sentence := _find_symptom(search)):
+            numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,}"
+            remainder = f"That leaves {numbers} pixels that differ."
+            causes = (_sentences_of(cause, search) for cause in finding.causes)
+            return Diagnosis(tuple(causes), after=remainder if finding.unexplained_count else "")
+        if not search.lossy_levels and (keyword_and_sentence := symptoms.find_symptom(search)):
             return _verdict(*keyword_and_sentence)
         return self._diagnose_unknown(search, finding)
 
@@ -241,10 +247,10 @@ class Solution:
         Parameters
         ----------
         search : Search
-            The picture that was handed in, with its wrong pixels.
+            The picture that a student handed in, and its wrong pixels.
         finding : Finding
-            The result of the search: no cause, and perhaps a hint (the cause with the most similar
-            picture).
+            The result of the search: no cause, and perhaps a hint (the mistakes with the most
+            similar picture).
 
         Returns
         -------
@@ -252,20 +258,19 @@ class Solution:
             Of the kind "unknown".  Its sentences describe the hint, and which pixels differ.
         """
         if not search.clearly_wrong_count:
-            count_text = _count_pixels(search.wrong_count, "is", "are")
-            sentence = f"{count_text} one level off; no known mistake does this."
-            return _verdict(UNKNOWN, sentence)
-        count = len(search.known.table)
-        sentence, nearest = f"None of the {count} known mistakes explains this picture.", ""
+            pixels = symptoms.count_pixels(search.wrong_count, "is", "are")
+            return _verdict(UNKNOWN, f"{pixels} one level off; no known mistake does this.")
+        mistake_count, after = len(search.renderer.mistakes), ""
+        sentence = f"None of the {mistake_count} known mistakes explains this picture."
         if finding.hint:
             nearest = " ".join(_sentences_of(finding.hint, search).values())
-            numbers = f"{finding.remaining_count:,} of {search.wrong_count:,} pixels"
-            nearest = f"The nearest that is known: {nearest} It does not explain {numbers}."
-        after = _join_sentences(nearest, self._describe_differences(search, finding.hint))
-        return _verdict(UNKNOWN, sentence, after=after, hint="+".join(finding.hint))
+            numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,} pixels"
+            after = f"The nearest that is known: {nearest} It does not explain {numbers}. "
+        after += self._describe_differences(search, finding.hint)
+        return Diagnosis(({UNKNOWN: sentence},), after=after, hint="+".join(finding.hint))
 
     def _describe_differences(self, search: Search, hint: Cause) -> str:
-        """Return sentences that state where a picture differs from the right one.
+        """Describe, in sentences, where a picture differs from the reference picture.
 
         They name the surfaces with most of the wrong pixels, the lights that are wrong there, and
         the worst pixel.  If there is a hint, or if outlines differ, the lights and the worst pixel
@@ -274,62 +279,63 @@ class Solution:
         Parameters
         ----------
         search : Search
-            The picture that was handed in, with its wrong pixels.
+            The picture that a student handed in, and the renderer of its scene.
         hint : tuple of str
             Keywords of the mistakes with the most similar picture; may be empty.
         """
-        known = search.known
-        is_wrong = difference(known.right_codes, search.handin) > 1
-        pictures = (_to_picture(codes, known.width) for codes in (search.handin, known.right_codes))
-        x, y = worst_pixel(*pictures)
-        pixel = y * known.width + x
-        handin_code, right_code = (" ".join(map(str, codes[:, pixel]))
-                                   for codes in (search.handin, known.right_codes))  # fmt: skip
-        worst = f" The worst is {x},{y}: {handin_code} in place of {right_code}"
-        count_text = _count_pixels(is_wrong.sum())
+        renderer = search.renderer
+        both_codes = search.handin_codes, renderer.reference_codes
+        width, height = renderer.width, renderer.pixel_count // renderer.width
+        levels = difference(*both_codes)
+        is_wrong = levels > 1
+        y, x = divmod(int(levels.argmax()), width)
+        handin_code, reference_code = (" ".join(map(str, codes[:, levels.argmax()]))
+                                       for codes in both_codes)  # fmt: skip
+        worst = f" The worst is {x},{y}: {handin_code} in place of {reference_code}"
+        count = symptoms.count_pixels(is_wrong.sum())
         if not self.scene:
-            return (
-                f"{count_text}.{worst}. With the scene in place of the right picture, more can be"
-                " said."
-            )
-        surfaces = _wrong_surfaces(self.scene, search, is_wrong)
-        has_wrong_outlines = (is_wrong & (known.surface < 0)).sum() > 0.02 * is_wrong.sum()
-        if has_wrong_outlines or hint:
-            return f"{count_text}: {surfaces}."
-        height = known.pixel_count // known.width
-        is_scene_size = (self.scene.width, self.scene.height) == (known.width, height)
-        option = "" if is_scene_size else f" --size {known.width}x{height}"
-        return (
-            f"{count_text}: {surfaces}.{_wrong_lights(self.scene, search, is_wrong)}{worst};"
-            f" tracer {self.name}{option} --pixel {x},{y} explains it."
-        )
+            advice = "With the scene in place of the right picture, more can be said."
+            return f"{count}.{worst}. {advice}"
+        count_and_surfaces = f"{count}: {_wrong_surfaces(self.scene, search, is_wrong)}."
+        on_background = is_wrong & (renderer.surface_index < 0)
+        if hint or on_background.sum() > 0.02 * is_wrong.sum():
+            return count_and_surfaces
+        is_scene_size = (self.scene.width, self.scene.height) == (width, height)
+        option = "" if is_scene_size else f" --size {width}x{height}"
+        command = f"tracer {self.name}{option} --pixel {x},{y}"
+        lights = _wrong_lights(self.scene, search, is_wrong)
+        return f"{count_and_surfaces}{lights}{worst}; {command} explains it."
 
 
 def _wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> str:
-    """Return words that name the surfaces with most of the wrong pixels, and the numbers of these.
+    """Name the surfaces that most of the wrong pixels show, with the numbers of these pixels.
 
     Parameters
     ----------
     scene : Scene
         The scene, for the names of its surfaces.
     search : Search
-        The picture that was handed in, with the known pictures of the scene.
+        The picture that a student handed in, and the renderer of its scene.
     is_wrong : (n,) bool array
-        Which pixels differ from the right picture by more than one level.
+        True for pixels that differ from the reference picture by more than one level.
+
+    Returns
+    -------
+    str
+        Words such as "12 of 345 on sphere 1 (line 8) (darker), 6 on others".
     """
-    change = search.handin.astype(np.int16) - search.known.right_codes
-    counts_and_texts = []
-    for k in np.unique(search.known.surface[is_wrong]):
-        is_on_surface = search.known.surface == k
-        name = str(SurfaceRef.from_index(scene, int(k))) if k >= 0 else "the background"
-        is_wrong_here = is_wrong & is_on_surface
-        count, brightness = int(is_wrong_here.sum()), _brightness_note(change[:, is_wrong_here])
-        text = f"{count:,} of {is_on_surface.sum():,} on {name}{brightness}"
-        counts_and_texts.append((count, text))
-    counts_and_texts.sort(key=lambda item: -item[0])
-    words = ", ".join(text for _, text in counts_and_texts[:_MAX_NAMED])
-    other_count = sum(count for count, _ in counts_and_texts[_MAX_NAMED:])
-    return words + (f", {other_count:,} on others" if other_count else "")
+    all_surfaces = search.renderer.surface_index
+    change = search.handin_codes.astype(np.int16) - search.renderer.reference_codes
+    surfaces, counts = np.unique(all_surfaces[is_wrong], return_counts=True)
+    order, parts = np.argsort(-counts, kind="stable"), []
+    for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
+        name = str(SurfaceRef.from_index(scene, int(surface))) if surface >= 0 else "the background"
+        is_here = all_surfaces == surface
+        note = _brightness_note(change[:, is_wrong & is_here])
+        parts.append(f"{count:,} of {is_here.sum():,} on {name}{note}")
+    if other_count := counts[order[_MAX_NAMED:]].sum():
+        parts.append(f"{other_count:,} on others")
+    return ", ".join(parts)
 
 
 def _wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str:
@@ -340,34 +346,27 @@ def _wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str:
     scene : Scene
         The scene, for the line numbers of its lights.
     search : Search
-        The picture that was handed in, with the known pictures of the scene.
+        The picture that a student handed in, and the renderer of its scene.
     is_wrong : (n,) bool array
-        Which pixels differ from the right picture by more than one level.
+        True for pixels that differ from the reference picture by more than one level.
 
     Returns
     -------
     str
         The sentences, each after a space; empty if there are none.
     """
-    changes = symptoms.find_light_changes(search)
-    if not changes:
-        return ""
+    verbs = "should shine but does not", "should be blocked but shines"
     sentences = ""
-    for k, light in enumerate(scene.lights):
-        name = f"light {k}" + (f" (line {light.line})" if light.line else "")
-        for is_changed, verb in ((changes.is_lost, "should shine but does not"),
-                                 (changes.is_extra, "should be blocked but shines")):  # fmt: skip
-            count = int((is_changed[k] & is_wrong[changes.pixels]).sum())
-            if count > _MIN_LIGHT_SHARE * is_wrong.sum():
-                sentences += f" At {count:,} of these pixels {name} {verb}."
+    for verb, is_changed in zip(verbs, symptoms.find_light_changes(search) or (), strict=False):
+        for k, count in enumerate((is_changed & is_wrong).sum(axis=1)):
+            if count > _MIN_LIGHT_PART * is_wrong.sum():
+                line = f" (line {scene.lights[k].line})" if scene.lights[k].line else ""
+                sentences += f" At {count:,} of these pixels light {k}{line} {verb}."
     return sentences
 
 
 def _render_codes(scene: Scene) -> Codes:
-    """Render a scene as 8-bit codes (h, w, 3).
-
-    Warnings are suppressed, such as that about pixels that are not square.
-    """
+    """Render a scene as 8-bit codes (h, w, 3), without warnings, such as of non-square pixels."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         codes: Codes = to_codes(render(scene))
@@ -375,100 +374,56 @@ def _render_codes(scene: Scene) -> Codes:
 
 
 def _visible_surfaces(scene: Scene) -> Array:
-    """Return, for each of the n pixels of a scene's picture, the index of the surface it shows.
-
-    The result is an array (n,), row by row; -1 stands for the background.
-    """
-    surfaces = []
-    for start in range(0, scene.width * scene.height, MAX_PIXELS):
-        pixels = np.arange(start, min(start + MAX_PIXELS, scene.width * scene.height))
-        row, column = np.divmod(pixels, scene.width)
-        surfaces.append(first_hits(scene, column + 0.5, row + 0.5).surface.astype(np.int32))
-    return np.concatenate(surfaces)
-
-
-def _find_symptom(search: Search) -> tuple[str, str] | None:
-    """Recognise a difference that does not come from a wrong formula, such as rounding or JPEG.
-
-    Parameters
-    ----------
-    search : Search
-        The picture that was handed in, with the known pictures of the scene.
+    """Find the surface that each of the n pixels of a scene's picture shows.
 
     Returns
     -------
-    tuple or None
-        A keyword, such as "single-precision", and a sentence for the report; None if no such
-        difference is recognised.
+    surface_index : (n,) int32 array
+        Indices of the surfaces, row by row; -1 for the background.
     """
-    known = search.known
-    if search.clearly_wrong_count and symptoms.is_decided_by_rounding(search):
-        count_text = _count_pixels(search.clearly_wrong_count)
-        sentence = f"{count_text} where rounding decides, as in single precision."
-        return "single-precision", sentence
-    if symptoms.is_speckled(symptoms.find_light_changes(search), known):
-        sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
-        return "shadow-speckles", sentence
-    pictures = (_to_picture(codes, known.width) for codes in (search.handin, known.right_codes))
-    if symptoms.is_after_jpeg(*pictures):
-        return "format", "It is the right picture, after JPEG, which changes levels."
-    is_wrong = (difference(known.right_codes, search.handin) > 1).reshape(-1, known.width)
-    if edge := symptoms.edge_with_all(is_wrong):
-        return "edge", f"It is the right picture, except in the {edge}."
-    return None
+    pixel_count = scene.width * scene.height
+    batches = np.array_split(np.arange(pixel_count), pixel_count // MAX_PIXELS + 1)
+    hits = (first_hits(scene, batch % scene.width + 0.5, batch // scene.width + 0.5)
+            for batch in batches)  # fmt: skip
+    return np.concatenate([hit.surface.astype(np.int32) for hit in hits])
 
 
-def _distance(a: Codes, b: Codes) -> Array:
-    """Return, for each pixel, the largest difference between the channels of two pictures.
-
-    Parameters
-    ----------
-    a, b : (h, w, 3) uint8 arrays
-        The pictures' codes.
-
-    Returns
-    -------
-    (h, w) int16 array
-        Differences in levels.
-    """
-    return np.abs(a.astype(np.int16) - b).max(axis=2)
-
-
-def worst_pixel(a: Codes, b: Codes) -> tuple[int, int]:
+def worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
     """Find the pixel in which two pictures differ most.
 
     Parameters
     ----------
-    a, b : (h, w, 3) uint8 arrays
-        The pictures' codes.
+    first, second : (h, w, 3) uint8 arrays
+        Codes of the pictures.
 
     Returns
     -------
     column, row : int
     """
-    row, column = np.unravel_index(_distance(a, b).argmax(), a.shape[:2])
+    levels = difference(first, second, 2)
+    row, column = np.unravel_index(levels.argmax(), levels.shape)
     return int(column), int(row)
 
 
-def diagnose_agreement(a: Codes, b: Codes) -> Diagnosis | None:
+def diagnose_agreement(handin_codes: Codes, reference_codes: Codes) -> Diagnosis | None:
     """Return a diagnosis if two pictures agree, except for one level in few pixels.
 
     Parameters
     ----------
-    a, b : (h, w, 3) uint8 arrays
-        The pictures' codes.
+    handin_codes, reference_codes : (h, w, 3) uint8 arrays
+        Codes of the picture that a student handed in, and of the reference picture.
 
     Returns
     -------
     Diagnosis or None
         Of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
-    count = int((a != b).any(axis=2).sum())
+    levels = difference(handin_codes, reference_codes, 2)
+    count = int(np.count_nonzero(levels))
     if not count:
         return _verdict("identical", "The pictures are identical.")
-    max_count = max(10, 0.01 * a.shape[0] * a.shape[1])
-    if count <= max_count and _distance(a, b).max() == 1:
-        sentence = f"{_count_pixels(count)} by one level: rounding, nothing to worry about."
+    if count <= max(10, 0.01 * levels.size) and levels.max() == 1:
+        sentence = f"{symptoms.count_pixels(count)} by one level: rounding, nothing to worry about."
         return _verdict("rounding", sentence)
     return None
 
@@ -479,7 +434,7 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     Parameters
     ----------
     codes : (h, w, 3) uint8 array
-        The picture's codes.
+        Codes of the picture.
 
     Returns
     -------
@@ -493,69 +448,43 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     return _verdict("black", "The picture is black.")
 
 
-def _count_pixels(count: int, singular: str = "differs", plural: str = "differ") -> str:
-    """Return the subject and verb of a sentence on some pixels, such as "12 pixels differ".
-
-    Parameters
-    ----------
-    count : int
-        Number of pixels.
-    singular, plural : str
-        The verb for one pixel, and for several.
-    """
-    return f"One pixel {singular}" if count == 1 else f"{count:,} pixels {plural}"
-
-
 def _sentences_of(cause: Cause, search: Search) -> dict[str, str]:
-    """Return the sentence that describes each mistake of a cause.
+    """Map each mistake of a cause to its sentence, with estimated numbers filled in.
 
     Parameters
     ----------
     cause : tuple of str
         Keywords of mistakes that are made together.
     search : Search
-        The search that has found the cause.
+        The search that found the cause.
 
     Returns
     -------
     dict of str to str
-        The sentences by the keywords.  In each sentence, placeholders such as ``{fitted_gamma}``
-        are replaced by the numbers that are fitted to the hand-in.
+        The sentences by keyword.  Each placeholder such as ``{fitted_gamma}`` is replaced by a
+        number that is estimated from the picture that was handed in.
     """
-    sentences, formulas = {}, search.known.formulas_of(cause) or {}
-    for kind in cause:
-        sentence = search.known.text[kind]
-        for name in search.known.fitted_names(kind):
-            placeholder = "{" + name + "}"
-            if placeholder in sentence:
-                number = search.fitted_pixels.get(name, formulas)
-                sentence = sentence.replace(placeholder, f"{number:.3g}")
-        sentences[kind] = sentence
-    return sentences
+    formulas = search.renderer.formulas_of(cause)
 
+    def number_of(placeholder: re.Match[str]) -> str:
+        return f"{search.fitting_cache.get(placeholder[1], formulas):.3g}"
 
-def _to_columns(codes: Codes) -> Array:
-    """Convert a picture (h, w, 3) to an array (3, n) with one column for each of the n pixels."""
-    return np.ascontiguousarray(codes.reshape(-1, 3).T)
-
-
-def _to_picture(columns: Array, width: int) -> Codes:
-    """Convert an array (3, n) with one column per pixel to a picture (n / width, width, 3)."""
-    return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
+    mistakes = search.renderer.mistakes
+    return {k: re.sub(r"\{(\w+)\}", number_of, mistakes[k].sentence) for k in cause}
 
 
 def _brightness_note(change: Array) -> str:
-    """Return a note if nearly all pixels become brighter, or nearly all darker.
+    """Return a note if nearly all pixels of a region became brighter, or nearly all darker.
 
     Parameters
     ----------
     change : (3, n) int array
-        Difference of each channel of each pixel from the right one, in levels.
+        Difference of each channel of the region's n pixels from the reference picture, in levels.
 
     Returns
     -------
     str
-        " (brighter)" or " (darker)"; empty otherwise.
+        " (brighter)" or " (darker)"; empty if neither applies.
     """
     if (change >= -1).all(axis=0).mean() > 0.9:
         return " (brighter)"

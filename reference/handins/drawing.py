@@ -1,45 +1,48 @@
-"""Render a scene with mistakes: formulas of the right picture, some of which are replaced.
+"""Render a scene with mistakes: formulas of the reference picture, some of which are replaced.
 
-The problem is speed: tens of thousands of combinations of mistakes are rendered, and most share
-most of their formulas.  `FormulaCache` therefore computes each combination of formulas once for a
-set of pixels.  The formulas themselves are in `mistakes.md`.
+The problem is speed: tens of thousands of combinations of mistakes are rendered, and most of them
+share most of their formulas.  `FormulaCache` therefore computes each combination of formulas once
+for a set of pixels.  The formulas themselves are in `mistakes.md`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from reference.figures import decode_to_linear
-from reference.handins.formulas import Array, Formulas, parameter_names
-from reference.handins.mistakes import FITTED, RIGHT, list_mistakes, sample_position_formulas
+from reference.handins.formulas import Array, Formulas, parameter_names, used_names
+from reference.handins.mistakes import (
+    REFERENCE_FORMULAS,
+    WHOLE_PICTURE_FORMULAS,
+    list_mistakes,
+    sample_position_formulas,
+)
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
-# Maximum size of the cached values in bytes, in addition to those of the right picture.
+# Maximum size of the cached values in bytes, in addition to those of the reference picture.
 _MAX_CACHED_BYTES = 60_000_000
-# With several samples per pixel, the formulas that are averaged, or needed for later ones.
-_AVERAGED = ("radiance", "kd", "hit", "n")
 
 
 def scene_values(scene: Scene | Codes) -> dict[str, Any]:
-    """Convert a scene to the arrays from which the formulas of a picture are computed.
+    """Convert a scene to the arrays from which formulas compute its picture.
 
     Parameters
     ----------
     scene : Scene or (h, w, 3) uint8 array
-        A scene; or, if there is no scene, the codes of a right picture.  From a picture, only
-        formulas that need nothing but its light can be computed.
+        A scene; or, if there is no scene, the codes (levels from 0 to 255) of the reference
+        picture.
 
     Returns
     -------
     dict of str to array or float
-        The values by the names that formulas use, such as "view_dir" (3,), "center"
-        (3, surfaces, 1), "diffuse" (3, surfaces) and "position" (lights, 3, 1).  For a picture, it
-        contains only the linear light "picture" (h, w, 3).
+        The arrays by the names that formulas use, such as "view_dir" (3,), "center"
+        (3, surfaces, 1), "diffuse" (3, surfaces) and "position" (lights, 3, 1).  If there is no
+        scene, only "picture" (h, w, 3): the reference picture in linear light.
     """
     if not isinstance(scene, Scene):
         return {"picture": decode_to_linear(scene)}
@@ -78,20 +81,22 @@ def scene_values(scene: Scene | Codes) -> dict[str, Any]:
 
 @cache
 def _with_dependents(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the formulas `names`, and all formulas that are computed from them.
+    """Return the formulas `names`, and all formulas that depend on them, directly or indirectly.
 
-    The result is in the order in which the formulas of the right picture are computed.  Formulas
-    that are computed indirectly, from other results, are included.
+    Returns
+    -------
+    tuple of str
+        The names of these formulas, in the order in which they are computed.
     """
     affected = {*names}
-    for name, function in RIGHT.items():
-        if not affected.isdisjoint(parameter_names(function)):
+    for name, formula in REFERENCE_FORMULAS.items():
+        if not affected.isdisjoint(parameter_names(formula)):
             affected.add(name)
-    return tuple(name for name in RIGHT if name in affected)
+    return tuple(name for name in REFERENCE_FORMULAS if name in affected)
 
 
 class FormulaCache:
-    """The values of formulas for a set of pixels, each computed when it is first requested.
+    """The values of formulas at some pixels, each computed when it is first requested.
 
     A picture is defined by formulas (functions for values such as the radiance), and a mistake by
     the formulas that it replaces.  Pictures with different mistakes share those values that are
@@ -103,47 +108,46 @@ class FormulaCache:
     inputs : dict of str to array or number
         The values of `scene_values`; the `width` and `height` of the picture in pixels; and for
         the n pixels their columns `i` (n,), rows `j` (n,), and the codes `handin` (3, n) of the
-        picture that was handed in.
-    fitted_pixels : FormulaCache, optional
-        The pixels from which the numbers `FITTED` are computed, such as the largest radiance in
-        the whole picture.  By default, they are computed from the pixels of this cache itself.
+        picture that a student handed in.
+    fitting_cache : FormulaCache, optional
+        The cache for those pixels from which values of the whole picture are computed, such as its
+        largest radiance.  By default, they are computed from the pixels of this cache.
     """
 
-    def __init__(self, inputs: dict[str, Any], fitted_pixels: FormulaCache | None = None) -> None:
-        self._inputs, self._fitted_pixels = inputs, fitted_pixels
+    def __init__(self, inputs: dict[str, Any], fitting_cache: FormulaCache | None = None) -> None:
+        self._inputs, self._fitting_cache = inputs, fitting_cache
         self._values: dict[int, Any] = dict(enumerate(inputs.values()))
         self._recipes: list[Any] = [None] * len(inputs)
         self._version_of: dict[Any, int] = {}
-        self._right = self._update_versions(RIGHT, {name: k for k, name in enumerate(inputs)}, {})
-        self._right_count, self._cached_bytes = len(self._recipes), 0
+        self._reference_versions = {name: version for version, name in enumerate(inputs)}
+        self._reference_versions = self._versions(REFERENCE_FORMULAS, {})
+        self._reference_count, self._cached_bytes = len(self._recipes), 0
 
-    def _update_versions(
-        self, names: Iterable[str], versions: dict[str, int], changes: Formulas
-    ) -> dict[str, int]:
-        """Determine the versions of formulas, and register recipes that are new.
+    def _versions(self, names: Iterable[str], replaced: Formulas) -> dict[str, int]:
+        """Return the version of each formula, if some formulas are replaced.
 
         The version of a value is the index of its recipe: the tuple of its formula and of the
-        versions of the formula's arguments.
+        versions of the formula's arguments.  New recipes are registered.
 
         Parameters
         ----------
         names : iterable of str
-            The formulas whose versions are determined, in the order of computation.
-        versions : dict of str to int
-            Versions of formulas by their names.  It is changed: the versions of `names` are
-            replaced, or removed if an argument of the formula has no version.
-        changes : dict of str to callable
-            Formulas that replace those of the right picture.
+            The formulas whose versions may differ from those of the reference picture, in the order
+            of computation.
+        replaced : dict of str to callable
+            The formulas, by name, that replace those of the reference picture.
 
         Returns
         -------
         dict of str to int
-            The argument `versions`.
+            The versions by the names of the formulas.  Formulas that cannot be computed from the
+            inputs of this cache are missing.
         """
+        versions = self._reference_versions.copy()
         for name in names:
             if name in self._inputs:
                 continue
-            formula = changes.get(name, RIGHT[name])
+            formula = replaced.get(name, REFERENCE_FORMULAS[name])
             try:
                 recipe = (formula, *map(versions.__getitem__, parameter_names(formula)))
             except KeyError:  # an argument cannot be computed, so neither can this formula
@@ -156,48 +160,62 @@ class FormulaCache:
             versions[name] = version
         return versions
 
-    def _versions_with(self, changes: Formulas) -> dict[str, int]:
-        """Return the versions of all formulas, by name, if `changes` replace several formulas."""
-        return self._update_versions(_with_dependents(tuple(changes)), dict(self._right), changes)
-
-    def is_computable(self, changes: Formulas) -> bool:
-        """Test whether the picture's codes can be computed from the inputs of this cache.
+    def is_computable(self, replaced: Formulas) -> bool:
+        """Test whether the codes of a picture can be computed from the inputs of this cache.
 
         Parameters
         ----------
-        changes : dict of str to callable
-            Formulas, by name, that replace those of the right picture.
+        replaced : dict of str to callable
+            The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._versions_with(changes)
+        return "codes" in self._versions(_with_dependents(tuple(replaced)), replaced)
 
-    def get(self, name: str, changes: Formulas) -> Any:
-        """Compute one formula for all pixels, or return its cached value.
+    def get(self, name: str, replaced: Formulas) -> Any:
+        """Compute a formula for all pixels, or return its cached value.
+
+        If each pixel is the mean of several samples, the radiance of each sample is clipped, and
+        then averaged.
 
         Parameters
         ----------
         name : str
-            Name of the formula, such as "radiance".
-        changes : dict of str to callable
-            Formulas, by name, that replace those of the right picture.
+            Name of the formula, such as "radiance"; "codes" for the 8-bit codes.
+        replaced : dict of str to callable
+            The formulas, by name, that replace those of the reference picture.
 
         Returns
         -------
         array or number
-            The value of the formula, with one column for each of the n pixels if it differs from
-            pixel to pixel.
+            The value of the formula; an array has one column for each of the n pixels if its values
+            differ from pixel to pixel.  The codes are an array (3, n).
 
         Raises
         ------
         KeyError
             If the formula cannot be computed from the inputs of this cache.
         """
-        return self._value(self._versions_with(changes)[name])
+        if self._fitting_cache:
+            for fitted in WHOLE_PICTURE_FORMULAS & used_names(replaced):
+                replaced = replaced | {fitted: _constant(self._fitting_cache.get(fitted, replaced))}
+        if "samples" in replaced:
+            replaced = replaced.copy()
+            samples_per_side = replaced.pop("samples")()
+            offsets = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
+            clipped = sum(self.get("clipped", replaced | sample_position_formulas(x, y))
+                          for x in offsets for y in offsets)  # fmt: skip
+            replaced["clipped"] = _constant(clipped / samples_per_side**2)
+        return self._value(self._versions(_with_dependents(tuple(replaced)), replaced)[name])
 
     def _value(self, version: int) -> Any:
-        """Return the value with the index `version`, computed from its recipe if necessary.
+        """Return the value whose recipe has an index, computed if it is not cached.
 
         If the cached values take more than `_MAX_CACHED_BYTES`, those that do not belong to the
-        right picture are first deleted; they are computed anew when they are next requested.
+        reference picture are first deleted; they are computed anew when they are next requested.
+
+        Parameters
+        ----------
+        version : int
+            Index of the recipe: a formula and the versions of its arguments.
         """
         if version not in self._values:
             formula, *argument_versions = self._recipes[version]
@@ -206,59 +224,10 @@ class FormulaCache:
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
             if self._cached_bytes > _MAX_CACHED_BYTES:
-                self._values = {k: cached[k] for k in range(self._right_count) if k in cached}
+                self._values = {k: cached[k] for k in range(self._reference_count) if k in cached}
                 self._cached_bytes = 0
             self._values[version] = value
         return self._values[version]
-
-    def codes(self, changes: Formulas) -> Array:
-        """Compute the 8-bit codes of all pixels of a picture with mistakes.
-
-        If the mistakes include several samples per pixel, the radiance is clipped for each sample,
-        and then averaged.
-
-        Parameters
-        ----------
-        changes : dict of str to callable
-            Formulas, by name, that replace those of the right picture.
-
-        Returns
-        -------
-        codes : (3, n) array
-        """
-        if self._fitted_pixels:
-            used = {name for formula in changes.values() for name in parameter_names(formula)}
-            for name in FITTED & used:
-                changes = changes | {name: _constant(self._fitted_pixels.get(name, changes))}
-        if "samples" not in changes:
-            return self.get("codes", changes)
-        side = changes["samples"]()
-        positions = [(k + 0.5) / side for k in range(side)]
-        versions = [self._versions_with(changes | sample_position_formulas(x, y))
-                    for x in positions for y in positions]  # fmt: skip
-        samples = [{name: self._value(known[name]) for name in _AVERAGED if name in known}
-                   for known in versions]  # fmt: skip
-        light = [np.where(sample["hit"], np.clip(np.nan_to_num(sample["radiance"]), 0, 1), 0)
-                 for sample in samples]  # fmt: skip
-        is_hit = np.any([sample["hit"] for sample in samples], 0)
-        means = {"radiance": sum(light) / side**2, "hit": is_hit}
-        return FormulaCache(self._inputs | samples[0] | means).get("codes", changes)
-
-    def codes_of_pairs(self, first: Formulas, others: Iterable[Formulas]) -> Iterator[Array]:
-        """Yield the codes (3, n) of pictures with two mistakes, of which the first is the same.
-
-        Parameters
-        ----------
-        first : dict of str to callable
-            The formulas, by name, that the first mistake replaces.
-        others : iterable of dict of str to callable
-            The formulas of each second mistake.  One array of codes is yielded for each.
-        """
-        versions = self._versions_with(first)
-        for other in others:
-            dependents = _with_dependents(tuple(other))
-            both = self._update_versions(dependents, dict(versions), first | other)
-            yield self._value(both["codes"])
 
 
 def _constant(value: Any) -> Any:
@@ -266,45 +235,42 @@ def _constant(value: Any) -> Any:
     return lambda: value
 
 
-def join_formulas(formula_sets: Iterable[Formulas]) -> Formulas | None:
-    """Combine the formulas that several mistakes replace.
+def join_formulas(formula_sets: Sequence[Formulas]) -> Formulas:
+    """Join the formulas that several mistakes replace.
 
     Parameters
     ----------
-    formula_sets : iterable of dict of str to callable
-        For each mistake, the replaced formulas by name.
+    formula_sets : sequence of dict of str to callable
+        For each mistake, the formulas by name.
 
     Returns
     -------
-    dict of str to callable, or None
-        All replaced formulas; None if two mistakes replace the same formula.
+    dict of str to callable
+        All formulas.  Empty if two mistakes replace the same formula, and so exclude each other.
     """
-    joined: Formulas = {}
-    for formulas in formula_sets:
-        if joined.keys() & formulas.keys():
-            return None
-        joined |= formulas
-    return joined
+    joined = {name: formulas[name] for formulas in formula_sets for name in formulas}
+    return joined if len(joined) == sum(map(len, formula_sets)) else {}
 
 
 @np.errstate(all="ignore")
-def render_with_mistakes(scene: Scene, *kinds: str, formula: str = "codes") -> Array:
-    """Render a scene as a tracer with the given mistakes would.
+def render_with_mistakes(scene: Scene, *keywords: str, formula: str = "codes") -> Array:
+    """Render a scene as a tracer with some mistakes would.
 
     Parameters
     ----------
     scene : Scene
-    *kinds : str
-        Keywords of the mistakes, such as "gamma-none"; without any, the right picture is rendered.
-        The keywords are those of `list_mistakes(scene)`.
+        The scene.
+    *keywords : str
+        Keywords of the mistakes, such as "gamma-none", as in `list_mistakes(scene)`.  Without
+        keywords, the reference picture is rendered.
     formula : str
         Name of the formula whose values are returned, such as "radiance".
 
     Returns
     -------
     (h, w, 3) array
-        The values of the formula at each pixel, with 0 in place of NaN; by default, the picture's
-        8-bit codes.
+        The values of the formula at each pixel, with 0 in place of NaN; by default, the 8-bit codes
+        of the picture.
 
     Raises
     ------
@@ -314,12 +280,11 @@ def render_with_mistakes(scene: Scene, *kinds: str, formula: str = "codes") -> A
         If two mistakes replace the same formula, and so exclude each other.
     """
     table, pixel_count = list_mistakes(scene), scene.width * scene.height
-    changes = join_formulas(table[kind].formulas for kind in kinds)
-    if changes is None:
-        raise ValueError(f"{' and '.join(kinds)} change the same formula")
+    replaced = join_formulas([table[keyword].formulas for keyword in keywords])
+    if keywords and not replaced:
+        raise ValueError(f"{' and '.join(keywords)} change the same formula")
     row, column = np.divmod(np.arange(pixel_count), scene.width)
     size = {"width": scene.width, "height": scene.height}
     pixels = {"i": column, "j": row, "handin": np.zeros((3, pixel_count), dtype=np.uint8)}
-    formulas = FormulaCache(scene_values(scene) | size | pixels)
-    values = formulas.codes(changes) if formula == "codes" else formulas.get(formula, changes)
+    values = FormulaCache(scene_values(scene) | size | pixels).get(formula, replaced)
     return np.nan_to_num(values.T.reshape(scene.height, scene.width, 3))

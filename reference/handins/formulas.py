@@ -1,9 +1,9 @@
-"""Read the formulas of `mistakes.md`, and define the functions that they call.
+"""Compile the formulas of `mistakes.md`, and define the functions that they call.
 
 A formula is a Python expression.  It becomes a function whose parameters are the names in the
-expression, so that `reference.handins.drawing` can compute it from other formulas.  Vectors are
-(3, n) for n pixels, (lights, 3, n) for lights and (3, surfaces, 1) for surfaces.  Rays are
-o + t d, with origins `o` and directions `d`.
+expression, so that `reference.handins.drawing` can compute it from the values of other formulas.
+Vectors are (3, n) for n pixels, (lights, 3, n) for lights and (3, surfaces, 1) for surfaces.  Rays
+are o + t d, with origins `o` and directions `d`.
 """
 
 from __future__ import annotations
@@ -41,9 +41,19 @@ def normalize(vectors: Array, axis: int = 0) -> Array:
     return vectors / np.sqrt((vectors * vectors).sum(axis=axis, keepdims=True))
 
 
-def dot(a: Array, b: Array) -> Array:
-    """Return the scalar products (..., n) of the vectors `a` and `b` (..., 3, n)."""
-    return (a * b).sum(axis=-2)
+def dot(first: Array, second: Array) -> Array:
+    """Return the scalar products of vectors.
+
+    Parameters
+    ----------
+    first, second : (..., 3, n) arrays
+        The vectors to multiply.
+
+    Returns
+    -------
+    (..., n) array
+    """
+    return (first * second).sum(axis=-2)
 
 
 def select_vectors(surface_vectors: Array, surface: Array) -> Array:
@@ -76,15 +86,16 @@ def intersect_spheres(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     assume_unit_d : bool
-        Whether to compute as if all directions had length 1.  For directions of other lengths, this
-        simulates a mistake.
+        If true, compute as if all directions had length 1.  This simulates a mistake if they have
+        other lengths.
 
     Returns
     -------
     roots : (2, spheres, n) array
-        The smaller and the larger t of each ray and sphere; NaN if the ray's line misses the
-        sphere.
+        The smaller and the larger t at which each ray crosses each sphere; NaN if the ray's line
+        misses the sphere.
     """
+    # The ray's line cuts a chord out of the sphere; t is computed from its middle and half length.
     to_center = [centers[axis] - o[axis] for axis in range(3)]
     middle_t = sum(to_center[axis] * d[axis] for axis in range(3))
     if assume_unit_d:
@@ -110,13 +121,14 @@ def intersect_boxes(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     sort_slabs : bool
-        Whether to sort the two t at which a ray crosses each pair of parallel faces.  False
-        simulates a mistake.
+        If true, sort the two t at which a ray crosses each pair of parallel faces.  False simulates
+        a mistake.
 
     Returns
     -------
     roots : (2, boxes, n) array
-        The smaller and the larger t of each ray and box; NaN if the ray's line misses the box.
+        The smaller and the larger t at which each ray crosses each box; NaN if the ray's line
+        misses the box.
     """
     near, far = -np.inf, np.inf
     for axis in range(3):
@@ -127,15 +139,26 @@ def intersect_boxes(
 
 
 def scale_roots(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
-    """Return a function that multiplies all t that `intersect` returns by `factor`."""
+    """Return an intersection function with a mistake: all results are multiplied by a factor.
+
+    Parameters
+    ----------
+    intersect : callable
+        Returns the t at which rays o + t d cross surfaces, as an array.
+    factor : float
+        The factor by which the new function multiplies these t.
+    """
     return lambda *arguments: factor * intersect(*arguments)
 
 
 def replace_near_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """Return a function like `intersect` that replaces the smaller t by the larger one.
+    """Return an intersection function with a mistake: it returns the far intersection twice.
 
-    `intersect` returns an array (2, ...) of smaller and larger t.  The new function returns the
-    larger t in both rows.
+    Parameters
+    ----------
+    intersect : callable
+        Returns an array (2, ...) with the smaller and the larger t at which rays o + t d cross
+        surfaces.  The new function returns the larger t in both rows.
     """
     return lambda *arguments: intersect(*arguments)[[1, 1]]
 
@@ -144,16 +167,16 @@ def make_intersect(
     is_sphere: Array, centers: Array, radii: Array, low: Array, high: Array, is_present: Array,
     sphere_function: Callable[..., Array], box_function: Callable[..., Array],
 ) -> Callable[[Array, Array], Array]:  # fmt: skip
-    """Return a function that intersects rays o + t d with all spheres and boxes of a scene.
+    """Return a function that intersects rays o + t d with the spheres and boxes of a scene.
 
     Parameters
     ----------
     is_sphere : (surfaces,) bool array
         True for spheres, false for boxes.
     centers, radii : (3, surfaces, 1) and (surfaces, 1) arrays
-        Centres and radii.  The entries of boxes are not used.
+        Centres and radii of the spheres; the entries of boxes are not used.
     low, high : (3, surfaces, 1) arrays
-        Opposite corners of boxes.  The entries of spheres are not used.
+        Opposite corners of the boxes; the entries of spheres are not used.
     is_present : (surfaces,) bool array
         False for surfaces that no ray hits, because they are missing from the picture.
     sphere_function, box_function : callable
@@ -162,37 +185,37 @@ def make_intersect(
     Returns
     -------
     intersect : callable
-        Computes, from origins and directions (3, n), the smaller and the larger t
-        (2, surfaces, n) of each ray and surface; NaN where a ray's line misses the surface.
+        Takes the origins and directions (3, n) of rays.  Returns an array (2, surfaces, n) with the
+        smaller and the larger t at which each ray crosses each surface; NaN where the ray's line
+        misses the surface.
     """
     sphere_index = np.flatnonzero(is_sphere & is_present)
     box_index = np.flatnonzero(~is_sphere & is_present)
 
     def intersect(o: Array, d: Array) -> Array:
         roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
-        if sphere_index.size:
-            roots[:, sphere_index] = sphere_function(
-                centers[:, sphere_index], radii[sphere_index], o, d
-            )
-        if box_index.size:
-            roots[:, box_index] = box_function(low[:, box_index], high[:, box_index], o, d)
+        spheres = centers[:, sphere_index], radii[sphere_index]
+        roots[:, sphere_index] = sphere_function(*spheres, o, d)
+        roots[:, box_index] = box_function(low[:, box_index], high[:, box_index], o, d)
         return roots
 
     return intersect
 
 
 def first_positive(roots: Array) -> Array:
-    """Return the smallest positive t at which each ray o + t d crosses each surface.
+    """Return the t of the closest hit of each ray o + t d on each surface.
 
     Parameters
     ----------
     roots : (2, ...) array
-        The smaller and the larger t; NaN where a ray's line misses the surface.
+        The smaller and the larger t at which a ray crosses a surface; NaN if the ray's line misses
+        the surface.
 
     Returns
     -------
     t : (...) array
-        The smallest t above a minimum (`_MIN_T`); infinity if no t is.
+        The smallest t that is greater than `_MIN_T`, a tiny positive number; infinity if there is
+        none.
     """
     near, far = roots
     t = np.where(near > _MIN_T, near, far)
@@ -209,7 +232,7 @@ def intersect_for_lights(
     intersect : callable
         The function that `make_intersect` returns.
     hits : (3, n) array
-        Points on surfaces, from which the shadow rays start.
+        Origins of the shadow rays, on surfaces.
     light_vectors : (lights, 3, n) array
         Directions of the shadow rays.
 
@@ -223,15 +246,13 @@ def intersect_for_lights(
 
 
 def find_blocking(
-    shadow_roots: Array,
-    t_min: Array,
-    t_max: Array,
-    is_tested: Array,
+    shadow_roots: Array, t_min: Array, t_max: Array, is_tested: Array,
     far_t_min: float | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Test which surfaces block each light from each hit.
 
-    A surface blocks a light if its first t that is greater than `t_min` is less than `t_max`.
+    A surface blocks a light if the first t > `t_min` at which the shadow ray crosses the surface is
+    less than `t_max`.
 
     Parameters
     ----------
@@ -240,22 +261,22 @@ def find_blocking(
     t_min, t_max : (lights, n) arrays
         Limits of t for each shadow ray.
     is_tested : (surfaces, n) bool array
-        Which surfaces are tested as occluders of each hit.
+        True for surfaces that are tested as occluders of each hit.
     far_t_min : float, optional
         Replaces `t_min` in the test of the larger t.
 
     Returns
     -------
     is_blocking : (lights, surfaces, n) bool array
-        Whether each surface blocks each light from each hit.
+        True if the surface blocks the light from the hit.
     """
-    is_blocking = np.zeros((len(shadow_roots), *is_tested.shape), dtype=bool)
-    limits = zip(shadow_roots, t_min, t_max, strict=True)
-    for light_index, ((near, far), low, high) in enumerate(limits):
-        far_low = low if far_t_min is None else far_t_min
-        t = np.where(near > low, near, np.where(far > far_low, far, np.nan))
-        is_blocking[light_index] = (t < high) & is_tested
-    return is_blocking
+    far_limits = t_min if far_t_min is None else np.full_like(t_min, far_t_min)
+    limits = zip(shadow_roots, t_min, far_limits, t_max, strict=True)
+    is_blocking = [
+        (np.where(near > low, near, np.where(far > far_low, far, np.nan)) < high) & is_tested
+        for (near, far), low, far_low, high in limits
+    ]
+    return np.array(is_blocking, dtype=bool).reshape(len(shadow_roots), *is_tested.shape)
 
 
 def last_chosen(values: Array, is_chosen: Array) -> Array:
@@ -264,36 +285,40 @@ def last_chosen(values: Array, is_chosen: Array) -> Array:
     Parameters
     ----------
     values : (..., surfaces) array
-        One value or vector for each surface.
+        One value or vector for each surface, such as its specular colour.
     is_chosen : (surfaces,) bool array
-        The chosen surfaces.
+        True for the surfaces among which the last is searched for.
 
     Returns
     -------
     (..., 1) array
-        The value, with an axis of length 1 for the surfaces; zero if no surface is chosen.
+        The value; zero if no surface is chosen.
     """
-    chosen = np.flatnonzero(is_chosen)
-    return values[..., chosen[-1:]] if chosen.size else 0 * values[..., :1]
+    chosen_index = np.flatnonzero(is_chosen)
+    return values[..., chosen_index[-1:]] if chosen_index.size else 0 * values[..., :1]
 
 
 def box_normals(
     hits: Array, low: Array, high: Array, axis_shift: int = 0, forced_sign: float | None = None
 ) -> Array:
-    """Return the outward unit normals (3, n) of boxes at hits, optionally with a mistake.
-
-    The last two arguments simulate common mistakes.
+    """Compute the unit normals of boxes at hits: outward ones, or wrong ones.
 
     Parameters
     ----------
     hits : (3, n) array
         Points on the boxes' faces.
     low, high : (3, n) arrays
-        Opposite corners of the box of each hit.
+        Opposite corners of the box at each hit.
     axis_shift : int
-        Number added, modulo 3, to the axis of each normal.  Any value but 0 simulates a mistake.
+        Number of axes by which each normal is turned, from x to y to z to x.  Any value but 0
+        simulates a mistake.
     forced_sign : float, optional
-        If given, the sign of all normals, 1 or -1, which simulates a mistake.
+        The sign of all normals, 1 or -1, which simulates a mistake.  By default, normals point
+        outward.
+
+    Returns
+    -------
+    normals : (3, n) array
     """
     from_center, half_size = hits - (low + high) / 2, (high - low) / 2
     face_axis = np.abs(np.abs(from_center) - half_size).argmin(axis=0)
@@ -303,7 +328,7 @@ def box_normals(
 
 
 def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
-    """Return a grey picture: in each channel, the weighted mean of red, green and blue.
+    """Convert a picture to grey: replace each channel by the weighted mean of all channels.
 
     Parameters
     ----------
@@ -315,119 +340,37 @@ def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
     Returns
     -------
     (3, n) array
-        Three equal rows.  A tiny number is added to each mean, so that rounding does not make the
-        mean of three equal whole numbers less than they are.
+        Three equal rows.  A tiny number is added to each mean: without it, rounding could make the
+        mean of three equal integers a little smaller than the integers.
     """
     return np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
 
 
-def _select_typical_values(
-    handin: Array, is_hit: Array, expected: Array, min_expected: float
-) -> tuple[Array, Array]:
-    """Select the values of a hand-in from which a factor, gamma or ambient term can be estimated.
-
-    Values whose codes may be clipped (near 255) or are imprecise (near 0) are not selected.
+def median_where(is_selected: Array, values: Array, default: float) -> float:
+    """Return the median of selected values.
 
     Parameters
     ----------
-    handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
-    is_hit : (n,) or (3, n) bool array
-        Where values may be selected, such as the pixels that show a surface.
-    expected : (3, n) float array
-        Values of the reference picture.
-    min_expected : float
-        Values where `expected` is not greater than this are not selected.
-
-    Returns
-    -------
     is_selected : (3, n) bool array
-        True for the k selected values.
-    radiance : (k,) float array
-        The hand-in's radiance at the selected values, decoded with gamma 2.2.
+        True for the values to use.
+    values : (3, n) array
+        One value for each channel of n pixels.
+    default : float
+        The result if no value is selected.
     """
-    is_selected = (handin > 8) & (handin < 247) & is_hit & (expected > min_expected)
-    return is_selected, (handin[is_selected] / 255) ** 2.2
-
-
-def _median(values: Array, default: float) -> float:
-    """Return the median of values, or `default` if there are no values."""
-    return float(np.median(values)) if values.size else default
-
-
-def median_factor(radiance: Array, is_hit: Array, handin: Array) -> float:
-    """Estimate the factor by which a hand-in is brighter than the reference picture.
-
-    Parameters
-    ----------
-    radiance : (3, n) array
-        Radiance of the reference picture.
-    is_hit : (n,) bool array
-        Which pixels show a surface.
-    handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
-
-    Returns
-    -------
-    factor : float
-        The median over all typical values; 1 if no value is typical.
-    """
-    is_selected, measured = _select_typical_values(handin, is_hit, radiance, 1e-3)
-    return _median(measured / radiance[is_selected], 1.0)
-
-
-def median_ambient(radiance: Array, kd: Array, is_hit: Array, handin: Array) -> float:
-    """Estimate the multiple of the diffuse colour that a hand-in adds to the reference picture.
-
-    Parameters
-    ----------
-    radiance, kd : (3, n) arrays
-        Radiance of the reference picture, and the diffuse colour of the surface at each pixel.
-    is_hit : (n,) bool array
-        Which pixels show a surface.
-    handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
-
-    Returns
-    -------
-    multiple : float
-        The median over all typical values; 0 if no value is typical.
-    """
-    is_selected, measured = _select_typical_values(handin, is_hit, kd + 0 * radiance, 0.05)
-    return _median((measured - radiance[is_selected]) / (kd + 0 * radiance)[is_selected], 0.0)
-
-
-def median_gamma(clipped: Array, is_hit: Array, handin: Array) -> float:
-    """Estimate the gamma with which a hand-in is encoded, between 0.1 and 10.
-
-    Parameters
-    ----------
-    clipped : (3, n) array
-        Radiance of the reference picture, clipped to 0 to 1.
-    is_hit : (n,) bool array
-        Which pixels show a surface.
-    handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
-
-    Returns
-    -------
-    gamma : float
-        The median over all typical values; 2.2 if no value is typical.
-    """
-    is_selected, measured = _select_typical_values(handin, is_hit & (clipped < 0.95), clipped, 0.01)
-    gamma = _median(2.2 * np.log(clipped[is_selected]) / np.log(measured), 2.2)
-    return min(max(gamma, 0.1), 10.0)
+    selected = values[is_selected]
+    return float(np.median(selected)) if selected.size else default
 
 
 def commonest_color(is_hit: Array, handin: Array) -> Array:
-    """Return the most frequent colour in the background of a hand-in.
+    """Return the most frequent colour in the background of a picture that was handed in.
 
     Parameters
     ----------
     is_hit : (n,) bool array
-        False for the pixels of the background.
+        True for the n pixels that show a surface, false for those of the background.
     handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
+        Codes (levels from 0 to 255) of the picture.
 
     Returns
     -------
@@ -441,43 +384,43 @@ def commonest_color(is_hit: Array, handin: Array) -> Array:
 
 
 def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
-    """Interpolate the light of a picture at n places, between the centres of its pixels.
+    """Interpolate the light of a picture linearly at n positions between its pixels' centres.
 
     Parameters
     ----------
     picture : (h, w, 3) array
         Linear light.
     x, y : (n,) arrays
-        Coordinates of the places, from -0.5 at the left and lower edges of the picture to 0.5 at
-        the right and upper edges.
+        The positions: from -0.5 at the left and lower edges of the picture to 0.5 at the right and
+        upper edges.
 
     Returns
     -------
     light : (3, n) array
-        Red, green and blue light at each place.  Outside of the picture, the light of the nearest
-        pixel is used.
+        Red, green and blue light at each position.  Outside the picture, this is the light of the
+        nearest pixel.
     """
     height, width = picture.shape[:2]
     positions = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
-    channels = (picture[:, :, k] for k in range(3))
+    channels = np.moveaxis(picture, 2, 0)
     return np.array([map_coordinates(c, positions, order=1, mode="nearest") for c in channels])
 
 
 def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
     """Guess which pixels show a surface, from a reference picture without its scene.
 
-    A pixel is treated as background if the reference picture is black there, but the hand-in is
-    not.
+    A pixel is assumed to be background if the reference picture is black there, but the hand-in
+    (the picture that a student handed in) is not.
 
     Parameters
     ----------
     picture : (h, w, 3) array
         Linear light of the reference picture.
     x, y : (n,) arrays
-        Coordinates of the pixels, from -0.5 at the left and lower edges to 0.5 at the right and
-        upper edges.
+        Positions of the pixels: from -0.5 at the left and lower edges to 0.5 at the right and upper
+        edges.
     handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
+        Codes of the hand-in.
 
     Returns
     -------
@@ -490,8 +433,8 @@ def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
 _OWN: tuple[Callable[..., Any], ...] = (
     normalize, dot, select_vectors, intersect_spheres, intersect_boxes, scale_roots,
     replace_near_roots, make_intersect, first_positive, intersect_for_lights, find_blocking,
-    last_chosen, box_normals, mix_channels, commonest_color, median_ambient, median_factor,
-    median_gamma, interpolate_light, shows_surface, len, partial,
+    last_chosen, box_normals, mix_channels, commonest_color, median_where, interpolate_light,
+    shows_surface, len, partial,
 )  # fmt: skip
 _NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
     logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
@@ -504,9 +447,18 @@ _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 def compile_formula(expression: str) -> Callable[..., Any]:
     """Convert a Python expression to a function whose parameters are the names in the expression.
 
-    The parameters are in alphabetical order.  Names of the functions of this module and of NumPy
-    that formulas can call do not become parameters.  For an equal expression, the same function
-    object is returned.
+    The parameters are in alphabetical order.  They exclude the functions of this module and of
+    NumPy that formulas can call.  Equal expressions give the same function object.
+
+    Parameters
+    ----------
+    expression : str
+        The expression, such as "dot(n, l)", which becomes a function of `l` and `n`.
+
+    Returns
+    -------
+    callable
+        Takes the values of the parameters, and returns that of the expression.
 
     Raises
     ------
@@ -522,6 +474,17 @@ def compile_formula(expression: str) -> Callable[..., Any]:
 
 @cache
 def parameter_names(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the parameter names, in order, of a function from `compile_formula`."""
+    """Return the parameter names, in order, of a function that `compile_formula` returned."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]
+
+
+def used_names(formulas: Formulas) -> set[str]:
+    """Return the names of all values from which any of several formulas is computed.
+
+    Parameters
+    ----------
+    formulas : dict of str to callable
+        The formulas by their names: functions, as `compile_formula` returns them.
+    """
+    return {name for formula in formulas.values() for name in parameter_names(formula)}

@@ -1,8 +1,8 @@
-"""Read the table of mistakes from the page `mistakes.md`.
+"""Read the table of known mistakes from the page `mistakes.md`.
 
-The page defines the right picture by formulas, and each mistake by the formulas that it replaces.
-A formula is a Python expression for a value such as the radiance.  Reports follow the order of the
-table: of mistakes with the same picture, the first in the table is named first.
+The page defines the reference picture by formulas, and each mistake by the formulas that it
+replaces.  A formula is a Python expression for a value such as the radiance.  Reports follow the
+order of the table: of mistakes with the same picture, the first in the table is named first.
 """
 
 from __future__ import annotations
@@ -15,9 +15,6 @@ from reference.handins.formulas import Formulas, compile_formula
 from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
-FITTED = frozenset({"brightest", "fitted_factor", "fitted_ambient", "fitted_gamma",
-                    "fitted_background"})  # fmt: skip
-"""Formulas with one value for the whole picture, computed from all pixels."""
 VARIANTS = ("shadow-own", "shadow-own-lobe")
 """Not mistakes: other ways to write a right tracer, which render some mistakes differently."""
 BACKGROUND: tuple[str, ...] = ("background",)
@@ -25,54 +22,66 @@ BACKGROUND: tuple[str, ...] = ("background",)
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
 """Mistakes that show only where radiance exceeds 1, which another mistake may bring about."""
 ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
-"""Mistakes by which levels are off by one."""
+"""Mistakes that change levels by one."""
 
 
 class Mistake(NamedTuple):
-    """A mistake that a tracer may contain, as a row of the table of mistakes describes it.
+    """A mistake that a tracer may contain: a row of the table of mistakes.
 
     Attributes
     ----------
-    text : str
-        A sentence that states what is wrong.
+    sentence : str
+        States what is wrong.  A placeholder such as ``{fitted_gamma}`` stands for the value of a
+        formula.
     formulas : dict of str to callable
-        The formulas, by their names, that replace those of the right picture.
+        The formulas, by name, that replace those of the reference picture.
     concerns_one_object : bool
-        True if the mistake concerns one surface or one light of the scene, such as a surface that
-        is missing.
+        True if the mistake concerns one surface or one light of the scene, such as a missing
+        surface.
     """
 
-    text: str
+    sentence: str
     formulas: Formulas
     concerns_one_object: bool = False
 
 
 def _table_rows() -> Iterator[list[str]]:
-    """Yield the rows of all tables on the page `mistakes.md`.
+    """Yield the rows of all tables on the page `mistakes.md`, except for their headings.
 
-    Each row is the list of its cells, without the backticks around names and formulas.  Headings of
-    the tables are skipped.
+    Yields
+    ------
+    list of str
+        The cells of a row, without the backticks around names and formulas.
     """
     for line in _PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("| `"):
             yield [cell.strip(" `") for cell in line.strip("|").split("|")]
 
 
-RIGHT: Formulas = {row[0]: compile_formula(row[1]) for row in _table_rows() if len(row) == 2}
-"""The formulas of the right picture, in the order of computation."""
-CAMERA = frozenset([*RIGHT][: [*RIGHT].index("samples")])
+REFERENCE_FORMULAS: Formulas = {
+    row[0]: compile_formula(row[1]) for row in _table_rows() if len(row) == 2
+}
+"""The formulas of the reference picture, in the order of computation."""
+CAMERA = frozenset([*REFERENCE_FORMULAS][: [*REFERENCE_FORMULAS].index("samples")])
 """Names of the camera's formulas."""
+WHOLE_PICTURE_FORMULAS = {k for k in REFERENCE_FORMULAS if k.startswith("fitted_")} | {"brightest"}
+"""Names of formulas with one value for the whole picture, computed from all pixels."""
 _MISTAKES = [row for row in _table_rows() if len(row) == 3]
 
 
 def parse_formulas(assignments: str) -> Formulas:
-    """Convert assignments, such as ``x = column / width; y = row / height``, to functions.
+    """Convert the text of several assignments to functions.
+
+    Parameters
+    ----------
+    assignments : str
+        Assignments of Python expressions, such as ``x = column / width; y = row / height``.
 
     Returns
     -------
     dict of str to callable
         For each name on the left of an assignment, a function that computes the expression on the
-        right.  Its parameters are the names in the expression.
+        right.  The function's parameters are the names in the expression.
 
     Raises
     ------
@@ -84,39 +93,44 @@ def parse_formulas(assignments: str) -> Formulas:
 
 
 def sample_position_formulas(x: float, y: float) -> Formulas:
-    """Return the formulas that move the sample of each pixel away from the pixel's centre.
+    """Return the formulas that place one sample in each pixel, at a given position in the pixel.
 
     Parameters
     ----------
     x, y : float
-        Position of the sample in the pixel, from 0 at the left and upper edges to 1 at the right
-        and lower edges.  The centre is (0.5, 0.5).
+        Position of the sample in its pixel: from 0 at the left and upper edges to 1 at the right
+        and lower edges.
 
     Returns
     -------
     dict of str to callable
-        The formulas `x` and `y`, which replace those of the right picture.
+        The formulas "x" and "y" of the sample's position in the picture.
     """
     return parse_formulas(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
 
 
-# Formulas that replace those of a scene if only a right picture is known.
+# Formulas that replace those of a scene if only the reference picture is known.
 OF_PICTURE = parse_formulas(
     "hit = shows_surface(picture, x, y, handin); radiance = interpolate_light(picture, x, y)"
 )
 
 
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
-    """Return the mistakes that are possible with a scene.
+    """List the mistakes that a tracer may make with a scene.
 
-    A row of the table whose text contains ``{surface}`` or ``{light}`` becomes one mistake for each
-    surface or light of the scene.  Its number, from 0 as in the output of `tracer --pixel`,
-    replaces ``{k}`` in the keyword and in the formulas.
+    A row of the table of mistakes whose sentence contains ``{surface}`` or ``{light}`` becomes one
+    mistake for each surface or light of the scene.  The number of the surface or light, from 0 as
+    in the output of `tracer --pixel`, replaces ``{k}`` in the row's keyword and formulas.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
 
     Returns
     -------
     dict of str to Mistake
-        The mistakes by their keywords, such as "gamma-none", in the order of the table.
+        The mistakes by keyword, such as "gamma-none", in the order of the table.
     """
     line_notes = [f" (line {light.line})" if light.line else "" for light in scene.lights]
     object_names = {
@@ -124,10 +138,10 @@ def list_mistakes(scene: Scene) -> dict[str, Mistake]:
         "{light}": [f"Light {k}{note}" for k, note in enumerate(line_notes)],
     }
     table = {}
-    for kind, text, assignments in _MISTAKES:
-        placeholder = next((word for word in object_names if word in text), "")
+    for keyword, sentence, assignments in _MISTAKES:
+        placeholder = next((word for word in object_names if word in sentence), "")
         for k, name in enumerate(object_names.get(placeholder, [""])):
             formulas = parse_formulas(assignments.replace("{k}", str(k)))
-            mistake = Mistake(text.replace(placeholder, name), formulas, bool(placeholder))
-            table[kind.replace("{k}", str(k))] = mistake
+            mistake = Mistake(sentence.replace(placeholder, name), formulas, bool(placeholder))
+            table[keyword.replace("{k}", str(k))] = mistake
     return table

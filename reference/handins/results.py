@@ -1,4 +1,7 @@
-"""The results of comparisons, as text, JSON and CSV."""
+"""Format the results of comparing hand-ins as text, JSON and CSV.
+
+A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,15 @@ from tracer.messages import printable
 
 
 class Result(NamedTuple):
-    """The result of comparing a picture that was handed in, or of finding that one is missing.
+    """The result for one picture that a student handed in, or that is missing.
 
     Attributes
     ----------
     student, scene : str
-        The student who handed the picture in, and the name of the scene.  The student is empty for
-        a scene of which nobody has handed in a picture.
+        The names of the student and of the scene.  The student is empty for a scene of which nobody
+        has handed in a picture.
     picture, right : str or None
-        File of the picture, and of the right picture or scene.  `picture` is None if it is missing.
+        File of the picture, and of the reference picture or scene; None if it is missing.
     agrees : bool
         True if the picture is right, or within the tolerances that the user has set.
     diagnosis : Diagnosis or None
@@ -62,10 +65,14 @@ class Result(NamedTuple):
         return "agrees" if self.agrees else "differs"
 
     def to_row(self) -> dict[str, Any]:
-        """Return the values of the result by the names of their columns in the JSON and CSV output.
+        """Return the result as a row of the JSON and CSV output.
 
-        The diagnosis becomes three columns: "kind" (keywords of its mistakes), "hint" (keywords of
-        the most similar known picture) and "diagnosis" (sentences).
+        Returns
+        -------
+        dict of str to object
+            The values by column.  The diagnosis has three columns: "kind" (keywords of the
+            mistakes), "hint" (keywords of the most similar known picture) and "diagnosis"
+            (sentences).  Without a diagnosis, they are None.
         """
         diagnosis = self.diagnosis
         columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
@@ -74,19 +81,20 @@ class Result(NamedTuple):
         return dict(values[:5]) | columns | dict(values[6:])
 
     def figures(self) -> str:
-        """Format SSIM, RMSE and the largest difference for a line of text.
+        """Format the figures of the comparison as text.
 
         Returns
         -------
         str
-            Empty if the sizes of the pictures differ.
+            Structural similarity, and root mean square and maximum of the difference.  Empty if the
+            sizes of the pictures differ.
         """
         if self.ssim is None:
             return ""
         return f"SSIM {self.ssim:.4f}  RMSE {self.rmse:.2e}  max {self.max:.2e}"
 
     def line(self) -> str:
-        """Return the result as one line: verdict, figures, picture and diagnosis, or the error."""
+        """Format the result as one line: verdict, figures, file and diagnosis; or the error."""
         text = f"{self.figures()}  {printable(str(self.picture))}: {self.diagnosis}".lstrip()
         return f"{self.verdict:8} {self.error or text}"
 
@@ -94,32 +102,33 @@ class Result(NamedTuple):
 def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
     """Order the alternative causes of each picture by their frequency among the student's pictures.
 
-    All pictures of one student are rendered by one program, so its mistakes show in all of them.  A
-    cause (a set of mistakes that are made together) that explains several pictures is therefore
-    more likely than one that explains a single picture.
+    A cause is a set of mistakes that are made together.  One program renders all pictures of a
+    student, so a cause that explains several of them is more likely than one that explains only
+    one.
 
     Returns
     -------
     list of Result
-        Copies of the results, in the same order, with the most frequent causes first.
+        Copies of the results, in the same order, each with the most frequent cause first.
     """
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
         if result.diagnosis and not result.agrees:
             counts[result.student].update(result.diagnosis.kind.split("|"))
-    ordered = []
-    for result in results:
-        common = [cause for cause, _ in counts[result.student].most_common()]
-        diagnosis = result.diagnosis and result.diagnosis.preferring(common)
-        ordered.append(result._replace(diagnosis=diagnosis))
-    return ordered
+    diagnoses = (result.diagnosis and result.diagnosis.most_frequent_first(counts[result.student])
+                 for result in results)  # fmt: skip
+    return [result._replace(diagnosis=d) for result, d in zip(results, diagnoses, strict=True)]
 
 
 def mistake_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line of text for each mistake of a class, the most frequent mistake first.
+    """List the mistakes of a class with their numbers of pictures, the most frequent mistake first.
 
-    Each line has the number of pictures with the mistake, and the sentence that describes it.  If
-    a picture has alternative causes, only the first is counted.
+    Of alternative causes of a picture, only the first is counted.
+
+    Returns
+    -------
+    list of str
+        Lines such as "3 × Gamma is missing."
     """
     causes = (
         result.diagnosis.causes[0] for result in results if result.diagnosis and not result.agrees
@@ -129,10 +138,10 @@ def mistake_lines(results: Sequence[Result]) -> list[str]:
 
 
 def summarize_counts(results: Sequence[Result]) -> str:
-    """Return a sentence with the numbers of pictures that agree, differ, and so on.
+    """Return a sentence with the numbers of pictures that agree, differ, or cannot be compared.
 
-    It also states how many pictures are missing, and of how many scenes nobody has handed in a
-    picture.
+    The sentence also contains the number of missing pictures, and of scenes of which nobody has
+    handed in a picture.
     """
     counts = Counter("nobody" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip
@@ -152,8 +161,9 @@ def format_text(results: Sequence[Result], *, as_list: bool) -> str:
     results : sequence of Result
         At least one.
     as_list : bool
-        If true, return one line for each result, and a line with counts.  If false, return figures,
-        diagnosis and file of the first result, or its error, each on a line.
+        If True, return a line for each result, and a line with counts.  If False, return the
+        figures, the diagnosis and the comparison picture's file of the first result, each on a
+        line; or its error.
     """
     if as_list:
         return "\n".join([*(result.line() for result in results), summarize_counts(results)])
@@ -163,21 +173,26 @@ def format_text(results: Sequence[Result], *, as_list: bool) -> str:
 
 
 def format_json(results: Sequence[Result]) -> str:
-    """Format results as JSON: a list with one object for each result."""
+    """Format results as a JSON list with one object for each result."""
     return json.dumps([result.to_row() for result in results], indent=1)
 
 
 def format_csv(results: Sequence[Result]) -> str:
     """Format results as CSV: a header, and a row for each result.
 
-    The column "worst" contains the worst pixel as ``column,row``, as the option --pixel of `tracer`
-    takes it.  Names come from students, so control characters are escaped, and a cell that a
-    spreadsheet would run as a formula begins with an apostrophe.
+    The column "worst" contains the worst pixel as ``column,row``, the form of the argument of
+    `tracer --pixel`.  File names come from students, so cells are made safe: control characters are
+    escaped, and a cell that a spreadsheet would run as a formula begins with an apostrophe.
 
     Parameters
     ----------
     results : sequence of Result
-        At least one.
+        At least one result, whose columns become the header.
+
+    Returns
+    -------
+    str
+        The lines of the table, without a newline at the end.
     """
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
@@ -190,10 +205,10 @@ def format_csv(results: Sequence[Result]) -> str:
 
 
 def _safe_cell(text: str) -> str:
-    """Return the text of a CSV cell that neither a terminal nor a spreadsheet will execute.
+    """Change the text of a CSV cell so that neither a terminal nor a spreadsheet executes it.
 
-    Control characters are escaped, and an apostrophe is put before a first character with which a
-    spreadsheet formula begins.
+    Control characters are escaped.  An apostrophe precedes a first character with which a
+    spreadsheet formula begins, such as "=".
     """
     text = printable(text)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

@@ -1,18 +1,21 @@
 """Find the mistakes with which a scene renders as a hand-in: first single ones, then all pairs.
 
-The problem is that there are tens of thousands of pairs, and that a picture of each would take
-hours.  Almost all pairs are refuted by a few pixels, so the search is successive halving (Jamieson
-and Talwalkar 2016): all candidates are rendered at few pixels, the best of them at more pixels,
-and only the last few in full.  A *cause* is a tuple of keywords of mistakes that are made together.
+A *hand-in* is a picture that a student handed in, the *reference picture* is what it should be, and
+a *cause* is a tuple of keywords of mistakes that are made together.
+
+The problem is that there are tens of thousands of pairs of mistakes, and that rendering a picture
+with each pair would take hours.  A few pixels refute almost all pairs, so the search is successive
+halving (Jamieson and Talwalkar 2016): it renders all causes at few pixels, the best of them at more
+pixels, and only the last few in full.
 
 A cause is reported only if the scene, rendered with it, gives the hand-in, except for at most 3 %
-of the pixels in which the hand-in differs from the right picture.  If there is no such cause, the
-nearest one is returned as a hint.
+of the pixels in which the hand-in differs from the reference picture.  If there is no such cause,
+the cause with the most similar picture is returned as a hint.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple, TypeAlias
@@ -21,54 +24,70 @@ import numpy as np
 
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache, join_formulas, scene_values
-from reference.handins.formulas import Array, Formulas, parameter_names
+from reference.handins.formulas import Array, Formulas, used_names
 from reference.pictures import Codes
 from tracer import Scene
 
-# A cause is reported if it leaves at most this part of the differing pixels, or this many pixels.
-_MAX_REMAINING, _MAX_REMAINING_PIXELS = 0.03, 10
-# Minimum ratio between the pixels that two causes leave, if only the better one is reported; and
-# between what a mistake of a pair takes away and what the pair leaves.
+# A cause is reported if it leaves at most this part of the wrong pixels unexplained, or at most
+# this number of pixels.
+_MAX_UNEXPLAINED_PART, _MAX_UNEXPLAINED = 0.03, 10
+# Minimum ratio between the numbers of pixels that two causes leave unexplained, if only the better
+# cause is reported; and between what a mistake of a pair explains and what the pair does not.
 _MIN_RATIO = 5
-# Number of pixels at which mistakes are compared with each other.
+# Number of pixels at which the pictures of mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
 # Pixels of the first round, and causes after it.  Each further round has four times the pixels, and
 # a quarter of the causes, but not fewer than the last number.
 _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES = 240, 256, 16
-# A cause that is not the best may leave this many pixels of a round more by chance.  A search ends
-# if the best leaves more than this part of the differing pixels.
-_CHANCE, _MAX_WORST = 4, 0.75
-# Maximum numbers of pixels, and of pixels times surfaces, at which many causes are rendered: a
-# larger picture is represented by a random subset.  A picture that was compressed is rendered in
-# full, with fewer causes.
+# A cause that is not the best may leave this many more pixels of a round unexplained by chance.
+# The search ends if the best cause leaves more than this part of the wrong pixels unexplained.
+_MAX_CHANCE_PIXELS, _MAX_HOPELESS_PART = 4, 0.75
+# Maximum numbers of pixels, and of pixels times surfaces, at which many causes are rendered.  A
+# random subset represents a larger picture.  After lossy compression, the complete picture is
+# rendered, with fewer causes.
 MAX_PIXELS, _MAX_INTERSECTIONS = 131_072, 2_000_000
 # Number of intersections in one batch of pixels: their arrays take about a megabyte each.
 _INTERSECTIONS_PER_BATCH = 100_000
-# In scenes of more surfaces, mistakes of a single surface are not tried in pairs.
+# In scenes of more surfaces, mistakes that concern a single surface are not tried in pairs.
 _MAX_PAIRED_SURFACES = 40
-# Compression changes levels: differences of more levels count as this many.
+# After lossy compression, differences of more levels count as this many.
 _MAX_LEVELS = 32
+# With a mistake of the camera, a pair must show this many surfaces, if the scene has them.
+_MIN_SHOWN_SURFACES = 3
 
 Cause: TypeAlias = tuple[str, ...]
 
 
-def difference(a: Array, b: Array) -> Array:
-    """Return, for each pixel, the largest difference between two pictures' channels, in levels.
+def difference(first: Array, second: Array, channel_axis: int = -2) -> Array:
+    """Return, for each pixel, the largest difference between the colour channels of two pictures.
 
     Parameters
     ----------
-    a, b : (..., 3, n) arrays of equal type
-        Codes of n pixels.
+    first, second : (..., 3, n) arrays of equal type
+        Codes (levels from 0 to 255) of n pixels.
+    channel_axis : int
+        The axis of the three channels; 2 for pictures (h, w, 3).
 
     Returns
     -------
-    (..., n) array
+    levels : (..., n) array
+        The differences in levels, without the axis of the channels.
     """
-    return (np.maximum(a, b) - np.minimum(a, b)).max(axis=-2)
+    return (np.maximum(first, second) - np.minimum(first, second)).max(axis=channel_axis)
+
+
+def to_columns(codes: Codes) -> Array:
+    """Convert a picture (h, w, 3) to an array (3, n) with one column for each of the n pixels."""
+    return np.ascontiguousarray(codes.reshape(-1, 3).T)
+
+
+def to_picture(columns: Array, width: int) -> Codes:
+    """Convert an array (3, n) with one column per pixel to a picture (n / width, width, 3)."""
+    return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
 class Finding(NamedTuple):
-    """The result of a search for the mistakes in a hand-in.
+    """The result of searching for the mistakes in a hand-in.
 
     A cause is a tuple of keywords of mistakes that are made together, such as
     ("mirrored", "gamma-none").
@@ -78,16 +97,16 @@ class Finding(NamedTuple):
     causes : tuple of tuples of str
         The causes with which the scene renders as the hand-in.  If there are several, their
         pictures of this scene are nearly the same.  Empty if there is no such cause.
-    remaining_count : int
-        Number of pixels in which the hand-in differs from the picture with the first cause, or, if
-        there is none, with the hint.
+    unexplained_count : int
+        Number of pixels in which the hand-in differs from the picture with the first cause; if
+        there is no cause, from the picture with the hint.
     hint : tuple of str
-        If `causes` is empty, the cause with the most similar picture.  Empty if it explains less
-        than half of the differing pixels.
+        If `causes` is empty, the cause with the most similar picture.  Empty if that picture
+        explains less than half of the wrong pixels.
     """
 
     causes: tuple[Cause, ...]
-    remaining_count: int
+    unexplained_count: int
     hint: Cause = ()
 
 
@@ -99,13 +118,13 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
     stratum : (n,) int array
         The stratum to which each item belongs.
     max_count : int
-        Maximum number of items that are chosen.
+        Maximum number of items to choose.
 
     Returns
     -------
-    index : (k,) int array
-        Indices of the chosen items; k is the smaller of n and `max_count`.  The first indices of
-        the result are what a call with a smaller `max_count` returns.
+    item_index : (k,) int array
+        Indices of the chosen items; k is the smaller of n and `max_count`.  A call with a smaller
+        `max_count` returns the first indices of this array.
     """
     order = np.random.default_rng(1).permutation(len(stratum))
     order = order[np.argsort(stratum[order], kind="stable")]
@@ -114,313 +133,282 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
     return order[np.argsort(place_in_stratum, kind="stable")[:max_count]]
 
 
-class KnownPictures:
-    """The pictures of one scene at one size: the right one, and those with known mistakes.
+class MistakeRenderer:
+    """Renders one scene at one size with mistakes.
 
-    Pictures are defined by formulas (functions for values such as the radiance); a mistake replaces
-    several formulas.  A cause is a tuple of keywords of mistakes that are made together.
+    A picture is defined by formulas (functions for values such as the radiance), and a mistake by
+    the formulas that it replaces.  A cause is a tuple of keywords of mistakes that are made
+    together.
 
     Parameters
     ----------
     scene : Scene or (h, w, 3) uint8 array
-        The scene at this size; or, without a scene, the codes of a right picture.
-    right_codes : (3, n) uint8 array
-        The right picture's codes.
-    surface : (n,) int array
+        The scene at this size; or, if there is no scene, the codes of the reference picture.
+    reference_codes : (3, n) uint8 array
+        Codes of the reference picture, with one column for each of the n pixels.
+    surface_index : (n,) int array
         Index of the surface that each pixel shows; -1 for the background.
     width : int
         Width of the picture in pixels.
-    shared_formulas : dict of str to callable
+    base_formulas : dict of str to callable
         Formulas, by name, that all pictures have in place of the usual ones.
 
     Attributes
     ----------
     pixel_count, surface_count : int
-        Numbers of pixels of the picture, and of surfaces of the scene.
-    text : dict of str to str
-        The sentence of each mistake of the table, by its keyword.
-    table : dict of str to dict
-        The formulas of each mistake that can be rendered, by its keyword.
-    kinds : list of str
-        The keywords of the table, without those in `mistakes.VARIANTS`.
+        Numbers of pixels in the picture, and of surfaces in the scene.
+    mistakes : dict of str to Mistake
+        The mistakes that can be rendered, by keyword, in the order of the table of mistakes.
     sample : (m,) int array
-        Indices of pixels in a random order, of which already the first ones show all surfaces, lit
-        and in shadow.
+        Indices of pixels in a random order.  All surfaces, lit and in shadow, are among the first.
     """
 
     def __init__(
-        self, scene: Scene | Codes, right_codes: Array, surface: Array, width: int,
-        shared_formulas: Formulas,
+        self, scene: Scene | Codes, reference_codes: Array, surface_index: Array, width: int,
+        base_formulas: Formulas,
     ) -> None:  # fmt: skip
-        self.right_codes, self.surface, self.width = right_codes, surface, width
-        self.shared_formulas = shared_formulas
-        self.pixel_count, self._blank = right_codes.shape[1], np.zeros_like(right_codes)
+        self.reference_codes, self.surface_index = reference_codes, surface_index
+        self.width, self.base_formulas = width, base_formulas
+        self.pixel_count = reference_codes.shape[1]
+        self._blank_codes = np.zeros_like(reference_codes)
         size = {"width": width, "height": self.pixel_count // width}
         self._inputs = scene_values(scene) | size
-        known_scene = scene if isinstance(scene, Scene) else Scene(**size)
-        self.surface_count = len(known_scene.surfaces)
-        table = mistakes.list_mistakes(known_scene)
-        self.text = {kind: mistake.text for kind, mistake in table.items()}
-        one_pixel = self.formula_cache(np.array([0]), self._blank)
-        self.table = {kind: mistake.formulas for kind, mistake in table.items()
-                      if (joined := join_formulas([shared_formulas, mistake.formulas])) is not None
-                      and one_pixel.is_computable(joined)}  # fmt: skip
-        self.kinds = [kind for kind in self.table if kind not in mistakes.VARIANTS]
-        self._one_object_kinds = {k for k, mistake in table.items() if mistake.concerns_one_object}
-        subset = choose_stratified(surface, max(MAX_PIXELS // 32, _MAX_CAUSES))
-        stratum = surface[subset]
-        if isinstance(scene, Scene) and scene.lights:
-            for is_lit in self.compute("lit", subset)[:4]:
+        table_scene = scene if isinstance(scene, Scene) else Scene(**size)
+        self.surface_count = len(table_scene.surfaces)
+        self.mistakes = mistakes.list_mistakes(table_scene)
+        first_pixel = self.formula_cache(np.array([0]), self._blank_codes)
+        self.mistakes = {
+            keyword: mistake for keyword, mistake in self.mistakes.items()
+            if (formulas := self.formulas_of((keyword,))) and first_pixel.is_computable(formulas)
+        }  # fmt: skip
+        subset = choose_stratified(surface_index, MAX_PIXELS // 32)
+        stratum = surface_index[subset]
+        if isinstance(scene, Scene):
+            for is_lit in self.evaluate([base_formulas], subset, name="lit")[0][:4]:
                 stratum = 2 * stratum + is_lit
         self.sample = subset[choose_stratified(stratum, len(subset))]
 
-    def formulas_of(self, cause: Cause) -> Formulas | None:
-        """Return the formulas that the mistakes of a cause replace.
+    def formulas_of(self, cause: Cause) -> Formulas:
+        """Return the formulas with which to render the picture of a cause.
 
         Parameters
         ----------
         cause : tuple of str
-            Keywords of mistakes that are made together; without any, those of the right picture.
+            Keywords of mistakes that are made together.
 
         Returns
         -------
-        dict of str to callable, or None
-            The formulas by name, with those that all pictures share; None if two mistakes replace
-            the same formula, and so exclude each other.
+        dict of str to callable
+            The formulas, by name, that replace those of the reference picture.  Empty if two of the
+            mistakes exclude each other, because they replace the same formula.
         """
-        return join_formulas([self.shared_formulas, *(self.table[kind] for kind in cause)])
+        return join_formulas([self.base_formulas, *(self.mistakes[k].formulas for k in cause)])
 
-    def fitted_names(self, kind: str) -> Set[str]:
-        """Return the names of the fitted numbers that the formulas of a mistake use.
+    def is_fitted(self, keyword: str) -> bool:
+        """Test whether a mistake contains a number that is estimated from the hand-in.
 
-        A fitted number, such as "fitted_gamma", is estimated from the hand-in.
+        An example is a wrong gamma of unknown size, the formula `fitted_gamma`.
 
         Parameters
         ----------
-        kind : str
-            Keyword of the mistake.
+        keyword : str
+            Keyword of the mistake, such as "gamma".
         """
-        formulas = self.table[kind].values()
-        used = {name for formula in formulas for name in parameter_names(formula)}
-        return used & (mistakes.FITTED - {"brightest"})
+        names = used_names(self.mistakes[keyword].formulas)
+        return any(name.startswith("fitted_") for name in names)
 
     def formula_cache(
-        self, pixels: Array, handin: Array, fitted_pixels: FormulaCache | None = None
+        self, pixels: Array, handin_codes: Array, fitting_cache: FormulaCache | None = None
     ) -> FormulaCache:
-        """Return a cache that computes the values of formulas at some pixels.
+        """Return a cache that computes formulas (such as the radiance) at some pixels.
 
         Parameters
         ----------
         pixels : (k,) int array
             Indices of the pixels.
-        handin : (3, n) uint8 array
-            Codes of the complete picture that was handed in.
-        fitted_pixels : FormulaCache, optional
-            The pixels from which fitted numbers are estimated; by default, `pixels`.
+        handin_codes : (3, n) uint8 array
+            Codes of all n pixels of the hand-in.
+        fitting_cache : FormulaCache, optional
+            The cache for those pixels from which numbers such as a gamma are estimated.  By
+            default, they are estimated from `pixels`.
         """
-        inputs = {"i": pixels % self.width, "j": pixels // self.width, "handin": handin[:, pixels]}
-        return FormulaCache(self._inputs | inputs, fitted_pixels)
+        row, column = np.divmod(pixels, self.width)
+        inputs = {"i": column, "j": row, "handin": handin_codes[:, pixels]}
+        return FormulaCache(self._inputs | inputs, fitting_cache)
 
     def pixel_batches(self, pixels: Array) -> Iterator[Array]:
-        """Divide an array of pixel indices into batches whose rendering takes little memory."""
+        """Divide an array of pixel indices into batches that take little memory to render."""
         batch_size = max(500, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
         return (pixels[k : k + batch_size] for k in range(0, len(pixels), batch_size))
 
-    def compute(self, name: str, pixels: Array) -> Array:
-        """Compute a formula of the right picture at some pixels.
-
-        Parameters
-        ----------
-        name : str
-            Name of the formula, such as "lit".
-        pixels : (k,) int array
-            Indices of the pixels.
-
-        Returns
-        -------
-        (..., k) array
-        """
-        values = [self.formula_cache(batch, self._blank).get(name, self.shared_formulas)
-                  for batch in self.pixel_batches(pixels)]  # fmt: skip
-        return np.concatenate(values, axis=-1)
-
-    def fitting_cache(self, handin: Array) -> FormulaCache:
-        """Return the formulas at those pixels from which fitted numbers are estimated.
-
-        These pixels are a sample of the picture, and its brightest pixel.
-
-        Parameters
-        ----------
-        handin : (3, n) uint8 array
-            Codes of the picture that was handed in.
-        """
-        brightest = self.right_codes.astype(np.int16).sum(axis=0).argmax()
-        pixels = np.append(next(self.pixel_batches(self.sample)), brightest)
-        return self.formula_cache(pixels, handin)
-
-    def render(
-        self, causes: Sequence[Cause], pixels: Array, handin: Array,
-        fitted_pixels: FormulaCache | None,
+    def evaluate(
+        self, formula_sets: Sequence[Formulas], pixels: Array, handin_codes: Array | None = None,
+        fitting_cache: FormulaCache | None = None, name: str = "codes",
     ) -> Array:  # fmt: skip
-        """Render some pixels with each of several causes.
+        """Compute a value of some pixels, such as their codes, with each of several formula sets.
 
         Parameters
         ----------
-        causes : sequence of tuples of str
-            Keywords of mistakes that are made together.
+        formula_sets : sequence of dict of str to callable
+            For each result, the formulas by name that replace those of the reference picture.
         pixels : (k,) int array
             Indices of the pixels.
-        handin : (3, n) uint8 array
-            Codes of the complete picture that was handed in.
-        fitted_pixels : FormulaCache or None
-            The result of `fitting_cache` for the hand-in; None if no cause has fitted numbers.
+        handin_codes : (3, n) uint8 array, optional
+            Codes of all n pixels of the hand-in; by default, black.
+        fitting_cache : FormulaCache, optional
+            The cache for those pixels from which numbers such as a gamma are estimated.
+        name : str
+            Name of the formula to compute; by default, the 8-bit codes.
 
         Returns
         -------
-        codes : (causes, 3, k) uint8 array
+        values : (sets, ..., k) array
+            For the codes, (sets, 3, k).
         """
-        codes = np.empty((len(causes), 3, len(pixels)), dtype=np.uint8)
-        start = 0
-        for batch in self.pixel_batches(pixels):
-            cache = self.formula_cache(batch, handin, fitted_pixels)
-            end = start + len(batch)
-            for cause_codes, cause in zip(codes, causes, strict=True):
-                cause_codes[:, start:end] = cache.codes(self.formulas_of(cause) or {})
-            start = end
-        return codes
+        handin_codes = self._blank_codes if handin_codes is None else handin_codes
+        caches = (self.formula_cache(batch, handin_codes, fitting_cache)
+                  for batch in self.pixel_batches(pixels))  # fmt: skip
+        values = [[cache.get(name, formulas) for formulas in formula_sets] for cache in caches]
+        return np.concatenate(values, axis=-1)
 
     @cached_property
     def groups(self) -> dict[Cause, list[Cause]]:
         """Mistakes that change the picture, grouped by the picture that they give.
 
-        Each mistake is also rendered in those variants of a right tracer with which it gives
-        another picture.  A cause is then the keyword of the mistake and that of the variant.
-        Mistakes that show only together with others have a group of their own.  Mistakes with
-        fitted numbers are skipped, as are, in a scene of many surfaces, those of one object.
+        Each key is the first cause of a group, and the value is the list of all its causes.  Each
+        mistake is also rendered in those variants of a right tracer with which it gives another
+        picture; the cause then consists of the keywords of the mistake and of the variant.
 
-        The dict has the first cause of each group as key, and all causes of the group as value.
+        A mistake that shows only together with another one forms a group of its own.  Mistakes with
+        numbers that are estimated from a hand-in are skipped, as are, in a scene of many surfaces,
+        those that concern one surface or light.
         """
-        variants = ((), *((kind,) for kind in mistakes.VARIANTS if kind in self.table))
+        variants = ((), *((keyword,) for keyword in mistakes.VARIANTS if keyword in self.mistakes))
         has_many_surfaces = self.surface_count > _MAX_PAIRED_SURFACES
-        skipped = self._one_object_kinds if has_many_surfaces else set[str]()
-        causes = [(kind, *variant) for kind in self.kinds for variant in variants
-                  if kind not in skipped and not self.fitted_names(kind)]  # fmt: skip
-        causes = [cause for cause in causes if self.formulas_of(cause) is not None]
+        causes = [
+            cause for keyword, mistake in self.mistakes.items() for variant in variants
+            if keyword not in mistakes.VARIANTS and not self.is_fitted(keyword)
+            and not (has_many_surfaces and mistake.concerns_one_object)
+            and self.formulas_of(cause := (keyword, *variant))
+        ]  # fmt: skip
         pixels = next(self.pixel_batches(self.sample[:_GROUPING_PIXELS]))
-        codes = dict(zip(causes, self.render(causes, pixels, self._blank, None), strict=True))
-        groups: dict[bytes, list[Cause]] = {}
-        for cause in sorted(causes, key=len):
-            group = groups.setdefault(codes[cause].tobytes(), [])
-            if cause[:1] not in group:
-                group.append(cause)
-        groups.pop(self.right_codes[:, pixels].tobytes(), None)
+        pictures = self.evaluate([self.formulas_of(cause) for cause in causes], pixels)
         # Some mistakes show only where another mistake brings about radiance beyond 1.
-        hidden: list[Cause] = [(kind,) for kind in mistakes.OVEREXPOSED if kind in self.table]
-        return {cause: [cause] for cause in hidden} | {group[0]: group for group in groups.values()}
+        groups: dict[bytes, list[Cause]] = {
+            keyword.encode(): [(keyword,)]
+            for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes
+        }  # fmt: skip
+        for k in sorted(range(len(causes)), key=lambda k: len(causes[k])):
+            group = groups.setdefault(pictures[k].tobytes(), [])
+            if causes[k][:1] not in group:
+                group.append(causes[k])
+        groups.pop(self.reference_codes[:, pixels].tobytes(), None)
+        return {group[0]: group for group in groups.values()}
 
     @cached_property
-    def singles(self) -> list[Cause]:
-        """All causes that consist of a single mistake, some with a variant of a right tracer."""
-        members = (cause for group in self.groups.values() for cause in group)
-        return [*((kind,) for kind in self.kinds), *(c for c in members if len(c) > 1)]
+    def single_mistakes(self) -> list[Cause]:
+        """All causes that consist of one mistake, some with a variant of a right tracer."""
+        causes: list[Cause] = [(k,) for k in self.mistakes if k not in mistakes.VARIANTS]
+        return causes + [cause for group in self.groups.values() for cause in group if cause[1:]]
 
     @cached_property
-    def rendered_pairs(self) -> tuple[list[tuple[Cause, Cause]], Array, Array]:
+    def rendered_pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Array]:
         """All pairs of mistakes that change the picture, rendered at a few pixels.
 
-        Item 0 is a list of the pairs; each consists of two causes (tuples of keywords).  Item 1
-        contains the codes (pairs, 3, k) of each pair at k pixels.  Item 2 contains the indices (k,)
-        of these pixels.
+        Item 0 maps the cause of each pair to the two causes of which it consists.  Item 1 contains
+        the codes (pairs, 3, k) of each pair at k pixels.  Item 2 contains the indices (k,) of these
+        pixels.
         """
         share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
         pixels = self.sample[: max(40, int(share * _FIRST_PIXELS))]
-        cache = self.formula_cache(pixels, self._blank)
         # Several samples per pixel would take too long, and rounding is determined in the end.
-        slow = {kind for kind in self.table if "samples" in self.table[kind]}
-        candidates = [cause for cause in self.groups
-                      if slow.isdisjoint(cause) and cause[0] not in mistakes.ROUNDINGS]  # fmt: skip
-        pairs, codes = list[tuple[Cause, Cause]](), list[Array]()
-        for k, first in enumerate(candidates):
-            others = [other for other in candidates[k + 1 :] if self.join_causes(first, other)]
-            other_formulas = [self.formulas_of(other) or {} for other in others]
-            codes += cache.codes_of_pairs(self.formulas_of(first) or {}, other_formulas)
-            pairs += [(first, other) for other in others]
-        return pairs, np.array(codes).reshape(len(pairs), 3, len(pixels)), pixels
+        skipped = {k for k in self.mistakes if "samples" in self.mistakes[k].formulas}
+        skipped |= {*mistakes.ROUNDINGS}
+        candidates = [cause for cause in self.groups if skipped.isdisjoint(cause)]
+        pairs = {cause: (first, second) for first, second in combinations(candidates, 2)
+                 if (cause := self.join_causes(first, second))}  # fmt: skip
+        if not pairs:
+            return pairs, np.zeros((0, 3, len(pixels)), dtype=np.uint8), pixels
+        return pairs, self.evaluate([self.formulas_of(cause) for cause in pairs], pixels), pixels
 
-    def join_causes(self, first: Cause, second: Cause) -> Cause | None:
-        """Join two causes (tuples of keywords of mistakes) to one.
+    def join_causes(self, first: Cause, second: Cause) -> Cause:
+        """Join two causes (tuples of keywords of mistakes) into one.
 
         Returns
         -------
-        tuple of str, or None
-            The keywords of both; at the end, that of the variant of a right tracer, if one cause
-            has it.  None if the mistakes exclude each other, or if both causes have a variant.
+        tuple of str
+            The keywords of both causes; if one of them has a variant of a right tracer, the
+            variant's keyword is the last.  Empty if the mistakes exclude each other, or if both
+            causes have a variant.
         """
-        variants = [kind for kind in mistakes.VARIANTS if kind in (*first, *second)]
-        kinds = [kind for kind in (*first, *second) if kind not in mistakes.VARIANTS]
-        cause = (*kinds, *variants)
-        return cause if len(variants) < 2 and self.formulas_of(cause) is not None else None
+        variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
+        cause = (*without_variants((*first, *second)), *variants)
+        return cause if len(variants) < 2 and self.formulas_of(cause) else ()
 
 
 class Search:
     """The search for the causes of one hand-in.
 
-    A cause is a tuple of keywords of mistakes that are made together.  It *leaves* those pixels in
-    which the hand-in differs from the picture that is rendered with the cause.
+    A *cause* is a tuple of keywords of mistakes that are made together.  A *wrong* pixel differs
+    from the reference picture.  A cause leaves a pixel *unexplained* if the pixel differs from the
+    picture that is rendered with the cause.
 
     Parameters
     ----------
-    handin : (3, n) uint8 array
-        Codes of the picture that was handed in.
-    known : KnownPictures
-        The pictures of the scene at the size of the hand-in.
+    handin_codes : (3, n) uint8 array
+        Codes of the hand-in, with one column for each of the n pixels.
+    renderer : MistakeRenderer
+        Renders the scene with mistakes at the size of the hand-in.
     lossy_levels : int
-        Levels by which the file format of the hand-in, or of the right picture, changes codes.
+        Number of levels by which the file format of the hand-in, or of the reference picture, may
+        have changed codes.
     save : callable, optional
-        Converts codes (3, n) to those that this file format would contain.
+        Takes codes (3, n) and returns what this file format makes of them.
 
     Attributes
     ----------
     tolerance : int
         Differences of at most this many levels are ignored.
     is_wrong : (n,) bool array
-        Which pixels differ from the right picture by more than the tolerance.
+        True for pixels that differ from the reference picture by more than the tolerance.
     wrong_count, clearly_wrong_count : int
-        Number of these pixels, and of pixels that differ by more than one level.
-    fitted_pixels : FormulaCache
-        The pixels from which fitted numbers, such as a gamma, are estimated.
+        Number of wrong pixels, and of pixels that differ by more than one level.
+    fitting_cache : FormulaCache
+        The cache for those pixels from which numbers such as a gamma are estimated: a sample of the
+        picture, and the brightest pixel.
     """
 
     def __init__(
-        self, handin: Array, known: KnownPictures, lossy_levels: int = 0,
+        self, handin_codes: Array, renderer: MistakeRenderer, lossy_levels: int = 0,
         save: Callable[[Array], Array] | None = None,
     ) -> None:  # fmt: skip
-        self.handin, self.known, self.lossy_levels = handin, known, lossy_levels
-        self._save = save or (lambda codes: codes)
-        levels = difference(self._save(known.right_codes), handin)
+        self.handin_codes, self.renderer, self.lossy_levels = handin_codes, renderer, lossy_levels
+        self._save, reference_codes = save, renderer.reference_codes
+        levels = difference(save(reference_codes) if save else reference_codes, handin_codes)
         self.clearly_wrong_count = int((levels > 1).sum())
         # If at most two pixels differ by more than rounding, single levels count as wrong.
         self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
         self.is_wrong = levels > self.tolerance
-        self.wrong_count = int(self.is_wrong.sum())
-        color_counts = np.unique(handin.astype(np.int32).T @ (65536, 256, 1), return_counts=True)[1]
-        foreground_count = known.pixel_count - int(color_counts.max())
-        max_share = int(_MAX_REMAINING * min(self.wrong_count, foreground_count))
-        self._max_remaining = max(_MAX_REMAINING_PIXELS, max_share)
-        order = np.random.default_rng(1).permutation(known.pixel_count)
+        self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
+        color = handin_codes.astype(np.int32).T @ (65536, 256, 1)
+        foreground_count = pixel_count - int(np.unique(color, return_counts=True)[1].max())
+        max_part = int(_MAX_UNEXPLAINED_PART * min(self.wrong_count, foreground_count))
+        self._max_unexplained = max(_MAX_UNEXPLAINED, max_part)
+        order = np.random.default_rng(1).permutation(pixel_count)
         self._wrong_and_right = order[self.is_wrong[order]], order[~self.is_wrong[order]]
-        size = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, known.surface_count))
-        self._final_pixels, self._final_weights = self._choose_pixels(size)
-        if lossy_levels or known.pixel_count <= size:
-            every_pixel = np.arange(known.pixel_count)
-            self._final_pixels, self._final_weights = every_pixel, np.ones(known.pixel_count)
-        self._remaining, self._inexact = dict[Cause, int](), dict[Cause, int]()
-        self.fitted_pixels = known.fitting_cache(handin)
+        max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
+        final_count = pixel_count if lossy_levels else max_pixels
+        self._final_pixels, self._final_weights = self._choose_pixels(final_count)
+        # For each measured cause, the numbers of pixels that it leaves unexplained and inexact.
+        self._counts = dict[Cause, tuple[int, int]]()
+        brightest = reference_codes.astype(np.int16).sum(axis=0).argmax()
+        pixels = np.append(next(renderer.pixel_batches(renderer.sample)), brightest)
+        self.fitting_cache = renderer.formula_cache(pixels, handin_codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
-        """Choose pixels, half of which differ from the right picture.
+        """Choose random pixels, half of which differ from the reference picture.
 
-        If there are too few pixels of one kind, more of the other are chosen.
+        If there are too few pixels that differ, or that do not, more of the others are chosen.
 
         Parameters
         ----------
@@ -430,57 +418,80 @@ class Search:
         Returns
         -------
         pixels : (k,) int array
-            Indices of the chosen pixels.
+            Indices of the chosen pixels, sorted.
         weights : (k,) float array
-            The number of pixels of the picture that each chosen one represents.
+            Number of pixels of the picture that each chosen pixel represents.
         """
         wrong, right = self._wrong_and_right
         chosen_wrong = wrong[: max(count // 2, count - len(right))]
         chosen_right = right[: count - len(chosen_wrong)]
-        chosen = chosen_wrong, chosen_right
-        weights = [len(every) / max(1, len(part))
-                   for every, part in zip(self._wrong_and_right, chosen, strict=True)]  # fmt: skip
-        return np.concatenate(chosen), np.repeat(weights, (len(chosen_wrong), len(chosen_right)))
+        pixels = np.sort(np.concatenate([chosen_wrong, chosen_right]))
+        wrong_weight = len(wrong) / max(1, len(chosen_wrong))
+        right_weight = len(right) / max(1, len(chosen_right))
+        return pixels, np.where(self.is_wrong[pixels], wrong_weight, right_weight)
 
-    def _final_differences(self, causes: Sequence[Cause]) -> Array:
-        """Compare the hand-in with its causes at the pixels of the final round.
+    def _differences(self, causes: Sequence[Cause], pixels: Array) -> Array:
+        """Compare the hand-in with the pictures of several causes.
 
         Parameters
         ----------
         causes : sequence of tuples of str
-            The causes with which the pixels are rendered.
+            At least one cause, as keywords of mistakes that are made together.
+        pixels : (k,) int array
+            Indices of the pixels to compare.  If these are all pixels, lossy compression is applied
+            to the rendered pictures, if it was to the hand-in.
 
         Returns
         -------
         levels : (causes, k) array
             For each cause and pixel, the largest difference between the channels, in levels.
         """
-        pixels = self._final_pixels
-        rendered = self.known.render(causes, pixels, self.handin, self.fitted_pixels)
-        return np.array([difference(self._save(codes), self.handin[:, pixels])
-                         for codes in rendered]).reshape(len(causes), len(pixels))  # fmt: skip
+        formula_sets = [self.renderer.formulas_of(cause) for cause in causes]
+        codes = self.renderer.evaluate(formula_sets, pixels, self.handin_codes, self.fitting_cache)
+        if self._save and len(pixels) == self.renderer.pixel_count:
+            codes = np.array([self._save(picture) for picture in codes])
+        return difference(codes, self.handin_codes[:, pixels])
 
-    def _count_remaining(self, cause: Cause) -> int:
-        """Return the number of pixels that a cause leaves wrong.
+    def _measure(self, causes: Sequence[Cause]) -> None:
+        """Count the pixels that each cause leaves unexplained or inexact, and cache the numbers.
 
-        In a large picture, the number is an estimate from a subset of the pixels.  The result is
-        cached.
+        A pixel is unexplained if it differs from the picture of the cause by more than the
+        tolerance, and inexact if it differs at all, except for lossy compression.  In a large
+        picture, the numbers are estimates from a subset of the pixels.
+
+        Parameters
+        ----------
+        causes : sequence of tuples of str
+            Causes, as keywords of mistakes that are made together.
         """
-        if cause not in self._remaining:
-            is_left = self._final_differences([cause])[0] > self.tolerance
-            self._remaining[cause] = round(is_left @ self._final_weights)
-        return self._remaining[cause]
+        if new := [cause for cause in dict.fromkeys(causes) if cause not in self._counts]:
+            all_levels = self._differences(new, self._final_pixels)
+            for cause, levels in zip(new, all_levels, strict=True):
+                self._counts[cause] = (
+                    round((levels > self.tolerance) @ self._final_weights),
+                    round((levels > self.lossy_levels) @ self._final_weights),
+                )
 
-    def _count_remaining_everywhere(self, cause: Cause) -> int:
-        """Count the pixels of the complete picture that a cause does not explain."""
-        every_pixel = np.arange(self.known.pixel_count)
-        if len(self._final_pixels) == len(every_pixel):
-            return self._count_remaining(cause)
-        codes = self.known.render([cause], every_pixel, self.handin, self.fitted_pixels)[0]
-        return int((difference(codes, self.handin) > self.tolerance).sum())
+    def _unexplained(self, cause: Cause) -> int:
+        """Return the number of pixels that a cause leaves unexplained.
+
+        These are the pixels in which the hand-in differs from the picture of the cause.  In a large
+        picture, the number is an estimate from a subset of the pixels.
+        """
+        self._measure([cause])
+        return self._counts[cause][0]
+
+    def _inexact(self, cause: Cause) -> int:
+        """Return the number of pixels that differ from a cause's picture even by one level.
+
+        Levels that lossy compression may have changed are ignored.  In a large picture, the number
+        is an estimate from a subset of the pixels.
+        """
+        self._measure([cause])
+        return self._counts[cause][1]
 
     def _select_best(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes that leave the fewest pixels wrong, by successive halving.
+        """Select the causes that leave the fewest pixels unexplained, by successive halving.
 
         Successive halving compares all causes at few pixels, then the best of them at more pixels,
         and so on.
@@ -492,17 +503,19 @@ class Search:
         """
         pixel_count, max_causes, min_causes = _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES
         if self.lossy_levels:
-            min_causes = max(1, min(min_causes, min_causes * MAX_PIXELS // self.known.pixel_count))
+            pixel_limit = min_causes * MAX_PIXELS // self.renderer.pixel_count
+            min_causes = max(1, min(min_causes, pixel_limit))
         while len(causes) > min_causes and pixel_count < len(self._final_pixels):
             causes = self._run_round(causes, pixel_count, max(min_causes, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
-        return sorted(self._with_rounding(causes[:_MIN_CAUSES]), key=self._count_remaining)
+        self._measure(causes[:_MIN_CAUSES])
+        return sorted(causes[:_MIN_CAUSES], key=self._unexplained)
 
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
-        """Select the causes that leave the fewest of some pixels wrong: a round of `_select_best`.
+        """Run one round of successive halving: render causes at some pixels, and keep the best.
 
-        After lossy compression, nearly all levels are wrong, so the causes with the smallest sum of
-        differences are selected.
+        The best causes leave the fewest pixels unexplained.  After lossy compression, nearly all
+        pixels differ, so the best causes are those with the smallest sum of differences.
 
         Parameters
         ----------
@@ -511,191 +524,173 @@ class Search:
         pixel_count : int
             Number of pixels at which the causes are rendered.
         max_causes : int
-            Maximum number of causes to select.
+            Maximum number of causes to keep.
 
         Returns
         -------
         list of tuples of str
-            The selected causes, the best first.  Empty if all leave more than `_MAX_WORST` of the
-            pixels that differ from the right picture.
+            The best causes, in this order.  Empty if each leaves more than `_MAX_HOPELESS_PART` of
+            the wrong pixels unexplained.
         """
         pixels, weights = self._choose_pixels(pixel_count)
-        codes = self.known.render(causes, pixels, self.handin, self.fitted_pixels)
-        levels = difference(codes, self.handin[:, pixels])
+        levels = self._differences(causes, pixels)
         if self.lossy_levels:
             order = np.argsort(np.minimum(levels, _MAX_LEVELS) @ weights, kind="stable")
             return [causes[k] for k in order[:max_causes]]
-        is_left = levels > self.tolerance
-        if is_left[:, self.is_wrong[pixels]].mean(axis=1).min() > _MAX_WORST:
+        is_unexplained = levels > self.tolerance
+        if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _MAX_HOPELESS_PART:
             return []
-        remaining = is_left @ weights
-        limit = 1.5 * remaining.min() + _CHANCE * weights.max()
-        order = np.argsort(remaining, kind="stable")[:max_causes]
-        return [causes[k] for k in order if remaining[k] <= limit]
+        count = is_unexplained @ weights
+        max_count = 1.5 * count.min() + _MAX_CHANCE_PIXELS * weights.max()
+        order = np.argsort(count, kind="stable")[:max_causes]
+        return [causes[k] for k in order if count[k] <= max_count]
 
     def find(self) -> Finding:
         """Search for the causes with which the scene renders as the hand-in.
 
-        Single mistakes are tried first, and pairs only if no single mistake explains the hand-in
-        almost exactly.  If no cause explains it, the nearest one is returned as a hint.
-        """
-        singles = self._select_best(self.known.singles)
-        group = self._select_reportable(singles)
-        if not group or self._count_remaining(group[0]) > _MAX_REMAINING_PIXELS:
-            pairs = self._best_pairs()
-            better = self._select_reportable([c for c in pairs if self._needs_each_mistake(c)])
-            if better and (
-                not group
-                or _MIN_RATIO * self._count_remaining(better[0]) <= self._count_remaining(group[0])
-            ):
-                group = better
-            elif not group:
-                return self._find_hint(singles, pairs)
-        remaining_count = self._count_remaining_everywhere(group[0])
-        if remaining_count > self._max_remaining:  # the estimate from a subset was smaller
-            return self._find_hint(group[:1], [])
-        return Finding(tuple(dict.fromkeys(map(_without_variants, group))), remaining_count)
-
-    def _find_hint(self, singles: list[Cause], pairs: list[Cause]) -> Finding:
-        """Return a finding without causes, whose hint is the cause that explains most pixels.
-
-        Parameters
-        ----------
-        singles, pairs : list of tuples of str
-            Single mistakes, and pairs of mistakes, each with the best first.  The best pair is
-            preferred only if it leaves less than half the pixels of the best single mistake.
+        Single mistakes are tried first.  Pairs are tried only if no single mistake explains the
+        hand-in almost exactly.
 
         Returns
         -------
         Finding
-            Without a hint if the best cause explains less than half of the wrong pixels.
+            The causes; or, if no cause explains the hand-in, the nearest cause as a hint.
         """
-        if not (best := singles[:1] + pairs[:1]):
+        singles, pairs = self._select_best(self.renderer.single_mistakes), list[Cause]()
+        group = self._select_reportable(singles)
+        if not group or self._unexplained(group[0]) > _MAX_UNEXPLAINED:
+            pairs = self._best_pairs()
+            better = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
+            if better and (
+                not group
+                or _MIN_RATIO * self._unexplained(better[0]) <= self._unexplained(group[0])
+            ):
+                group = better
+        if group:
+            unexplained_count = self._count_in_full_picture(group[0])
+            if unexplained_count <= self._max_unexplained:
+                causes = dict.fromkeys(without_variants(cause) for cause in group)
+                return Finding(tuple(causes), unexplained_count)
+        # A pair is the hint only if it leaves less than half as many pixels as a single mistake.
+        hint = min(group[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
+            len(without_variants(cause)) * self._unexplained(cause)))  # fmt: skip
+        hint, *_ = self._with_rounding([hint])
+        unexplained_count = self._count_in_full_picture(hint)
+        if 2 * unexplained_count > self.wrong_count:
             return Finding((), self.wrong_count)
-        remaining = [self._count_remaining(cause) for cause in best]
-        hint = best[-1] if 2 * remaining[-1] < remaining[0] else best[0]
-        if 2 * (unexplained := self._count_remaining_everywhere(hint)) > self.wrong_count:
-            return Finding((), self.wrong_count)
-        return Finding((), unexplained, _without_variants(hint))
+        return Finding((), unexplained_count, without_variants(hint))
+
+    def _count_in_full_picture(self, cause: Cause) -> int:
+        """Count the pixels in which the hand-in differs from the full picture of a cause."""
+        levels = self._differences([cause], np.arange(self.renderer.pixel_count))
+        return int((levels > self.tolerance).sum())
 
     def _best_pairs(self) -> list[Cause]:
-        """Return the pairs of mistakes that leave the fewest pixels wrong, the best first.
+        """Return the pairs of mistakes that leave the fewest pixels unexplained, the best first.
 
         If several mistakes have the same picture, only the first of them is tried in pairs.  The
         others are tried in its place if a pair with it is among the best.
         """
-        known = self.known
-        pairs, codes, pixels = known.rendered_pairs
-        is_left = difference(codes, self.handin[:, pixels]) > self.tolerance
-        order = np.argsort(is_left.sum(axis=1), kind="stable")[:_MAX_CAUSES]
-        mistakes_of = {cause: pairs[k] for k in order if (cause := known.join_causes(*pairs[k]))}
-        background = mistakes.BACKGROUND
-        if self.handin[:, known.surface < 0].any():
-            mistakes_of |= {cause: (background, other) for other in known.groups
-                            if (cause := known.join_causes(background, other))}  # fmt: skip
-        best = self._select_best([*mistakes_of])
-        groups = {background: [background]} | known.groups
-        roundings = [(), *((kind,) for kind in mistakes.ROUNDINGS)]
-        close = [c for c in mistakes_of if any((*c, *rounding) in best for rounding in roundings)]
-        members = {joined: None for cause in close
-                   for first in groups[mistakes_of[cause][0]]
-                   for second in groups[mistakes_of[cause][1]]
-                   if (joined := known.join_causes(first, second))}  # fmt: skip
-        return self._select_best([*members]) if len(members) > len(close) else best
+        renderer, background = self.renderer, mistakes.BACKGROUND
+        rendered, codes, pixels = renderer.rendered_pairs
+        is_unexplained = difference(codes, self.handin_codes[:, pixels]) > self.tolerance
+        order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*rendered]
+        pairs = {causes[k]: rendered[causes[k]] for k in order[:_MAX_CAUSES]}
+        if self.handin_codes[:, renderer.surface_index < 0].any():
+            pairs |= {cause: (background, other) for other in renderer.groups
+                      if (cause := renderer.join_causes(background, other))}  # fmt: skip
+        best, groups = self._select_best([*pairs]), {background: [background]} | renderer.groups
+        members = {joined: None for cause in best
+                   for first in groups[pairs[cause][0]] for second in groups[pairs[cause][1]]
+                   if (joined := renderer.join_causes(first, second))}  # fmt: skip
+        return self._select_best([*members]) if len(members) > len(best) else best
 
     def _needs_each_mistake(self, cause: Cause) -> bool:
         """Test whether each mistake of a pair explains far more pixels than the pair leaves.
 
-        If the pair has a mistake of the camera, its picture must also show at least three surfaces,
-        or all that the right picture shows: a picture that shows less may agree by chance.
+        If one of them is a mistake of the camera, the picture of the pair must also show at least
+        `_MIN_SHOWN_SURFACES` surfaces, or as many as the reference picture: a picture that shows
+        fewer may agree by chance.
 
         Parameters
         ----------
         cause : tuple of str
-            Keywords of the mistakes; a variant of a right tracer or a rounding may follow them.
+            Keywords of the mistakes; the keyword of a variant of a right tracer may follow.
         """
-        known, additions = self.known, (*mistakes.VARIANTS, *mistakes.ROUNDINGS)
-        kinds = [kind for kind in cause if kind not in additions]
-        suffix = [kind for kind in cause if kind in additions]
-        remaining = self._count_remaining(cause)
-        for others in combinations(kinds, len(kinds) - 1):
-            explained = self._count_remaining((*others, *suffix)) - remaining
-            if explained < max(_MIN_RATIO * remaining, 1):
+        unexplained, keywords = self._unexplained(cause), without_variants(cause)
+        for keyword in keywords:
+            others = tuple(other for other in cause if other != keyword)
+            if self._unexplained(others) - unexplained < max(_MIN_RATIO * unexplained, 1):
                 return False
-        has_camera_mistake = any(mistakes.CAMERA & known.table[kind].keys() for kind in kinds)
-        if not has_camera_mistake or not known.surface_count:
+        renderer = self.renderer
+        if not renderer.surface_count or mistakes.CAMERA.isdisjoint(renderer.formulas_of(keywords)):
             return True
-        pixels = next(known.pixel_batches(known.sample))
-        cache, formulas = known.formula_cache(pixels, self.handin), known.formulas_of(cause) or {}
-        is_hit, surface = (cache.get(name, formulas) for name in ("hit", "surface"))
-        right_surfaces = np.unique(known.surface[pixels])
-        return len(np.unique(surface[is_hit])) >= min(3, int((right_surfaces >= 0).sum()))
+        pixels = next(renderer.pixel_batches(renderer.sample))
+        shown = renderer.evaluate([renderer.formulas_of(cause)], pixels, name="shown_surface")[0]
+        counts = [len(np.unique(surface_index[surface_index >= 0]))
+                  for surface_index in (shown, renderer.surface_index[pixels])]  # fmt: skip
+        return counts[0] >= min(_MIN_SHOWN_SURFACES, counts[1])
 
     def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes that may be reported.
+        """Select the causes that may be reported, and add mistakes of rounding to them.
 
         A reportable cause explains almost all wrong pixels, nearly as many as the best cause does,
-        and nearly as many of them exactly.  A cause with fitted numbers, such as a gamma, is
-        reported only if there is no other.
+        and nearly as many of them exactly.  A cause that contains a number estimated from the
+        hand-in, such as a gamma, is reported only if there is no other.
 
         Parameters
         ----------
         causes : list of tuples of str
-            Results of `_select_best`.
+            Causes, as keywords of mistakes that are made together.
 
         Returns
         -------
         list of tuples of str
             The selected causes, in the order of the table of mistakes.
         """
-        remaining = {cause: self._count_remaining(cause) for cause in causes}
-        limit = min(self._max_remaining, self.wrong_count - 1)
-        causes = [cause for cause in causes if remaining[cause] <= limit]
+        max_unexplained = min(self._max_unexplained, self.wrong_count - 1)
+        causes = [cause for cause in causes if self._unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        min_remaining = min(remaining[cause] for cause in causes)
-        causes = [c for c in causes if remaining[c] < _MIN_RATIO * max(1, min_remaining)]
-        min_inexact = min(self._inexact[cause] for cause in causes)
-        max_inexact = _MIN_RATIO * max(min_inexact, _MAX_REMAINING_PIXELS)
-        causes = [c for c in causes if self._inexact[c] <= max_inexact]
-        causes = [c for c in causes if not any(map(self.known.fitted_names, c))] or causes
-        place = {kind: k for k, kind in enumerate(self.known.table)}
-        return sorted(causes, key=lambda cause: [place[kind] for kind in cause])
+        limit = _MIN_RATIO * max(1, min(map(self._unexplained, causes)))
+        causes = self._with_rounding([c for c in causes if self._unexplained(c) < limit])
+        max_inexact = _MIN_RATIO * max(min(map(self._inexact, causes)), _MAX_UNEXPLAINED)
+        causes = [cause for cause in causes if self._inexact(cause) <= max_inexact]
+        causes = [c for c in causes if not any(map(self.renderer.is_fitted, c))] or causes
+        table_order = [*self.renderer.mistakes]
+        return sorted(causes, key=lambda cause: [table_order.index(k) for k in cause])
 
     def _with_rounding(self, causes: list[Cause]) -> list[Cause]:
         """Add a mistake of rounding to those causes whose picture it makes far more exact.
 
-        The causes, and each of them with each mistake of rounding, are rendered at the pixels of
-        the final round.  This sets the numbers of pixels that they leave, in `_remaining` and
-        `_inexact`; the latter also counts pixels that are one level off.
+        A mistake of rounding, such as cutting levels off, changes codes by at most one level.
 
         Parameters
         ----------
         causes : list of tuples of str
-            Keywords of mistakes that are made together.
+            Causes, as keywords of mistakes that are made together.
 
         Returns
         -------
         list of tuples of str
-            Each cause, unchanged or with one more keyword.
+            Each cause, unchanged or with one more keyword.  If single levels count as wrong, or
+            after lossy compression, all causes are unchanged.
         """
-        may_round = self.tolerance and not self.lossy_levels
-        kinds = [kind for kind in mistakes.ROUNDINGS if may_round and kind in self.known.table]
-        variants = {cause: [(*cause, kind) for kind in kinds
-                            if self.known.formulas_of((*cause, kind)) is not None]
-                    for cause in causes}  # fmt: skip
-        every = [*dict.fromkeys(v for cause in causes for v in (cause, *variants[cause]))]
-        for cause, levels in zip(every, self._final_differences(every), strict=True):
-            self._remaining[cause] = round((levels > self.tolerance) @ self._final_weights)
-            self._inexact[cause] = round((levels > self.lossy_levels) @ self._final_weights)
-        chosen = []
-        for cause in causes:
-            rounded = min([cause, *variants[cause]], key=self._inexact.__getitem__)
-            limit = _MIN_RATIO * max(self._inexact[rounded], _MAX_REMAINING_PIXELS)
-            chosen.append(rounded if limit < self._inexact[cause] else cause)
-        return chosen
+        if not self.tolerance or self.lossy_levels:
+            return causes
+        join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
+        choices = [[cause, *filter(None, (join(cause, (keyword,)) for keyword in roundings))]
+                   for cause in causes]  # fmt: skip
+        self._measure([cause for choice in choices for cause in choice])
+        most_exact = [min(choice, key=self._inexact) for choice in choices]
+        return [
+            rounded
+            if _MIN_RATIO * max(self._inexact(rounded), _MAX_UNEXPLAINED) < self._inexact(cause)
+            else cause
+            for cause, rounded in zip(causes, most_exact, strict=True)
+        ]
 
 
-def _without_variants(cause: Cause) -> Cause:
-    """Remove, from the keywords of a cause, variants of a right tracer, which are no mistakes."""
-    return tuple(kind for kind in cause if kind not in mistakes.VARIANTS)
+def without_variants(cause: Cause) -> Cause:
+    """Remove the keywords of variants of a right tracer, which are no mistakes, from a cause."""
+    return tuple(keyword for keyword in cause if keyword not in mistakes.VARIANTS)

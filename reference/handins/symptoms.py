@@ -1,17 +1,19 @@
-"""Describe hand-ins that no known mistake renders: by lights, speckles, ties, files and edges."""
+"""Recognise differences that no formula makes: rounding, speckles, JPEG, borders, missing lights.
+
+A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.
+"""
 
 from __future__ import annotations
 
 import io
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 
-from reference.handins import mistakes
 from reference.handins.formulas import Array
-from reference.handins.search import MAX_PIXELS, KnownPictures, Search, difference
+from reference.handins.mistakes import parse_formulas, sample_position_formulas
+from reference.handins.search import MAX_PIXELS, Search, difference, to_picture
 from reference.pictures import Codes
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
@@ -27,115 +29,93 @@ _MIN_SPECKLES, _MAX_OTHERS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
 # JPEG: the qualities that are tried, the minimum part of the wrong pixels that it explains, and the
 # maximum size of pictures that are tried, in pixels.
 _QUALITIES, _MIN_SAME, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
-# Maximum number of places at which the right picture is searched for in a larger one, and the
-# maximum part of the pixels that may differ by more than one level there.
+# Maximum number of places at which the reference picture is searched for in a larger picture, and
+# maximum part of its pixels that may differ by more than one level there.
 _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 
 
-class LightChanges(NamedTuple):
-    """Lights that are missing, or wrongly present, at the n wrong pixels of a hand-in.
+def find_light_changes(search: Search) -> tuple[Array, Array] | None:
+    """Find the lights that a hand-in lacks, or has too many of, at each wrong pixel.
 
-    Attributes
-    ----------
-    pixels : (n,) int array
-        Indices of the wrong pixels.
-    is_lost : (lights, n) bool array
-        True if the hand-in lacks a light that should reach the pixel.
-    is_extra : (lights, n) bool array
-        True if the hand-in has a light that should be blocked.
-    is_known : (n,) bool array
-        True if some set of lights gives the hand-in's codes.  For other pixels, nothing is lost and
-        nothing is extra.
-    """
-
-    pixels: Array
-    is_lost: Array
-    is_extra: Array
-    is_known: Array
-
-
-def find_light_changes(search: Search) -> LightChanges | None:
-    """Find the lights that are missing, or wrongly present, at each wrong pixel of a hand-in.
-
-    Each wrong pixel is rendered with every set of lights.  Among the sets that give the
-    hand-in's codes within one level, the set that differs least from the right one is chosen.
+    A hand-in is a picture that a student handed in.  Each wrong pixel is rendered with every set of
+    lights.  Of the sets that give the hand-in's codes within one level, the set that differs least
+    from the right one is used.
 
     Parameters
     ----------
     search : Search
-        The hand-in, with its wrong pixels and the known pictures of the scene.
+        The hand-in, its wrong pixels, and the renderer of its scene.
 
     Returns
     -------
-    LightChanges or None
-        None if no pixel is wrong, if more than `MAX_PIXELS` pixels are, or if the scene is unknown,
-        or has no light or more than `_MAX_LIGHTS`.
+    is_lost : (lights, n) bool array
+        For each light of the scene and each of the n pixels of the picture, true if the light
+        should reach the pixel, but does not.
+    is_extra : (lights, n) bool array
+        True if the light should be blocked, but reaches the pixel.
+
+    Both are false at pixels that are right, or that no set of lights explains.  The result is None
+    if no pixel is wrong, if more than `MAX_PIXELS` are, if the scene is unknown, or if it has no
+    light or more than `_MAX_LIGHTS`.
     """
-    known, pixels = search.known, np.flatnonzero(search.is_wrong)
-    if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in known.table:
+    renderer, pixels = search.renderer, np.flatnonzero(search.is_wrong)
+    if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
         return None
-    is_lit = known.compute("lit", pixels)
+    is_lit = renderer.evaluate([renderer.base_formulas], pixels, name="lit")[0]
     light_count = len(is_lit)
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
     light_sets = [*product((False, True), repeat=light_count)]
-    assignments = [f"lit = array({[*lights]})[:, None] & (distance > 0)" for lights in light_sets]
-    formulas = [known.shared_formulas | mistakes.parse_formulas(text) for text in assignments]
-    caches = (known.formula_cache(batch, search.handin) for batch in known.pixel_batches(pixels))
-    codes = np.concatenate(
-        [[cache.codes(changed) for changed in formulas] for cache in caches], axis=-1
-    )
+    formula_sets = [
+        parse_formulas(f"lit = array({[*lights]})[:, None] & (distance > 0)")
+        for lights in light_sets
+    ]
+    codes = renderer.evaluate(formula_sets, pixels, search.handin_codes)
     # For each set and pixel, the number of lights that differ from the right ones; more than all
     # lights if the set does not give the hand-in's codes.
-    change_count = (is_lit != np.array(light_sets)[:, :, None]).sum(axis=1)
-    gives_handin = difference(codes, search.handin[:, pixels]) <= 1
-    change_count = np.where(gives_handin, change_count, light_count + 1)
-    has_light = np.array(light_sets)[change_count.argmin(axis=0)].T
-    is_known = change_count.min(axis=0) <= light_count
-    return LightChanges(
-        pixels, is_lit & ~has_light & is_known, has_light & ~is_lit & is_known, is_known
-    )
+    set_has_light = np.array(light_sets)
+    change_count = (is_lit != set_has_light[:, :, None]).sum(axis=1)
+    change_count[difference(codes, search.handin_codes[:, pixels]) > 1] = light_count + 1
+    has_light = set_has_light[change_count.argmin(axis=0)].T
+    has_light = np.where(change_count.min(axis=0) <= light_count, has_light, is_lit)
+    is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
+    is_lost[:, pixels], is_extra[:, pixels] = is_lit & ~has_light, has_light & ~is_lit
+    return is_lost, is_extra
 
 
-def is_speckled(changes: LightChanges | None, known: KnownPictures) -> bool:
-    """Test whether surfaces shadow themselves in dots that depend on rounding.
+def is_speckled(search: Search) -> bool:
+    """Test whether surfaces of a hand-in shadow themselves in dots that depend on rounding.
 
-    Two conditions hold for such dots.  (1) Light is lost, and little else is wrong.  (2) Along rows
-    as along columns, neighbours on the affected surfaces differ nearly as often as if chance
-    decided on each pixel.
+    A hand-in is a picture that a student handed in.  It has such dots if (1) the wrong pixels lack
+    light, and few are wrong in another way; and (2) along rows and along columns, neighbouring
+    pixels of a surface differ nearly as often as if chance decided on each pixel.
 
     Parameters
     ----------
-    changes : LightChanges or None
-        The lights that the hand-in lacks; if they are unknown, the result is false.
-    known : KnownPictures
-        The known pictures of the scene, of which the surfaces and lights are used.
+    search : Search
+        The hand-in, its wrong pixels, and the renderer of its scene.
     """
-    if changes is None or known.pixel_count > MAX_PIXELS:
+    renderer = search.renderer
+    if renderer.pixel_count > MAX_PIXELS or not (changes := find_light_changes(search)):
         return False
-    loses_light = changes.is_lost.any(axis=0)
-    other_count = (changes.is_extra.any(axis=0) | ~changes.is_known).sum()
-    min_count = _MIN_SPECKLES * known.pixel_count
-    if other_count > _MAX_OTHERS * loses_light.sum() or loses_light.sum() <= min_count:
+    is_dark = changes[0].any(axis=0) & ~changes[1].any(axis=0)
+    dark_count = is_dark.sum()
+    has_others = search.wrong_count - dark_count > _MAX_OTHERS * dark_count
+    if has_others or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
         return False
-    is_lit = known.compute("lit", np.arange(known.pixel_count))
-    is_lost = np.zeros_like(is_lit)
-    is_lost[:, changes.pixels] = changes.is_lost
-    # The probability that light is lost, which differs from surface to surface.
-    surface = known.surface + 1
-    lost_count, lit_count = (np.array([np.bincount(surface, row) for row in mask])
-                             for mask in (is_lost, is_lit))  # fmt: skip
-    probability = (lost_count / np.maximum(lit_count, 1))[:, surface]
-    is_lit, is_lost, probability = (
-        array.reshape(len(is_lit), -1, known.width) for array in (is_lit, is_lost, probability)
-    )
-    surface = surface.reshape(-1, known.width)
-    for axis in (1, 2):
-        has_same_surface = surface == np.roll(surface, 1, axis - 1)
+    every_pixel, surface = np.arange(renderer.pixel_count), renderer.surface_index + 1
+    is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
+    # For each pixel, the part of its surface's lit pixels that lack light.
+    lit_counts, dark_counts = np.bincount(surface, is_lit), np.bincount(surface, is_dark)
+    dark_part = (dark_counts / np.maximum(lit_counts, 1))[surface]
+    maps = (a.reshape(-1, renderer.width) for a in (is_lit, is_dark, surface, dark_part))
+    is_lit, is_dark, surface, dark_part = maps
+    for axis in (0, 1):
+        has_same_surface = surface == np.roll(surface, 1, axis)
         are_both_lit = is_lit & np.roll(is_lit, 1, axis) & has_same_surface
-        differ = are_both_lit & (is_lost != np.roll(is_lost, 1, axis))
-        expected_count = (2 * probability * (1 - probability))[are_both_lit].sum()
-        if differ.sum() <= _MIN_RANDOMNESS * expected_count:
+        differing_count = (are_both_lit & (is_dark != np.roll(is_dark, 1, axis))).sum()
+        expected_count = (2 * dark_part * (1 - dark_part))[are_both_lit].sum()
+        if differing_count <= _MIN_RANDOMNESS * expected_count:
             return False
     return True
 
@@ -143,110 +123,117 @@ def is_speckled(changes: LightChanges | None, known: KnownPictures) -> bool:
 def is_decided_by_rounding(search: Search) -> bool:
     """Test whether rounding explains all pixels in which a hand-in differs by more than one level.
 
-    This is so if few pixels differ, and if the codes of each lie between those that the right
-    tracer gives when the sample, or the origin of shadow rays, is moved a little.
+    Rounding explains them if (1) they are few; and (2) the codes of each lie between those that the
+    right tracer gives when the sample in the pixel, or the origin of its shadow rays, is moved a
+    little.
 
     Parameters
     ----------
     search : Search
-        The hand-in, with the known pictures of the scene.
+        The hand-in (a picture that a student handed in), and the renderer of its scene.
     """
-    known = search.known
-    pixels = np.flatnonzero(difference(known.right_codes, search.handin) > 1)
-    if not 0 < len(pixels) <= max(1, _MAX_TIES * known.pixel_count):
+    renderer = search.renderer
+    pixels = np.flatnonzero(difference(renderer.reference_codes, search.handin_codes) > 1)
+    if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
         return False
-    cache, offsets = known.formula_cache(pixels, search.handin), (-_TIE_OFFSET, 0, _TIE_OFFSET)
-    samples = [mistakes.sample_position_formulas(0.5 + x, 0.5 + y)
-               for x, y in product(offsets, repeat=2)]  # fmt: skip
-    origins = [mistakes.parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
+    offsets = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
+    samples = [sample_position_formulas(x, y) for x, y in product(offsets, repeat=2)]
+    origins = [parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
                for lift in _TIE_LIFTS]  # fmt: skip
-    codes = np.array([cache.codes(known.shared_formulas | sample | origin)
-                      for sample in samples for origin in origins]).astype(np.int16)  # fmt: skip
-    handin, low, high = search.handin[:, pixels], codes.min(axis=0) - 1, codes.max(axis=0) + 1
-    return bool(((handin >= low) & (handin <= high)).all())
+    formula_sets = [renderer.base_formulas | sample | origin
+                    for sample, origin in product(samples, origins)]  # fmt: skip
+    codes = renderer.evaluate(formula_sets, pixels).astype(np.int16)
+    low, high = codes.min(axis=0) - 1, codes.max(axis=0) + 1
+    handin_codes = search.handin_codes[:, pixels]
+    return bool(((handin_codes >= low) & (handin_codes <= high)).all())
 
 
-def is_after_jpeg(handin: Codes, right: Codes) -> bool:
-    """Test whether a hand-in is the right picture after JPEG compression of some quality.
+def is_after_jpeg(handin_codes: Codes, reference_codes: Codes) -> bool:
+    """Test whether a picture is the reference picture after JPEG compression of some quality.
 
-    Several qualities are tried.  One of them must explain most pixels, and most of those that
-    differ from the right picture, within one level.  Large pictures are not tried.
+    Several qualities are tried.  With one of them, the compressed reference picture must agree with
+    the hand-in (the picture that a student handed in) within one level, in most pixels and in most
+    of those in which the hand-in differs from the reference picture.
 
     Parameters
     ----------
-    handin, right : (h, w, 3) uint8 arrays
-        The codes of the picture that was handed in, and of the right picture.
+    handin_codes, reference_codes : (h, w, 3) uint8 arrays
+        Codes of both pictures.
+
+    Returns
+    -------
+    bool
+        False if the pictures are too large to try, or if they agree within one level.
     """
-    is_wrong = np.abs(handin.astype(np.int16) - right).max(axis=2) > 1
+    is_wrong = difference(handin_codes, reference_codes, 2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
         return False
+    image = Image.fromarray(reference_codes)
     for quality, subsampling in product(_QUALITIES, (0, 2)):
-        data = io.BytesIO()
-        Image.fromarray(right).save(data, "JPEG", quality=quality, subsampling=subsampling)
-        compressed = np.asarray(Image.open(data)).astype(np.int16)
-        agrees = np.abs(compressed - handin).max(axis=2) <= 1
+        file = io.BytesIO()
+        image.save(file, "JPEG", quality=quality, subsampling=subsampling)
+        agrees = difference(np.asarray(Image.open(file)), handin_codes, 2) <= 1
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
     return False
 
 
-def _nearly_agree(a: Codes, b: Codes) -> bool:
-    """Test whether two pictures have the same shape and nearly the same codes.
-
-    At most one pixel in 200 may differ by more than one level.
+def _nearly_agree(first: Codes, second: Codes) -> bool:
+    """Test whether at most one pixel in 200 of two pictures differs by more than one level.
 
     Parameters
     ----------
-    a, b : (h, w, 3) uint8 arrays
-        The pictures' codes.
+    first, second : (h, w, 3) uint8 arrays
+        Codes of pictures of equal size.
     """
-    if a.shape != b.shape:
-        return False
-    differs = (np.abs(a.astype(np.int16) - b) > 1).any(axis=2)
-    return bool(differs.mean() <= _MAX_DIFFERENT)
+    return bool((difference(first, second, 2) > 1).mean() <= _MAX_DIFFERENT)
 
 
-def find_right_picture_within(handin: Codes, right: Codes) -> tuple[str, str] | None:
-    """Recognise the right picture in a hand-in of another size: enlarged, or with a border.
+def find_reference_within(handin_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
+    """Recognise the reference picture in a picture of another size: enlarged, or with a border.
 
     Parameters
     ----------
-    handin, right : (h, w, 3) uint8 arrays
-        The codes of the picture that was handed in, and of the right picture.  Their shapes differ.
+    handin_codes : (h, w, 3) uint8 array
+        Codes of the picture that a student handed in.
+    reference_codes : (h', w', 3) uint8 array
+        Codes of the reference picture, which has another size.
 
     Returns
     -------
-    tuple or None
-        The keyword "enlarged" or "border", and a sentence for the report; None if the hand-in does
-        not contain the right picture.
+    tuple of 2 str, or None
+        The keyword "enlarged" or "border", and a sentence for the report.  None if the picture does
+        not contain the reference picture.
     """
-    (height, width), (handin_height, handin_width) = right.shape[:2], handin.shape[:2]
-    factor = handin_height // height
+    height, width = reference_codes.shape[:2]
+    factor = len(handin_codes) // height
     # The sizes are compared first, because an enlarged picture could exceed the memory.
-    if handin.shape[:2] == (factor * height, factor * width) and _nearly_agree(
-        handin, right.repeat(factor, axis=0).repeat(factor, axis=1)
+    if handin_codes.shape[:2] == (factor * height, factor * width) and _nearly_agree(
+        handin_codes, reference_codes.repeat(factor, axis=0).repeat(factor, axis=1)
     ):
         return "enlarged", f"It is the right picture, enlarged {factor} times."
-    extra_rows, extra_columns = handin_height - height, handin_width - width
-    if extra_rows < 0 or extra_columns < 0:
+    row_count, column_count = len(handin_codes) - height + 1, handin_codes.shape[1] - width + 1
+    if row_count <= 0 or column_count <= 0:
         return None
-    # Places of the right picture's upper left corner at which a random choice of pixels agrees.
-    agrees = np.ones((extra_rows + 1, extra_columns + 1), dtype=np.bool_)
-    for y, x in np.random.default_rng(1).integers((height, width), size=(50, 2)):
-        window = handin[y : y + extra_rows + 1, x : x + extra_columns + 1].astype(np.int16)
-        agrees &= np.abs(window - right[y, x]).max(axis=2) <= 1
-    for y, x in np.argwhere(agrees)[:_MAX_PLACES]:
-        if _nearly_agree(handin[y : y + height, x : x + width], right):
+    # Find the places of the upper left corner at which a random choice of pixels agrees.
+    agrees = np.ones((row_count, column_count), dtype=np.bool_)
+    for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
+        window = handin_codes[row : row + row_count, column : column + column_count]
+        agrees &= difference(window, reference_codes[row, column], 2) <= 1
+    for row, column in np.argwhere(agrees)[:_MAX_PLACES]:
+        crop = handin_codes[row : row + height, column : column + width]
+        if _nearly_agree(crop, reference_codes):
             return "border", "It is the right picture, with a border."
     return None
 
 
 def edge_with_all(is_wrong: Array) -> str:
-    """Return the name of the picture's edge that contains all wrong pixels.
+    """Return the name of the outermost row or column that contains all wrong pixels of a picture.
 
     Parameters
     ----------
     is_wrong : (h, w) bool array
+        True for pixels that differ from the reference picture.
 
     Returns
     -------
@@ -257,3 +244,44 @@ def edge_with_all(is_wrong: Array) -> str:
     edges = {"first row": is_wrong[0], "last row": is_wrong[-1],
              "first column": is_wrong[:, 0], "last column": is_wrong[:, -1]}  # fmt: skip
     return next((name for name, edge in edges.items() if edge.sum() == is_wrong.sum() > 0), "")
+
+
+def find_symptom(search: Search) -> tuple[str, str] | None:
+    """Recognise a difference that does not come from a wrong formula, such as rounding or JPEG.
+
+    Parameters
+    ----------
+    search : Search
+        The hand-in (a picture that a student handed in), and the renderer of its scene.
+
+    Returns
+    -------
+    tuple of 2 str, or None
+        A keyword, such as "single-precision", and a sentence for the report.  None if no such
+        difference is recognised.
+    """
+    codes, width = (search.handin_codes, search.renderer.reference_codes), search.renderer.width
+    if search.clearly_wrong_count and is_decided_by_rounding(search):
+        sentence = f"{count_pixels(search.clearly_wrong_count)} where rounding decides, as in"
+        return "single-precision", f"{sentence} single precision."
+    if is_speckled(search):
+        sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
+        return "shadow-speckles", sentence
+    if is_after_jpeg(*(to_picture(columns, width) for columns in codes)):
+        return "format", "It is the right picture, after JPEG, which changes levels."
+    if edge := edge_with_all((difference(*codes) > 1).reshape(-1, width)):
+        return "edge", f"It is the right picture, except in the {edge}."
+    return None
+
+
+def count_pixels(count: int, singular: str = "differs", plural: str = "differ") -> str:
+    """Return the beginning of a sentence about a number of pixels, such as "12 pixels differ".
+
+    Parameters
+    ----------
+    count : int
+        Number of pixels.
+    singular, plural : str
+        The verb for one pixel, and for several.
+    """
+    return f"One pixel {singular}" if count == 1 else f"{count:,} pixels {plural}"

@@ -1,90 +1,38 @@
-"""Process many jobs in two isolated workers: if one crashes, one job is lost.
+"""Process many jobs in two worker processes: a job that ends its worker costs no other job.
 
-A pool of processes would not do: if one of its processes dies, all unfinished jobs fail.
+A single pool of processes would not do: if one of its processes dies, all unfinished jobs fail.
+Each worker is therefore a pool of one process.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from multiprocessing import connection, get_context, resource_tracker
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from multiprocessing import active_children
 from typing import Any, TypeVar
 
-from tracer.picture.parallel import end_with_parent
+from tracer.picture.parallel import WorkerPool
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 # Minimum number of jobs for which starting processes is worth it.
 _MIN_JOBS = 8
-
-
-def _serve_jobs(work: Callable[[Any], Any], pipe: connection.Connection) -> None:
-    """Process jobs in a worker until the calling process closes its end of the pipe.
-
-    The worker ends at once if the calling process dies.
-
-    Parameters
-    ----------
-    work : callable
-        Computes the result of a job.
-    pipe : Connection
-        The worker's end of the pipe on which jobs arrive and results are sent.
-    """
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    with suppress(EOFError):
-        while True:
-            pipe.send(work(pipe.recv()))
-
-
-def _start_worker(work: Callable[[Any], Any]) -> connection.Connection:
-    """Start a process that computes results of jobs.
-
-    The process ignores Ctrl-C, and ends with the calling process.
-
-    Parameters
-    ----------
-    work : callable
-        Computes the result of a job.
-
-    Returns
-    -------
-    Connection
-        The calling process's end of a pipe, on which jobs are sent and results arrive.
-
-    Raises
-    ------
-    OSError
-        If no process can be started.
-    """
-    context = get_context("spawn")
-    own_end, worker_end = context.Pipe()
-    previous_mask = None
-    if os.name != "nt":
-        # If it started later, it would let signals through again (CPython's resource_tracker.py).
-        resource_tracker.ensure_running()
-        previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        context.Process(target=_serve_jobs, args=(work, worker_end), daemon=True).start()
-    finally:
-        if previous_mask is not None:
-            signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
-        worker_end.close()
-    return own_end
+# Number of workers that a job may end before it is given up.
+_MAX_DEATHS = 2
 
 
 def map_in_workers(
     work: Callable[[Job], Result], jobs: Sequence[Job], result_if_lost: Callable[[Job], Result]
 ) -> Iterator[Result]:
-    """Compute the results of jobs in two processes, of which a crash loses only one job.
+    """Compute the results of jobs in two worker processes.
 
-    One process begins with the first jobs, the other with the last, because neighbouring jobs may
-    use the same cached data.  The calling process computes the results itself if there are few
-    jobs, or if no process can be started.
+    One worker begins with the first jobs, the other with the last, because neighbouring jobs may
+    use the same cached data.  If a worker dies, its job is begun once more; if that worker dies,
+    too, the job is given up.  The calling process computes the results itself if there are few
+    jobs, or if no process can be started.  When the results are complete, the calling process
+    kills all its children that `multiprocessing` has started.
 
     Parameters
     ----------
@@ -93,36 +41,44 @@ def map_in_workers(
     jobs : sequence
         The arguments of `work`.
     result_if_lost : callable
-        Returns the result of a job whose process died.
+        Returns the result of a job that is given up.
 
     Yields
     ------
     object
         The result of each job, in the order in which they are computed.
     """
-    pending = deque(jobs)
-    # For each worker's pipe, its current job, and the function that takes its next one.
-    running: dict[Any, tuple[Job, Callable[[], Job]]] = {}
-    pipe: Any
+    # Each job with the number of workers that it has ended.
+    pending = deque((job, 0) for job in jobs)
+    # The future of each running job: the job, that number, its worker, and whence it takes jobs.
+    running: dict[Future[Result], tuple[Job, int, WorkerPool, Callable[[], Any]]] = {}
 
-    def send_job(take: Callable[[], Job], pipe: connection.Connection | None = None) -> None:
-        """Send the next job to a worker; without a pipe, to a new worker."""
-        with suppress(OSError):
-            pipe = pipe or _start_worker(work)
-            if pending:
-                running[pipe] = take(), take
-                pipe.send(running[pipe][0])
-
-    for take in (pending.popleft, pending.pop) if len(jobs) >= _MIN_JOBS else ():
-        send_job(take)
-    while running:
-        for pipe in connection.wait([*running]):
-            job, take = running.pop(pipe)
+    def begin_next_job(worker: WorkerPool, take: Callable[[], tuple[Job, int]]) -> None:
+        """Let a worker begin the next job, if there is one and if the worker can be started."""
+        if pending:
+            job, death_count = take()
             try:
-                result = pipe.recv()
-            except (EOFError, OSError):  # this job ended the worker, which had no other job
-                result, pipe = result_if_lost(job), None
-            yield result
-            send_job(take, pipe)
-    for job in pending:
+                running[worker.submit(work, job)] = job, death_count, worker, take
+            except Exception:  # no process can be started
+                pending.appendleft((job, death_count))
+
+    try:
+        for take in (pending.popleft, pending.pop) if len(jobs) >= _MIN_JOBS else ():
+            begin_next_job(WorkerPool(1), take)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job, death_count, worker, take = running.pop(future)
+                if future.exception():
+                    worker, death_count = WorkerPool(1), death_count + 1
+                    if death_count < _MAX_DEATHS:
+                        pending.append((job, death_count))
+                    else:
+                        yield result_if_lost(job)
+                else:
+                    yield future.result()
+                begin_next_job(worker, take)
+    finally:
+        for process in active_children():
+            process.kill()
+    for job, _ in pending:
         yield work(job)

@@ -17,7 +17,7 @@ from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Solution
 from reference.handins.drawing import render_with_mistakes
 from reference.handins.formulas import parameter_names
-from reference.handins.mistakes import RIGHT, list_mistakes
+from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
 from reference.handins.results import Result, with_common_causes_first
 from reference.judges import plain
 from reference.pictures import Codes, Picture, read_picture
@@ -133,7 +133,7 @@ def test_a_surface_of_many_is_found() -> None:
 def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
     """Mistakes replace formulas that exist, and use values that exist."""
     table = list_mistakes(scene("room"))
-    assert {name for one in table.values() for name in one.formulas} <= {*RIGHT}
+    assert {name for one in table.values() for name in one.formulas} <= {*REFERENCE_FORMULAS}
     small = replace(scene("room"), width=40, height=30)
     for nothing in (replace(small, lights=[]), replace(small, surfaces=[])):
         for kind in list_mistakes(nothing):
@@ -141,8 +141,11 @@ def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
     right = render_with_mistakes(small)
     shown = [kind for kind in table if (render_with_mistakes(small, kind) != right).any()]
     assert len(shown) > 0.8 * len(table) > 200
-    assert all(one.text.endswith(".") for one in table.values())
-    known = {*RIGHT, *(name for f in RIGHT.values() for name in parameter_names(f))}
+    assert all(one.sentence.endswith(".") for one in table.values())
+    known = {
+        *REFERENCE_FORMULAS,
+        *(name for f in REFERENCE_FORMULAS.values() for name in parameter_names(f)),
+    }
     used = {
         name for one in table.values() for f in one.formulas.values() for name in parameter_names(f)
     }
@@ -252,7 +255,7 @@ def test_few_sizes_are_kept() -> None:
     for width in (50, 60, 70):
         codes = to_codes(render(replace(scene("two-boxes"), width=width, height=40)))
         assert own.diagnose(Picture(codes)).kind == "size"
-    assert len(own._known) <= 2
+    assert own._renderer.cache_info().currsize == 2
 
 
 def test_causes_of_all_scenes_come_first() -> None:
