@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from PIL import Image
 from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Solution
 from reference.handins.drawing import render_with_mistakes
-from reference.handins.formulas import parameter_names
+from reference.handins.folders import list_hand_ins, match_hand_ins
+from reference.handins.formulas import used_names
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
 from reference.handins.results import Result, with_common_causes_first
 from reference.judges import plain
@@ -142,13 +144,8 @@ def test_every_mistake_of_the_table_can_be_drawn_and_most_show() -> None:
     shown = [kind for kind in table if (render_with_mistakes(small, kind) != right).any()]
     assert len(shown) > 0.8 * len(table) > 200
     assert all(one.sentence.endswith(".") for one in table.values())
-    known = {
-        *REFERENCE_FORMULAS,
-        *(name for f in REFERENCE_FORMULAS.values() for name in parameter_names(f)),
-    }
-    used = {
-        name for one in table.values() for f in one.formulas.values() for name in parameter_names(f)
-    }
+    known = {*REFERENCE_FORMULAS} | used_names(REFERENCE_FORMULAS)
+    used = set[str]().union(*(used_names(one.formulas) for one in table.values()))
     assert used - known == {"phong", "shader_of_number"}
 
 
@@ -205,14 +202,13 @@ def test_speckles_and_single_precision() -> None:
 
 def test_single_levels() -> None:
     """Differences of one level are rounding in few pixels, have a known cause, or are unknown."""
-    small = replace(scene("room"), width=10, height=10)
-    right = Solution(small).codes
-    for count, kind in ((2, "rounding"), (40, "unknown")):
-        codes = right.copy()
+    for size, count, kind in ((10, 2, "rounding"), (40, 16, "rounding"), (40, 17, "unknown")):
+        small = Solution(replace(scene("room"), width=size, height=size))
+        codes = small.codes.copy()
         codes.reshape(-1, 3)[:count, 0] ^= 1
-        diagnosis = Solution(small).diagnose(Picture(codes))
+        diagnosis = small.diagnose(Picture(codes))
         assert diagnosis.kind == kind
-    assert str(diagnosis) == "40 pixels are one level off; no known mistake does this."
+    assert str(diagnosis) == "17 pixels are one level off; no known mistake does this."
     source = student.SOURCE.replace("np.floor(255 * shown + 0.5)", "np.ceil(255 * shown)")
     codes = student.render_with_source(source, scene("room"))
     assert solution("room").diagnose(Picture(codes)).kind == "levels-up"
@@ -247,6 +243,39 @@ def test_right_pictures_that_travelled(tmp_path: Path) -> None:
     }
     for kind, codes in pictures.items():
         assert solution("room").diagnose(Picture(codes)).kind == kind
+
+
+def test_a_picture_of_another_size_than_a_picture() -> None:
+    alone = Solution(Picture(solution("room").codes))
+    diagnosis = alone.diagnose(Picture(np.arange(36, dtype=np.uint8).reshape(3, 4, 3)))
+    assert diagnosis.kind == "size"
+    assert str(diagnosis) == "The picture has 4x3 pixels in place of 240x135."
+
+
+def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
+    """The longest scene in the name counts; the student is the rest of the name, or the folder."""
+    for name in ("room.xml", "box.xml", "two_box.xml"):
+        (tmp_path / name).touch()
+    students_and_scenes = {
+        "ada_two_box.png": ("ada", "two_box"),
+        "BOX-Ada.PNG": ("ada", "box"),
+        "room (1).png": ("class", "room"),
+        "bob/room copy.png": ("bob", "room"),
+        "bob/deep/room.xml.png": ("bob/deep", "room"),
+    }
+    (tmp_path / "class" / "bob" / "deep").mkdir(parents=True)
+    (tmp_path / "class" / "cy").mkdir()
+    for name in students_and_scenes:
+        (tmp_path / "class" / name).touch()
+    pictures = list_hand_ins(tmp_path / "class")
+    matched = match_hand_ins(pictures, tmp_path / "class", tmp_path)
+    names = [str(picture.relative_to(tmp_path / "class")) for picture in pictures]
+    present = [(one.student, one.scene) for one in matched if one.picture]
+    assert present == [students_and_scenes[name] for name in names]
+    missing = {(one.student, one.scene) for one in matched if not one.picture}
+    students = {"ada", "class", "bob", "bob/deep", "cy"}
+    assert missing == {*product(students, ("room", "box", "two_box"))} - {*present}
+    assert [one.scene for one in match_hand_ins(pictures[:1], pictures[0], tmp_path)] == ["box"]
 
 
 def test_few_sizes_are_kept() -> None:
