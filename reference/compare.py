@@ -32,7 +32,7 @@ import numpy as np
 
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import SSIM_WINDOW, decode_to_linear, measure_differences, write_comparison
-from reference.handins.class_page import class_page, make_pair
+from reference.handins.class_page import make_pair, render_class_page
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
 from reference.handins.results import (
@@ -184,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = with_common_causes_first([result for result, _ in results_and_pairs])
     if options.html:
         pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
-        page = class_page(results, pairs, options.folder)
+        page = render_class_page(results, pairs, options.folder)
         write_page(Path(options.html), page, "choose another with --html", FAILED_STATUS)
     if results[0].error and not (options.is_class or options.format_results):
         raise Failure("", results[0].error, status=FAILED_STATUS)

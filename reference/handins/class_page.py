@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from reference.figures import amplify_difference, decode_to_linear
-from reference.handins.results import Result, mistake_lines, summarize_counts
+from reference.handins.results import Result, list_mistake_counts, summarize_counts
 from reference.page import Cell, Pair, encode_png, prepare_pair, render_page
 from reference.pictures import Codes
 
@@ -58,7 +58,7 @@ def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes) -> Pa
     )  # fmt: skip
 
 
-def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
+def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
     """Render an HTML page that shows the results of a class.
 
     The page contains a table by student and scene, the pairs of pictures, the number of pictures
@@ -109,6 +109,6 @@ def class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) 
         rows=rows,
         pairs=[pair | {"name": os.path.relpath(path, folder)} for path, pair in pairs.items()],
         legend=_LEGEND,
-        below=[*mistake_lines(results), *notes],
+        below=[*list_mistake_counts(results), *notes],
         is_folded=True,
     )

@@ -52,16 +52,16 @@ def list_hand_ins(folder: Path) -> list[Path]:
     run wrote.
     """
     return sorted(path for path in folder.rglob("*")
-                  if _has_suffix(path, _PICTURES + _ARCHIVES)
+                  if _is_file(path, _PICTURES + _ARCHIVES)
                   and not any(map(_is_hidden, path.relative_to(folder).parts)))  # fmt: skip
 
 
 def _is_hidden(name: str) -> bool:
-    """Test whether a file or folder with this name contains no hand-ins: it belongs to a system."""
+    """Test whether a file or folder is hidden (begins with a dot), or is a `__MACOSX` folder."""
     return name.startswith(".") or name == "__MACOSX"
 
 
-def _has_suffix(path: Path, suffixes: tuple[str, ...]) -> bool:
+def _is_file(path: Path, suffixes: tuple[str, ...]) -> bool:
     """Test whether a path is a file with one of several suffixes, in upper or lower case.
 
     Parameters
@@ -101,7 +101,7 @@ def match_hand_ins(pictures: Sequence[Path], folder: Path, references: Path) -> 
         one for each scene that nobody has handed in.
     """
     path_of_scene = _find_references(references)
-    matched = [_match(picture, folder, references, path_of_scene) for picture in pictures]
+    matched = [_match_hand_in(picture, folder, references, path_of_scene) for picture in pictures]
     if not (folder.is_dir() and references.is_dir()):
         return matched
     present = {(hand_in.student, hand_in.scene) for hand_in in matched}
@@ -135,13 +135,15 @@ def _find_references(references: Path) -> dict[str, Path]:
     if not references.is_dir():
         return {_base_name(references): references}
     scenes = sorted(references.glob("*.xml"))
-    pictures = [path for path in sorted(references.iterdir()) if _has_suffix(path, _PICTURES)]
+    pictures = [path for path in sorted(references.iterdir()) if _is_file(path, _PICTURES)]
     computed = {path for path in pictures + scenes for scene in scenes
                 if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
     return {_base_name(path): path for path in pictures + scenes if path not in computed}
 
 
-def _match(picture: Path, folder: Path, references: Path, path_of_scene: dict[str, Path]) -> HandIn:
+def _match_hand_in(
+    picture: Path, folder: Path, references: Path, path_of_scene: dict[str, Path]
+) -> HandIn:
     """Determine the student and the scene of one hand-in from its path.
 
     The student is the subfolder of the class's folder.  Without a subfolder, the student is what
@@ -166,7 +168,7 @@ def _match(picture: Path, folder: Path, references: Path, path_of_scene: dict[st
     """
     subfolder = picture.parent.relative_to(folder) if picture.is_relative_to(folder) else Path()
     student = str(subfolder) if subfolder.parts else ""
-    if _has_suffix(picture, _ARCHIVES):
+    if _is_file(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
     name = _COPY.sub("", _base_name(picture))
     scenes = [scene for scene in path_of_scene

@@ -80,7 +80,7 @@ class Result(NamedTuple):
         values = [*self._asdict().items()]
         return dict(values[:5]) | columns | dict(values[6:])
 
-    def figures(self) -> str:
+    def format_figures(self) -> str:
         """Format the figures of the comparison as text.
 
         Returns
@@ -93,9 +93,9 @@ class Result(NamedTuple):
             return ""
         return f"SSIM {self.ssim:.4f}  RMSE {self.rmse:.2e}  max {self.max:.2e}"
 
-    def line(self) -> str:
+    def format_line(self) -> str:
         """Format the result as one line: verdict, figures, file and diagnosis; or the error."""
-        text = f"{self.figures()}  {printable(str(self.picture))}: {self.diagnosis}".lstrip()
+        text = f"{self.format_figures()}  {printable(str(self.picture))}: {self.diagnosis}".lstrip()
         return f"{self.verdict:8} {self.error or text}"
 
 
@@ -120,7 +120,7 @@ def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
     return [result._replace(diagnosis=d) for result, d in zip(results, diagnoses, strict=True)]
 
 
-def mistake_lines(results: Sequence[Result]) -> list[str]:
+def list_mistake_counts(results: Sequence[Result]) -> list[str]:
     """List the mistakes of a class with their numbers of pictures, the most frequent mistake first.
 
     Of alternative causes of a picture, only the first is counted.
@@ -166,9 +166,9 @@ def format_text(results: Sequence[Result], *, as_list: bool) -> str:
         line; or its error.
     """
     if as_list:
-        return "\n".join([*(result.line() for result in results), summarize_counts(results)])
+        return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
     result = results[0]
-    lines = result.figures(), str(result.diagnosis), printable(result.comparison or "")
+    lines = result.format_figures(), str(result.diagnosis), printable(result.comparison or "")
     return result.error or "\n".join(filter(None, lines))
 
 
@@ -200,11 +200,11 @@ def format_csv(results: Sequence[Result]) -> str:
     for result in results:
         worst = ",".join(map(str, result.worst)) if result.worst else None
         values = (result.to_row() | {"worst": worst}).values()
-        writer.writerow([_safe_cell(v) if isinstance(v, str) else v for v in values])
+        writer.writerow([_make_cell_safe(v) if isinstance(v, str) else v for v in values])
     return table.getvalue().removesuffix("\n")
 
 
-def _safe_cell(text: str) -> str:
+def _make_cell_safe(text: str) -> str:
     """Change the text of a CSV cell so that neither a terminal nor a spreadsheet executes it.
 
     Control characters are escaped.  An apostrophe precedes a first character with which a

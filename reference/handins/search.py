@@ -126,11 +126,11 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
         Indices of the chosen items; k is the smaller of n and `max_count`.  A call with a smaller
         `max_count` returns the first indices of this array.
     """
-    order = np.random.default_rng(1).permutation(len(stratum))
-    order = order[np.argsort(stratum[order], kind="stable")]
-    _, start, count = np.unique(stratum[order], return_index=True, return_counts=True)
-    place_in_stratum = np.arange(len(order)) - np.repeat(start, count)
-    return order[np.argsort(place_in_stratum, kind="stable")[:max_count]]
+    shuffled = np.random.default_rng(1).permutation(len(stratum))
+    by_stratum = shuffled[np.argsort(stratum[shuffled], kind="stable")]
+    _, start, count = np.unique(stratum[by_stratum], return_index=True, return_counts=True)
+    place_in_stratum = np.arange(len(stratum)) - np.repeat(start, count)
+    return by_stratum[np.argsort(place_in_stratum, kind="stable")[:max_count]]
 
 
 class MistakeRenderer:
@@ -176,7 +176,7 @@ class MistakeRenderer:
         table_scene = scene if isinstance(scene, Scene) else Scene(**size)
         self.surface_count = len(table_scene.surfaces)
         self.mistakes = mistakes.list_mistakes(table_scene)
-        first_pixel = self.formula_cache(np.array([0]), self._blank_codes)
+        first_pixel = self.new_cache(np.array([0]), self._blank_codes)
         self.mistakes = {
             keyword: mistake for keyword, mistake in self.mistakes.items()
             if (formulas := self.formulas_of((keyword,))) and first_pixel.is_computable(formulas)
@@ -217,10 +217,10 @@ class MistakeRenderer:
         names = used_names(self.mistakes[keyword].formulas)
         return any(name.startswith("fitted_") for name in names)
 
-    def formula_cache(
+    def new_cache(
         self, pixels: Array, handin_codes: Array, fitting_cache: FormulaCache | None = None
     ) -> FormulaCache:
-        """Return a cache that computes formulas (such as the radiance) at some pixels.
+        """Return a new cache that computes formulas (such as the radiance) at some pixels.
 
         Parameters
         ----------
@@ -245,12 +245,12 @@ class MistakeRenderer:
         self, formula_sets: Sequence[Formulas], pixels: Array, handin_codes: Array | None = None,
         fitting_cache: FormulaCache | None = None, name: str = "codes",
     ) -> Array:  # fmt: skip
-        """Compute a value of some pixels, such as their codes, with each of several formula sets.
+        """Compute a formula, such as the codes, at some pixels for each of several pictures.
 
         Parameters
         ----------
         formula_sets : sequence of dict of str to callable
-            For each result, the formulas by name that replace those of the reference picture.
+            For each picture, the formulas, by name, that replace those of the reference picture.
         pixels : (k,) int array
             Indices of the pixels.
         handin_codes : (3, n) uint8 array, optional
@@ -262,11 +262,11 @@ class MistakeRenderer:
 
         Returns
         -------
-        values : (sets, ..., k) array
-            For the codes, (sets, 3, k).
+        values : (pictures, ..., k) array
+            The values of the formula; for the codes, (pictures, 3, k).
         """
         handin_codes = self._blank_codes if handin_codes is None else handin_codes
-        caches = (self.formula_cache(batch, handin_codes, fitting_cache)
+        caches = (self.new_cache(batch, handin_codes, fitting_cache)
                   for batch in self.pixel_batches(pixels))  # fmt: skip
         values = [[cache.get(name, formulas) for formulas in formula_sets] for cache in caches]
         return np.concatenate(values, axis=-1)
@@ -291,6 +291,7 @@ class MistakeRenderer:
             and not (has_many_surfaces and mistake.concerns_one_object)
             and self.formulas_of(cause := (keyword, *variant))
         ]  # fmt: skip
+        causes.sort(key=len)  # a group begins with a cause without a variant, if it contains one
         pixels = next(self.pixel_batches(self.sample[:_GROUPING_PIXELS]))
         pictures = self.evaluate([self.formulas_of(cause) for cause in causes], pixels)
         # Some mistakes show only where another mistake brings about radiance beyond 1.
@@ -298,10 +299,10 @@ class MistakeRenderer:
             keyword.encode(): [(keyword,)]
             for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes
         }  # fmt: skip
-        for k in sorted(range(len(causes)), key=lambda k: len(causes[k])):
-            group = groups.setdefault(pictures[k].tobytes(), [])
-            if causes[k][:1] not in group:
-                group.append(causes[k])
+        for cause, codes in zip(causes, pictures, strict=True):
+            group = groups.setdefault(codes.tobytes(), [])
+            if cause[:1] not in group:
+                group.append(cause)
         groups.pop(self.reference_codes[:, pixels].tobytes(), None)
         return {group[0]: group for group in groups.values()}
 
@@ -342,7 +343,7 @@ class MistakeRenderer:
             causes have a variant.
         """
         variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
-        cause = (*without_variants((*first, *second)), *variants)
+        cause = (*remove_variants((*first, *second)), *variants)
         return cause if len(variants) < 2 and self.formulas_of(cause) else ()
 
 
@@ -403,7 +404,7 @@ class Search:
         self._counts = dict[Cause, tuple[int, int]]()
         brightest = reference_codes.astype(np.int16).sum(axis=0).argmax()
         pixels = np.append(next(renderer.pixel_batches(renderer.sample)), brightest)
-        self.fitting_cache = renderer.formula_cache(pixels, handin_codes)
+        self.fitting_cache = renderer.new_cache(pixels, handin_codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
         """Choose random pixels, half of which differ from the reference picture.
@@ -472,7 +473,7 @@ class Search:
                     round((levels > self.lossy_levels) @ self._final_weights),
                 )
 
-    def _unexplained(self, cause: Cause) -> int:
+    def _count_unexplained(self, cause: Cause) -> int:
         """Return the number of pixels that a cause leaves unexplained.
 
         These are the pixels in which the hand-in differs from the picture of the cause.  In a large
@@ -481,7 +482,7 @@ class Search:
         self._measure([cause])
         return self._counts[cause][0]
 
-    def _inexact(self, cause: Cause) -> int:
+    def _count_inexact(self, cause: Cause) -> int:
         """Return the number of pixels that differ from a cause's picture even by one level.
 
         Levels that lossy compression may have changed are ignored.  In a large picture, the number
@@ -499,7 +500,8 @@ class Search:
         Returns
         -------
         list of tuples of str
-            At most `_MIN_CAUSES` causes, the best first.  Empty if all are bad.
+            At most `_MIN_CAUSES` causes, the best first.  Empty if none explains a quarter of the
+            wrong pixels.
         """
         pixel_count, max_causes, min_causes = _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES
         if self.lossy_levels:
@@ -509,7 +511,7 @@ class Search:
             causes = self._run_round(causes, pixel_count, max(min_causes, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
         self._measure(causes[:_MIN_CAUSES])
-        return sorted(causes[:_MIN_CAUSES], key=self._unexplained)
+        return sorted(causes[:_MIN_CAUSES], key=self._count_unexplained)
 
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
         """Run one round of successive halving: render causes at some pixels, and keep the best.
@@ -529,8 +531,8 @@ class Search:
         Returns
         -------
         list of tuples of str
-            The best causes, in this order.  Empty if each leaves more than `_MAX_HOPELESS_PART` of
-            the wrong pixels unexplained.
+            The best causes, the best first.  Empty if each leaves more than `_MAX_HOPELESS_PART`
+            of the wrong pixels unexplained.
         """
         pixels, weights = self._choose_pixels(pixel_count)
         levels = self._differences(causes, pixels)
@@ -558,34 +560,35 @@ class Search:
         """
         singles, pairs = self._select_best(self.renderer.single_mistakes), list[Cause]()
         group = self._select_reportable(singles)
-        if not group or self._unexplained(group[0]) > _MAX_UNEXPLAINED:
-            pairs = self._best_pairs()
+        if not group or self._count_unexplained(group[0]) > _MAX_UNEXPLAINED:
+            pairs = self._select_best_pairs()
             better = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
             if better and (
                 not group
-                or _MIN_RATIO * self._unexplained(better[0]) <= self._unexplained(group[0])
+                or _MIN_RATIO * self._count_unexplained(better[0])
+                <= self._count_unexplained(group[0])
             ):
                 group = better
         if group:
-            unexplained_count = self._count_in_full_picture(group[0])
+            unexplained_count = self._count_unexplained_in_full(group[0])
             if unexplained_count <= self._max_unexplained:
-                causes = dict.fromkeys(without_variants(cause) for cause in group)
+                causes = dict.fromkeys(remove_variants(cause) for cause in group)
                 return Finding(tuple(causes), unexplained_count)
         # A pair is the hint only if it leaves less than half as many pixels as a single mistake.
         hint = min(group[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
-            len(without_variants(cause)) * self._unexplained(cause)))  # fmt: skip
-        hint, *_ = self._with_rounding([hint])
-        unexplained_count = self._count_in_full_picture(hint)
+            len(remove_variants(cause)) * self._count_unexplained(cause)))  # fmt: skip
+        hint, *_ = self._add_rounding([hint])
+        unexplained_count = self._count_unexplained_in_full(hint)
         if 2 * unexplained_count > self.wrong_count:
             return Finding((), self.wrong_count)
-        return Finding((), unexplained_count, without_variants(hint))
+        return Finding((), unexplained_count, remove_variants(hint))
 
-    def _count_in_full_picture(self, cause: Cause) -> int:
+    def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels in which the hand-in differs from the full picture of a cause."""
         levels = self._differences([cause], np.arange(self.renderer.pixel_count))
         return int((levels > self.tolerance).sum())
 
-    def _best_pairs(self) -> list[Cause]:
+    def _select_best_pairs(self) -> list[Cause]:
         """Return the pairs of mistakes that leave the fewest pixels unexplained, the best first.
 
         If several mistakes have the same picture, only the first of them is tried in pairs.  The
@@ -617,10 +620,10 @@ class Search:
         cause : tuple of str
             Keywords of the mistakes; the keyword of a variant of a right tracer may follow.
         """
-        unexplained, keywords = self._unexplained(cause), without_variants(cause)
+        unexplained, keywords = self._count_unexplained(cause), remove_variants(cause)
         for keyword in keywords:
             others = tuple(other for other in cause if other != keyword)
-            if self._unexplained(others) - unexplained < max(_MIN_RATIO * unexplained, 1):
+            if self._count_unexplained(others) - unexplained < max(_MIN_RATIO * unexplained, 1):
                 return False
         renderer = self.renderer
         if not renderer.surface_count or mistakes.CAMERA.isdisjoint(renderer.formulas_of(keywords)):
@@ -649,18 +652,18 @@ class Search:
             The selected causes, in the order of the table of mistakes.
         """
         max_unexplained = min(self._max_unexplained, self.wrong_count - 1)
-        causes = [cause for cause in causes if self._unexplained(cause) <= max_unexplained]
+        causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        limit = _MIN_RATIO * max(1, min(map(self._unexplained, causes)))
-        causes = self._with_rounding([c for c in causes if self._unexplained(c) < limit])
-        max_inexact = _MIN_RATIO * max(min(map(self._inexact, causes)), _MAX_UNEXPLAINED)
-        causes = [cause for cause in causes if self._inexact(cause) <= max_inexact]
+        limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        causes = self._add_rounding([c for c in causes if self._count_unexplained(c) < limit])
+        max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
+        causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         causes = [c for c in causes if not any(map(self.renderer.is_fitted, c))] or causes
         table_order = [*self.renderer.mistakes]
         return sorted(causes, key=lambda cause: [table_order.index(k) for k in cause])
 
-    def _with_rounding(self, causes: list[Cause]) -> list[Cause]:
+    def _add_rounding(self, causes: list[Cause]) -> list[Cause]:
         """Add a mistake of rounding to those causes whose picture it makes far more exact.
 
         A mistake of rounding, such as cutting levels off, changes codes by at most one level.
@@ -682,15 +685,16 @@ class Search:
         choices = [[cause, *filter(None, (join(cause, (keyword,)) for keyword in roundings))]
                    for cause in causes]  # fmt: skip
         self._measure([cause for choice in choices for cause in choice])
-        most_exact = [min(choice, key=self._inexact) for choice in choices]
+        most_exact = [min(choice, key=self._count_inexact) for choice in choices]
         return [
             rounded
-            if _MIN_RATIO * max(self._inexact(rounded), _MAX_UNEXPLAINED) < self._inexact(cause)
+            if _MIN_RATIO * max(self._count_inexact(rounded), _MAX_UNEXPLAINED)
+            < self._count_inexact(cause)
             else cause
             for cause, rounded in zip(causes, most_exact, strict=True)
         ]
 
 
-def without_variants(cause: Cause) -> Cause:
+def remove_variants(cause: Cause) -> Cause:
     """Remove the keywords of variants of a right tracer, which are no mistakes, from a cause."""
     return tuple(keyword for keyword in cause if keyword not in mistakes.VARIANTS)
