@@ -81,7 +81,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     pair_index = {path: k for k, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
     right_scenes: dict[str, set[str]] = defaultdict(set)
-    # What could not be compared, or has no pair of pictures on the page.
+    # Paragraphs on hand-ins that could not be compared, or of which the page shows no pictures.
     notes = list[str]()
     for result in results:
         path, diagnosis = result.picture or "", result.diagnosis

@@ -40,7 +40,7 @@ UNKNOWN = "unknown"
 # Maximum number of surfaces, and of alternative causes, that a report names.
 _MAX_NAMED = 3
 # A light is named if it is wrong at more than this part of the wrong pixels.
-_MIN_LIGHT_PART = 0.1
+_MIN_LIGHT_SHARE = 0.1
 # Light that is read from a picture is off by at most this many levels, as its codes were rounded.
 _PICTURE_LEVELS = 3
 # How pictures that are turned are turned back, by the keywords of the mistakes.
@@ -359,7 +359,7 @@ def _wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str:
     sentences = ""
     for verb, is_changed in zip(verbs, symptoms.find_light_changes(search) or (), strict=False):
         for k, count in enumerate((is_changed & is_wrong).sum(axis=1)):
-            if count > _MIN_LIGHT_PART * is_wrong.sum():
+            if count > _MIN_LIGHT_SHARE * is_wrong.sum():
                 line = f" (line {scene.lights[k].line})" if scene.lights[k].line else ""
                 sentences += f" At {count:,} of these pixels light {k}{line} {verb}."
     return sentences

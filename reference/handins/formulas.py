@@ -95,18 +95,18 @@ def intersect_spheres(
         The smaller and the larger t at which each ray crosses each sphere; NaN if the ray's line
         misses the sphere.
     """
-    # The ray's line cuts a chord out of the sphere; t is computed from its middle and half length.
+    # The ray's line cuts a chord out of the sphere; t is that of its midpoint -+ half its length.
     to_center = [centers[axis] - o[axis] for axis in range(3)]
-    middle_t = sum(to_center[axis] * d[axis] for axis in range(3))
+    midpoint_t = sum(to_center[axis] * d[axis] for axis in range(3))
     if assume_unit_d:
         distance2 = sum(to_center[axis] * to_center[axis] for axis in range(3))
-        half_chord = np.sqrt(middle_t * middle_t - distance2 + radii * radii)
+        half_chord = np.sqrt(midpoint_t * midpoint_t - distance2 + radii * radii)
     else:
         length2 = (d * d).sum(axis=0)
-        middle_t = middle_t / length2
-        offset2 = sum((to_center[axis] - middle_t * d[axis]) ** 2 for axis in range(3))
+        midpoint_t = midpoint_t / length2
+        offset2 = sum((to_center[axis] - midpoint_t * d[axis]) ** 2 for axis in range(3))
         half_chord = np.sqrt((radii * radii - offset2) / length2)
-    return np.stack([middle_t - half_chord, middle_t + half_chord])
+    return np.stack([midpoint_t - half_chord, midpoint_t + half_chord])
 
 
 def intersect_boxes(

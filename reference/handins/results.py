@@ -123,7 +123,7 @@ def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
 def list_mistake_counts(results: Sequence[Result]) -> list[str]:
     """List the mistakes of a class with their numbers of pictures, the most frequent mistake first.
 
-    Of alternative causes of a picture, only the first is counted.
+    If a picture has alternative causes, only the first is counted.
 
     Returns
     -------

@@ -30,7 +30,7 @@ from tracer import Scene
 
 # A cause is reported if it leaves at most this part of the wrong pixels unexplained, or at most
 # this number of pixels.
-_MAX_UNEXPLAINED_PART, _MAX_UNEXPLAINED = 0.03, 10
+_MAX_UNEXPLAINED_SHARE, _MAX_UNEXPLAINED = 0.03, 10
 # Minimum ratio between the numbers of pixels that two causes leave unexplained, if only the better
 # cause is reported; and between what a mistake of a pair explains and what the pair does not.
 _MIN_RATIO = 5
@@ -41,7 +41,7 @@ _GROUPING_PIXELS = 2400
 _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES = 240, 256, 16
 # A cause that is not the best may leave this many more pixels of a round unexplained by chance.
 # The search ends if the best cause leaves more than this part of the wrong pixels unexplained.
-_MAX_CHANCE_PIXELS, _MAX_HOPELESS_PART = 4, 0.75
+_MAX_CHANCE_PIXELS, _MAX_HOPELESS_SHARE = 4, 0.75
 # Maximum numbers of pixels, and of pixels times surfaces, at which many causes are rendered.  A
 # random subset represents a larger picture.  After lossy compression, the complete picture is
 # rendered, with fewer causes.
@@ -393,8 +393,8 @@ class Search:
         self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
         color = handin_codes.astype(np.int32).T @ (65536, 256, 1)
         foreground_count = pixel_count - int(np.unique(color, return_counts=True)[1].max())
-        max_part = int(_MAX_UNEXPLAINED_PART * min(self.wrong_count, foreground_count))
-        self._max_unexplained = max(_MAX_UNEXPLAINED, max_part)
+        max_share = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
+        self._max_unexplained = max(_MAX_UNEXPLAINED, max_share)
         order = np.random.default_rng(1).permutation(pixel_count)
         self._wrong_and_right = order[self.is_wrong[order]], order[~self.is_wrong[order]]
         max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
@@ -531,7 +531,7 @@ class Search:
         Returns
         -------
         list of tuples of str
-            The best causes, the best first.  Empty if each leaves more than `_MAX_HOPELESS_PART`
+            The best causes, the best first.  Empty if each leaves more than `_MAX_HOPELESS_SHARE`
             of the wrong pixels unexplained.
         """
         pixels, weights = self._choose_pixels(pixel_count)
@@ -540,7 +540,7 @@ class Search:
             order = np.argsort(np.minimum(levels, _MAX_LEVELS) @ weights, kind="stable")
             return [causes[k] for k in order[:max_causes]]
         is_unexplained = levels > self.tolerance
-        if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _MAX_HOPELESS_PART:
+        if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _MAX_HOPELESS_SHARE:
             return []
         count = is_unexplained @ weights
         max_count = 1.5 * count.min() + _MAX_CHANCE_PIXELS * weights.max()
@@ -574,7 +574,7 @@ class Search:
             if unexplained_count <= self._max_unexplained:
                 causes = dict.fromkeys(remove_variants(cause) for cause in group)
                 return Finding(tuple(causes), unexplained_count)
-        # A pair is the hint only if it leaves less than half as many pixels as a single mistake.
+        # A pair is the hint only if it leaves less than half the pixels of a single mistake.
         hint = min(group[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
             len(remove_variants(cause)) * self._count_unexplained(cause)))  # fmt: skip
         hint, *_ = self._add_rounding([hint])
@@ -612,8 +612,8 @@ class Search:
         """Test whether each mistake of a pair explains far more pixels than the pair leaves.
 
         If one of them is a mistake of the camera, the picture of the pair must also show at least
-        `_MIN_SHOWN_SURFACES` surfaces, or as many as the reference picture: a picture that shows
-        fewer may agree by chance.
+        `_MIN_SHOWN_SURFACES` surfaces, or all surfaces that the reference picture shows: a picture
+        with fewer surfaces may agree by chance.
 
         Parameters
         ----------
@@ -637,9 +637,10 @@ class Search:
     def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that may be reported, and add mistakes of rounding to them.
 
-        A reportable cause explains almost all wrong pixels, nearly as many as the best cause does,
-        and nearly as many of them exactly.  A cause that contains a number estimated from the
-        hand-in, such as a gamma, is reported only if there is no other.
+        A cause may be reported if (1) it leaves at most 3 % of the wrong pixels unexplained; (2) no
+        other cause leaves far fewer; and (3) no other cause is exact, to a single level, in far
+        more pixels.  A cause that contains a number estimated from the hand-in, such as a gamma, is
+        reported only if there is no other.
 
         Parameters
         ----------

@@ -38,8 +38,8 @@ def find_light_changes(search: Search) -> tuple[Array, Array] | None:
     """Find the lights that a hand-in lacks, or has too many of, at each wrong pixel.
 
     A hand-in is a picture that a student handed in.  Each wrong pixel is rendered with every set of
-    lights.  Of the sets that give the hand-in's codes within one level, the set that differs least
-    from the right one is used.
+    lights.  Among the sets that give the hand-in's codes within one level, the set closest to that
+    of the reference picture is used.
 
     Parameters
     ----------
@@ -107,14 +107,14 @@ def is_speckled(search: Search) -> bool:
     is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
     # For each pixel, the part of its surface's lit pixels that lack light.
     lit_counts, dark_counts = np.bincount(surface, is_lit), np.bincount(surface, is_dark)
-    dark_part = (dark_counts / np.maximum(lit_counts, 1))[surface]
-    maps = (a.reshape(-1, renderer.width) for a in (is_lit, is_dark, surface, dark_part))
-    is_lit, is_dark, surface, dark_part = maps
+    dark_share = (dark_counts / np.maximum(lit_counts, 1))[surface]
+    maps = (a.reshape(-1, renderer.width) for a in (is_lit, is_dark, surface, dark_share))
+    is_lit, is_dark, surface, dark_share = maps
     for axis in (0, 1):
         has_same_surface = surface == np.roll(surface, 1, axis)
         are_both_lit = is_lit & np.roll(is_lit, 1, axis) & has_same_surface
         differing_count = (are_both_lit & (is_dark != np.roll(is_dark, 1, axis))).sum()
-        expected_count = (2 * dark_part * (1 - dark_part))[are_both_lit].sum()
+        expected_count = (2 * dark_share * (1 - dark_share))[are_both_lit].sum()
         if differing_count <= _MIN_RANDOMNESS * expected_count:
             return False
     return True
