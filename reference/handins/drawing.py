@@ -153,11 +153,9 @@ class FormulaCache:
             except KeyError:  # an argument cannot be computed, so neither can this formula
                 versions.pop(name, None)
                 continue
-            version = self._version_of.get(recipe)
-            if version is None:
-                version = self._version_of[recipe] = len(self._recipes)
+            versions[name] = self._version_of.setdefault(recipe, len(self._recipes))
+            if versions[name] == len(self._recipes):
                 self._recipes.append(recipe)
-            versions[name] = version
         return versions
 
     def is_computable(self, replaced: Formulas) -> bool:

@@ -166,7 +166,7 @@ def _match_hand_in(
     HandIn
         With an error if the file is an archive, or if no scene has its name.
     """
-    subfolder = picture.parent.relative_to(folder) if picture.is_relative_to(folder) else Path()
+    subfolder = picture.relative_to(folder).parent
     student = str(subfolder) if subfolder.parts else ""
     if _is_file(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")

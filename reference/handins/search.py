@@ -401,7 +401,7 @@ class Search:
         final_count = pixel_count if lossy_levels else max_pixels
         self._final_pixels, self._final_weights = self._choose_pixels(final_count)
         # For each measured cause, the numbers of pixels that it leaves unexplained and inexact.
-        self._counts = dict[Cause, tuple[int, int]]()
+        self._counts = dict[Cause, list[int]]()
         brightest = reference_codes.astype(np.int16).sum(axis=0).argmax()
         pixels = np.append(next(renderer.pixel_batches(renderer.sample)), brightest)
         self.fitting_cache = renderer.new_cache(pixels, handin_codes)
@@ -467,11 +467,10 @@ class Search:
         """
         if new := [cause for cause in dict.fromkeys(causes) if cause not in self._counts]:
             all_levels = self._differences(new, self._final_pixels)
+            limits = self.tolerance, self.lossy_levels
             for cause, levels in zip(new, all_levels, strict=True):
-                self._counts[cause] = (
-                    round((levels > self.tolerance) @ self._final_weights),
-                    round((levels > self.lossy_levels) @ self._final_weights),
-                )
+                counts = ((levels > limit) @ self._final_weights for limit in limits)
+                self._counts[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
         """Return the number of pixels that a cause leaves unexplained.
@@ -503,10 +502,9 @@ class Search:
             At most `_MIN_CAUSES` causes, the best first.  Empty if none explains a quarter of the
             wrong pixels.
         """
-        pixel_count, max_causes, min_causes = _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES
-        if self.lossy_levels:
-            pixel_limit = min_causes * MAX_PIXELS // self.renderer.pixel_count
-            min_causes = max(1, min(min_causes, pixel_limit))
+        pixel_count, max_causes = _FIRST_PIXELS, _MAX_CAUSES
+        max_rendered = _MIN_CAUSES * MAX_PIXELS // len(self._final_pixels)
+        min_causes = max(1, min(_MIN_CAUSES, max_rendered))
         while len(causes) > min_causes and pixel_count < len(self._final_pixels):
             causes = self._run_round(causes, pixel_count, max(min_causes, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4

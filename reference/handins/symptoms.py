@@ -103,19 +103,18 @@ def is_speckled(search: Search) -> bool:
     has_others = search.wrong_count - dark_count > _MAX_OTHERS * dark_count
     if has_others or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
         return False
-    every_pixel, surface = np.arange(renderer.pixel_count), renderer.surface_index + 1
+    every_pixel, surface = np.arange(renderer.pixel_count), renderer.surface_index
     is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
-    # For each pixel, the part of its surface's lit pixels that lack light.
-    lit_counts, dark_counts = np.bincount(surface, is_lit), np.bincount(surface, is_dark)
-    dark_share = (dark_counts / np.maximum(lit_counts, 1))[surface]
-    maps = (a.reshape(-1, renderer.width) for a in (is_lit, is_dark, surface, dark_share))
-    is_lit, is_dark, surface, dark_share = maps
+    is_lit &= np.isin(surface, surface[is_dark])
+    dark_share = dark_count / is_lit.sum()
+    maps = (pixels.reshape(-1, renderer.width) for pixels in (is_lit, is_dark, surface))
+    is_lit, is_dark, surface = maps
     for axis in (0, 1):
         has_same_surface = surface == np.roll(surface, 1, axis)
         are_both_lit = is_lit & np.roll(is_lit, 1, axis) & has_same_surface
         differing_count = (are_both_lit & (is_dark != np.roll(is_dark, 1, axis))).sum()
-        expected_count = (2 * dark_share * (1 - dark_share))[are_both_lit].sum()
-        if differing_count <= _MIN_RANDOMNESS * expected_count:
+        independent_count = 2 * dark_share * (1 - dark_share) * are_both_lit.sum()
+        if differing_count <= _MIN_RANDOMNESS * independent_count:
             return False
     return True
 
@@ -137,11 +136,11 @@ def is_decided_by_rounding(search: Search) -> bool:
     if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
         return False
     offsets = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
-    samples = [sample_position_formulas(x, y) for x, y in product(offsets, repeat=2)]
-    origins = [parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
-               for lift in _TIE_LIFTS]  # fmt: skip
-    formula_sets = [renderer.base_formulas | sample | origin
-                    for sample, origin in product(samples, origins)]  # fmt: skip
+    formula_sets = [
+        sample_position_formulas(x, y)
+        | parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
+        for x, y, lift in product(offsets, offsets, _TIE_LIFTS)
+    ]
     codes = renderer.evaluate(formula_sets, pixels).astype(np.int16)
     low, high = codes.min(axis=0) - 1, codes.max(axis=0) + 1
     handin_codes = search.handin_codes[:, pixels]
