@@ -161,12 +161,18 @@ class Solution:
         self._renderer = lru_cache(maxsize=2)(self._new_renderer)
 
     def _new_renderer(self, height: int, width: int) -> MistakeRenderer:
-        """Return a renderer of pictures with mistakes.
+        """Create the renderer of pictures with mistakes for one size.
 
         Parameters
         ----------
         height, width : int
-            Size of the pictures in pixels: without a scene, the size of the reference picture.
+            Size of the pictures in pixels.  Without a scene, it must be the size of the reference
+            picture.
+
+        Returns
+        -------
+        MistakeRenderer
+            Renders the scene, or transforms the reference picture, as a tracer with mistakes would.
         """
         codes = self.codes
         if not self.scene:
@@ -183,8 +189,13 @@ class Solution:
         Parameters
         ----------
         picture : Picture
-            The picture that a student handed in.  If its size is wrong, this is reported as a
-            mistake.  If it is turned, the picture is turned back and then diagnosed.
+            The picture that a student handed in.  A wrong size is reported as a mistake.  A turned
+            picture is turned back and then diagnosed.
+
+        Returns
+        -------
+        Diagnosis
+            The mistakes; or the verdict that the picture is right, or "unknown".
         """
         (height, width), (right_height, right_width) = picture.codes.shape[:2], self.codes.shape[:2]
         if (height, width) == (right_height, right_width):
@@ -214,6 +225,11 @@ class Solution:
         picture : Picture
             The picture that a student handed in.  Without a scene, it has the size of the reference
             picture.
+
+        Returns
+        -------
+        Diagnosis
+            The mistakes; or the verdict that the picture is right, or "unknown".
         """
         codes, save = picture.codes, picture.save
         height, width = codes.shape[:2]
@@ -260,8 +276,8 @@ class Solution:
         if not search.clearly_wrong_count:
             pixels = symptoms.count_pixels(search.wrong_count, "is", "are")
             return _verdict(UNKNOWN, f"{pixels} one level off; no known mistake does this.")
-        mistake_count, after = len(search.renderer.mistakes), ""
-        sentence = f"None of the {mistake_count} known mistakes explains this picture."
+        mistake_count = len(search.renderer.mistakes)
+        sentence, after = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
             nearest = " ".join(_sentences_of(finding.hint, search).values())
             numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,} pixels"
@@ -270,11 +286,11 @@ class Solution:
         return Diagnosis(({UNKNOWN: sentence},), after=after, hint="+".join(finding.hint))
 
     def _describe_differences(self, search: Search, hint: Cause) -> str:
-        """Describe, in sentences, where a picture differs from the reference picture.
+        """Describe in sentences where a picture differs from the reference picture.
 
-        They name the surfaces with most of the wrong pixels, the lights that are wrong there, and
-        the worst pixel.  If there is a hint, or if outlines differ, the lights and the worst pixel
-        are omitted, because they would mislead.
+        The sentences name the surfaces with most of the wrong pixels, the lights that are wrong
+        there, and the worst pixel.  If there is a hint, or if outlines differ, the lights and the
+        worst pixel are omitted, because they would mislead.
 
         Parameters
         ----------
