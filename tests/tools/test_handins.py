@@ -176,10 +176,12 @@ def test_what_no_mistake_explains_is_described() -> None:
     is_wrong = (abs(codes.astype(int) - right) > 1).any(axis=2).ravel()
     row, column = np.divmod(np.arange(is_wrong.size), room.width)
     surface = first_hits(room, column + 0.5, row + 0.5).surface
+    counts = Counter(surface[is_wrong].tolist()).most_common()
     parts = [
         f"{on_surface:,} of {(surface == k).sum():,} on {SurfaceRef.from_index(room, k)} (darker)"
-        for k, on_surface in Counter(surface[is_wrong].tolist()).most_common()
+        for k, on_surface in counts[:3]
     ]
+    parts.append(f"{sum(on_surface for _, on_surface in counts[3:])} on others")
     place = worst.removeprefix("The worst is ").partition(":")[0]
     assert str(solution("room").diagnose(Picture(codes))) == (
         f"None of the {len(list_mistakes(room))} known mistakes explains this picture."
