@@ -266,7 +266,9 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         Both pictures, as the HTML page needs them.  None if no page is requested, if the sizes
         differ, or if the picture cannot be compared.
     """
-    picture_name, reference_name = (str(p) if p else None for p in (hand_in.picture, hand_in.reference))
+    picture_name, reference_name = (
+        str(p) if p else None for p in (hand_in.picture, hand_in.reference)
+    )
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
     missing_name = Path(hand_in.student, hand_in.scene) if hand_in.student else reference_name
     where = picture_name or str(missing_name)

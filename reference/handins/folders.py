@@ -32,8 +32,6 @@ class HandIn(NamedTuple):
     error : str
         Why the picture cannot be compared, as a predicate such as "is an archive; unpack it first".
         Empty if it can be compared.
-    output : Path or None
-        File to which a comparison of both pictures is written; None if no such file is requested.
     """
 
     student: str
@@ -41,7 +39,6 @@ class HandIn(NamedTuple):
     picture: Path | None
     reference: Path | None
     error: str = ""
-    output: Path | None = None
 
 
 def list_hand_ins(folder: Path) -> list[Path]:
