@@ -221,13 +221,13 @@ def test_speckles_and_single_precision() -> None:
 
 def test_single_levels() -> None:
     """Differences of one level are rounding in few pixels, have a known cause, or are unknown."""
-    for size, count, kind in ((10, 2, "rounding"), (40, 16, "rounding"), (40, 17, "unknown")):
-        small = Solution(replace(scene("room"), width=size, height=size))
+    small = Solution(replace(scene("room"), width=10, height=10))
+    for count, kind in ((2, "rounding"), (40, "unknown")):
         codes = small.codes.copy()
         codes.reshape(-1, 3)[:count, 0] ^= 1
         diagnosis = small.diagnose(Picture(codes))
         assert diagnosis.kind == kind
-    assert str(diagnosis) == "17 pixels are one level off; no known mistake does this."
+    assert str(diagnosis) == "40 pixels are one level off; no known mistake does this."
     source = student.SOURCE.replace("np.floor(255 * shown + 0.5)", "np.ceil(255 * shown)")
     codes = student.render_with_source(source, scene("room"))
     assert solution("room").diagnose(Picture(codes)).kind == "levels-up"
