@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import INTERRUPTS, SCENE, drop_jit, run, start_process, wait_until, workers_of
+from running import INTERRUPTS, drop_jit, run, start_process, wait_until, workers_of, write_ball
 
 from tracer import write_png
 
@@ -49,9 +49,9 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "named_files.py").write_text(NAMED_FILES)
     (tmp_path / "spawned.py").write_text(SPAWNED)
     for name in MANY:
-        (tmp_path / name).write_text(SCENE.format(400, 400))
-    (tmp_path / "ball.xml").write_text(SCENE.format(60, 40))
-    (tmp_path / "large.xml").write_text(SCENE.format(4000, 3000))
+        write_ball(tmp_path / name, 400, 400)
+    write_ball(tmp_path / "ball.xml", 60, 40)
+    write_ball(tmp_path / "large.xml", 4000, 3000)
     image = np.random.default_rng(0).uniform(size=(60, 90, 3))
     write_png(tmp_path / "right.png", image)
     (tmp_path / "hand-ins").mkdir()
@@ -181,7 +181,7 @@ def test_watching_many_scenes_ends_with_its_workers(folder):
             names = [process.stdout.readline().partition(".png: ")[0] for _ in MANY]
             assert names == MANY
             for name in MANY:
-                (folder / name).write_text(SCENE.format(300, 400))
+                write_ball(folder / name, 300, 400)
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 130
     wait_until(lambda: not running_processes())
@@ -192,7 +192,7 @@ def test_watching_ends_when_nobody_reads(folder):
     with start("tracer ball.xml --watch", folder) as process:
         assert "ball.xml.png" in process.stdout.readline()
         process.stdout.close()
-        (folder / "ball.xml").write_text(SCENE.format(61, 40))
+        write_ball(folder / "ball.xml", 61, 40)
         assert process.wait(20) == 0
 
 

@@ -1,34 +1,26 @@
 """Many scenes in one command: which process renders which, the order of lines, and progress."""
 
 import os
-import random
 import re
 import resource
-import signal
 import sys
-import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
-from running import SCENE, needs_two, run, start_process, wait_until, workers_of
+from probe import record_calls
+from running import SCENE, needs_two, run, write_ball
 
 from tracer.command import batch, cli, progress
-from tracer.command.batch import Batch, Job, Settings
+from tracer.command.batch import Job, Settings
 from tracer.command.progress import Progress, track
-
-SETTINGS = Settings(samples=1, size=None, file_format="png", quiet=True)
 
 
 @pytest.fixture
 def scenes(tmp_path: Path) -> list[Path]:
     """Write forty scene files; the later the file, the smaller its picture."""
-    paths = [tmp_path / f"{k:02}.xml" for k in range(40)]
-    for k, path in enumerate(paths):
-        path.write_text(SCENE.format(440 - 10 * k, 400))
-    return paths
+    return [write_ball(tmp_path / f"{k:02}.xml", 440 - 10 * k, 400) for k in range(40)]
 
 
 def codes(path: Path) -> tuple[tuple[int, int], bytes]:
@@ -55,16 +47,16 @@ def test_lines_and_errors_come_in_the_order_of_the_arguments(scenes, processes):
         assert Path(f"{path}.png").exists() != (path.stem in ("03", "05", "20", "38"))
 
 
-def record_submissions(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Record calls of `WorkerPool.submit`: return a list that receives the functions' names."""
-    submitted, submit = [], batch.WorkerPool.submit
+@pytest.fixture
+def submitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Use two processes on any machine; return the names of all functions that workers are given.
 
-    def recording_submit(self: Any, function: Any, *arguments: Any) -> Any:
-        submitted.append(function.func.__name__)
-        return submit(self, function, *arguments)
-
-    monkeypatch.setattr(batch.WorkerPool, "submit", recording_submit)
-    return submitted
+    The list grows while commands run in this process.
+    """
+    monkeypatch.setattr(cli, "count_processors", lambda: 2)
+    return record_calls(
+        monkeypatch, batch.WorkerPool, "submit", lambda _, function, *rest: function.func.__name__
+    )
 
 
 @pytest.mark.parametrize(
@@ -79,26 +71,18 @@ def record_submissions(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ],
 )
 def test_whole_scenes_are_distributed_and_large_ones_are_shared(
-    count, size, expected, tmp_path, monkeypatch
+    count, size, expected, tmp_path, submitted
 ):
-    paths = [tmp_path / f"{k}.xml" for k in range(count)]
-    for path in paths:
-        path.write_text(SCENE.format(*size))
-    submitted = record_submissions(monkeypatch)
-    batch_of_two = Batch(SETTINGS, 2)
-    assert batch_of_two.render([Job(str(path), f"{path}.png") for path in paths])
-    batch_of_two.close()
+    paths = [write_ball(tmp_path / f"{k}.xml", *size) for k in range(count)]
+    assert cli.main([*map(str, paths), "--quiet"]) == 0
     assert {*submitted} == expected
     assert len({codes(path) for path in paths}) == 1
 
 
-def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
+def test_a_large_scene_among_many_is_shared(scenes, submitted, monkeypatch):
     monkeypatch.setattr(batch, "_MAX_UNSHARED_SECONDS", 0.05)
-    scenes[30].write_text(SCENE.format(4000, 2000))
-    submitted = record_submissions(monkeypatch)
-    batch_of_two = Batch(SETTINGS, 2)
-    assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
-    batch_of_two.close()
+    write_ball(scenes[30], 4000, 2000)
+    assert cli.main([*map(str, scenes), "--quiet"]) == 0
     assert {*submitted} == {"render_encoded_tile", "_render_in_worker"}
     assert codes(scenes[30])[0] == (4000, 2000)
 
@@ -106,18 +90,18 @@ def test_a_large_scene_among_many_is_shared(scenes, monkeypatch):
 def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
     """Otherwise the main process would silently repeat the work of all workers."""
     path = scenes[0]
-    report = batch._render_in_worker(SETTINGS, Job(str(path), f"{path}.png"))
+    settings = Settings(samples=1, size=None, file_format="png", quiet=True)
+    report = batch._render_in_worker(settings, Job(str(path), f"{path}.png"))
     (width, height), _ = codes(path)
     assert report == batch.Report(pixel_count=width * height)
 
 
-def test_one_process_if_the_user_wants_no_more(scenes, monkeypatch):
-    submitted = record_submissions(monkeypatch)
+def test_one_process_if_the_user_wants_no_more(scenes, submitted):
     assert cli.main([*map(str, scenes), "--processes", "1", "--quiet"]) == 0
     assert submitted == []
 
 
-def test_this_process_repeats_what_workers_cannot_do(scenes, monkeypatch):
+def test_this_process_repeats_what_workers_cannot_do(scenes, submitted, monkeypatch):
     """Workers, which are forked, have no memory to read a scene."""
     parent, load = os.getpid(), batch.load_scene
 
@@ -127,10 +111,7 @@ def test_this_process_repeats_what_workers_cannot_do(scenes, monkeypatch):
         return load(path)
 
     monkeypatch.setattr(batch, "load_scene", load_in_parent)
-    submitted = record_submissions(monkeypatch)
-    batch_of_two = Batch(SETTINGS, 2)
-    assert batch_of_two.render([Job(str(path), f"{path}.png") for path in scenes])
-    batch_of_two.close()
+    assert cli.main([*map(str, scenes), "--quiet"]) == 0
     assert submitted
     assert all(Path(f"{path}.png").exists() for path in scenes)
 
@@ -145,29 +126,6 @@ def test_standard_input_among_many_scenes(scenes):
 
 
 @needs_two
-@pytest.mark.parametrize(
-    "moments", [3, pytest.param(40, marks=pytest.mark.slow)], ids=["some", "many"]
-)
-def test_a_worker_that_dies_at_any_moment_costs_no_picture(scenes, moments):
-    assert run(*scenes, "--quiet", "--processes", 1)[0] == 0
-    expected = {path: codes(path) for path in scenes}
-    rng = random.Random(moments)
-    for number in range(moments):
-        for path in scenes:
-            Path(f"{path}.png").unlink()
-        with start_process(*scenes, "--processes", 2) as process:
-            wait_until(lambda process=process: workers_of(process) or process.poll() is not None)
-            time.sleep(0.3 * rng.random())
-            kind = signal.SIGSTOP if number % 3 == 2 else signal.SIGKILL
-            for worker in workers_of(process):
-                with suppress(ProcessLookupError):
-                    os.kill(worker, kind)
-            out, err = process.communicate(timeout=60)
-        assert (process.returncode, err, out.count("\n")) == (0, "", len(scenes))
-        assert {path: codes(path) for path in scenes} == expected
-
-
-@needs_two
 @pytest.mark.parametrize("limit", range(5, 15))
 def test_few_open_files_suffice(scenes, limit):
     """All pictures are written, even if only a part of the pool can be started."""
@@ -178,8 +136,7 @@ def test_few_open_files_suffice(scenes, limit):
 
 def test_memory_and_open_files_do_not_grow_with_the_number_of_scenes(tmp_path):
     """The memory of this process and its workers, after 20 scenes and after 400."""
-    path = tmp_path / "ball.xml"
-    path.write_text(SCENE.format(40, 30))
+    path = write_ball(tmp_path / "ball.xml", 40, 30)
     script = f"""if True:
         import os, resource, sys
         from tracer.command.batch import Batch, Job, Settings

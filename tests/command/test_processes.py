@@ -15,15 +15,14 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from PIL import Image
 from probe import scene_of, sphere_scene
-from running import ROOT, SCENE, needs_two, run, start_process, wait_until, workers_of
+from running import ROOT, needs_two, run, start_process, wait_until, workers_of, write_ball
 
-from tracer import Camera, Scene, Sphere, load_scene, render, save_scene
+from tracer import Camera, Sphere, load_scene, render, save_scene
 from tracer.command import cli
 from tracer.picture import parallel
 from tracer.picture import render as render_module
@@ -101,31 +100,6 @@ def test_a_program_with_threads_is_not_forked():
         thread.join()
 
 
-def tile_data(scene: Scene, samples: int, workers: int) -> list[bytes]:
-    """Render a scene with a pool, and return the compressed pixels of each tile."""
-    with closing(WorkerPool(workers)) as pool:
-        return [tile.data for tile, _ in render_tiles(RenderJob(scene, samples), pool)]
-
-
-@pytest.mark.parametrize("samples", [1, 16])
-def test_the_pool_of_the_command_renders_the_same_picture(samples, small_tiles):
-    alone, *shared = (tile_data(sphere_scene(), samples, workers) for workers in (0, 1, 2))
-    assert shared[0] == shared[1]
-    assert len(shared[0]) > 3
-    if samples == 1:  # otherwise, the tiles of a picture that is shared are smaller
-        assert alone == shared[0]
-
-
-@pytest.mark.parametrize(("size", "starts"), [((320, 180), 0), ((3000, 2000), 1)])
-def test_a_small_picture_starts_no_process(size, starts, monkeypatch, tmp_path):
-    monkeypatch.setattr(cli, "count_processors", lambda: 2)
-    start = Mock(side_effect=OSError)
-    monkeypatch.setattr(WorkerPool, "_new_executor", start)
-    save_scene(sphere_scene(*size), tmp_path / "scene.xml")
-    assert cli.main([str(tmp_path / "scene.xml"), "--quiet"]) == 0
-    assert start.call_count == starts
-
-
 @pytest.mark.parametrize("y", [-1.5, 1.5])
 def test_a_picture_of_which_some_tiles_are_black_is_not_black(y, small_tiles, tmp_path, capsys):
     """The first tile is black, or the last one, but not both."""
@@ -164,54 +138,9 @@ def limit_processes(limit: int) -> None:
 @pytest.mark.parametrize("limit", range(1, 7))
 def test_few_processes(limit, tmp_path):
     """No process or thread is left for some part of the pool."""
-    path = tmp_path / "ball.xml"
-    path.write_text(SCENE.format(2800, 2400))
+    path = write_ball(tmp_path / "ball.xml", 2800, 2400)
     limited = partial(limit_processes, limit)
     assert run(path, "--quiet", "--processes", 2, preexec_fn=limited) == (0, "", "")
-
-
-@pytest.fixture
-def large(tmp_path: Path) -> Path:
-    """Return the path of a scene that takes several seconds to render."""
-    path = tmp_path / "large.xml"
-    path.write_text(SCENE.format(6000, 5000))
-    return path
-
-
-@needs_two
-@pytest.mark.parametrize(
-    "seeds",
-    [
-        range(5),
-        *(pytest.param(range(k, k + 25), marks=pytest.mark.slow) for k in range(5, 205, 25)),
-    ],
-    ids=lambda seeds: f"from-{seeds[0]}",
-)
-def test_a_lost_worker_costs_time_not_the_picture(seeds, tmp_path):
-    """Kill or stop all workers at random moments."""
-    path, other = tmp_path / "ball.xml", tmp_path / "other.png"
-    path.write_text(SCENE.format(2800, 2400))
-    start = time.monotonic()
-    assert run(path, "-o", other, "--quiet", "--processes", 1)[0] == 0
-    seconds, lost = time.monotonic() - start, 0
-    with Image.open(other) as picture:
-        codes = picture.tobytes()
-    for seed in seeds:
-        rng = random.Random(seed)
-        with start_process(path, "--quiet", "--processes", 2) as process:
-            wait_until(lambda p=process: p.poll() is not None or bool(workers_of(p)))
-            time.sleep(rng.random() * seconds / 2)
-            workers = workers_of(process)
-            for worker in workers:
-                with suppress(ProcessLookupError):
-                    os.kill(worker, rng.choice([signal.SIGKILL, signal.SIGSTOP]))
-            assert process.communicate(timeout=120) == ("", "")
-        assert process.returncode == 0
-        with Image.open(f"{path}.png") as picture:
-            assert picture.tobytes() == codes
-        wait_until(lambda ids=workers: not any(map(is_running, ids)))
-        lost += len(workers)
-    assert lost >= len(seeds) / 5
 
 
 def is_running(process_id: int) -> bool:
@@ -220,8 +149,54 @@ def is_running(process_id: int) -> bool:
 
 
 @needs_two
-def test_workers_end_with_a_command_that_is_killed(large, tmp_path):
-    with start_process(large, "--quiet", "--processes", 2) as process:
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        range(5),
+        *(pytest.param(range(k, k + 25), marks=pytest.mark.slow) for k in range(5, 105, 25)),
+    ],
+    ids=lambda seeds: f"from-{seeds[0]}",
+)
+@pytest.mark.parametrize(
+    "sizes", [[(2800, 2400)], [(440 - 10 * k, 400) for k in range(40)]], ids=["large", "many"]
+)
+def test_a_lost_worker_costs_time_not_the_picture(sizes, seeds, tmp_path):
+    """Kill or stop all workers at random moments, while they render one picture or many."""
+    paths = [write_ball(tmp_path / f"{width}.xml", width, height) for width, height in sizes]
+
+    def take_pictures() -> list[bytes]:
+        """Read the codes of all pictures, and remove the files."""
+        codes = []
+        for path in paths:
+            with Image.open(picture_path := Path(f"{path}.png")) as picture:
+                codes.append(picture.tobytes())
+            picture_path.unlink()
+        return codes
+
+    start = time.monotonic()
+    assert run(*paths, "--quiet", "--processes", 1)[0] == 0
+    seconds, lost_count, expected = time.monotonic() - start, 0, take_pictures()
+    for seed in seeds:
+        rng = random.Random(seed)
+        with start_process(*paths, "--processes", 2) as process:
+            wait_until(lambda p=process: p.poll() is not None or bool(workers_of(p)))
+            time.sleep(rng.random() * seconds / 2)
+            workers = workers_of(process)
+            for worker in workers:
+                with suppress(ProcessLookupError):
+                    os.kill(worker, rng.choice([signal.SIGKILL, signal.SIGSTOP]))
+            out, err = process.communicate(timeout=120)
+        assert (process.returncode, err, out.count("\n")) == (0, "", len(paths))
+        assert take_pictures() == expected
+        wait_until(lambda ids=workers: not any(map(is_running, ids)))
+        lost_count += len(workers)
+    assert lost_count >= len(seeds) / 5
+
+
+@needs_two
+def test_workers_end_with_a_command_that_is_killed(tmp_path):
+    path = write_ball(tmp_path / "large.xml", 6000, 5000)
+    with start_process(path, "--quiet", "--processes", 2) as process:
         wait_until(lambda: bool(workers_of(process)))
         workers = workers_of(process)
         process.kill()
