@@ -1,8 +1,8 @@
 """Measure how fast the tracer renders, compared with compiled renderers.
 
 ``python -m reference.benchmark`` writes `benchmark.md` into this folder.  Renderers are timed
-alternately.  If Mitsuba renders in this process, its kernels are compiled, and its scene is
-built, before the clock starts.
+alternately.  Where Mitsuba renders in this process, it compiles its kernels and builds its scene
+before the clock starts.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from reference.command import HERE, SCENES, build_path, make_parser, own_scenes
 from reference.measured.measurements import (
     Task,
     Timing,
-    command_task,
     describe_origin,
+    make_command_task,
     time_interleaved,
 )
 from reference.measured.workloads import field_scene, resize_picture
@@ -46,7 +46,8 @@ _FEW_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
 _SPEEDUPS = ("speedup over exact", "speedup over stock")
 _SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE = (320, 180), (1280, 720), (2560, 1440)
 
-# A usual script that renders scenes with Mitsuba: pairs of a scene file and a picture.
+# A typical script that renders scenes with Mitsuba.  Its arguments are the variant, then pairs of a
+# scene file and a picture.
 _MITSUBA_SCRIPT = """
 import sys
 import mitsuba as mi
@@ -58,7 +59,8 @@ for source, target in zip(paths[::2], paths[1::2]):
     mi.util.write_bitmap(target, mi.render(mi.load_file(source)), write_async=False)
 """
 
-# A usual script that renders scenes with a pool of processes.
+# A typical script that renders scenes with a pool of processes.  Its arguments are the number of
+# processes, then scene files.
 _POOL_SCRIPT = """
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -75,21 +77,18 @@ ROUNDS = 3
 """Minimum number of rounds in which each task is timed."""
 
 
-def compute_speedup(ours: Timing, other: Timing) -> float:
-    """Return how many times as fast as another task ours is: above 1 if ours is faster.
+def compute_speedup(tracer_timing: Timing, other_timing: Timing) -> float:
+    """Compute how many times as fast as another renderer the tracer is, by the median times.
 
-    Parameters
-    ----------
-    ours, other : Timing
-        Times of both tasks, in seconds; the medians are compared.
+    The result is above 1 if the tracer is faster.
     """
-    return other.median / ours.median
+    return other_timing.median / tracer_timing.median
 
 
-def format_ratio(value: float) -> str:
-    """Format a positive ratio with at least two digits: 0.50×, 3.0×, 42×."""
-    decimals = 2 if value < 0.995 else 1 if value < 9.95 else 0
-    return f"{value:.{decimals}f}×"
+def format_ratio(ratio: float) -> str:
+    """Format a positive ratio with at least two significant digits: 0.50×, 3.0×, 42×."""
+    decimals = 2 if ratio < 0.995 else 1 if ratio < 9.95 else 0
+    return f"{ratio:.{decimals}f}×"
 
 
 def format_section(
@@ -116,70 +115,68 @@ def format_section(
     return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
-def _time_tracer_and_mitsuba(scene: Scene, text: str) -> tuple[Timing, Timing]:
-    """Time alternately how the tracer and Mitsuba render a scene in this process.
+def _time_tracer_and_mitsuba(scene: Scene, mitsuba_scene: str) -> tuple[Timing, Timing]:
+    """Time how the tracer and Mitsuba render a scene in this process, alternately.
 
     Parameters
     ----------
     scene : Scene
         The scene for the tracer.
-    text : str
-        The same scene in Mitsuba's format.  It is loaded before the clock starts.
+    mitsuba_scene : str
+        The same scene in Mitsuba's XML format.  It is loaded before the clock starts.
 
     Returns
     -------
-    tracer, mitsuba : Timing
-        Times to render one picture.
+    tracer_timing, mitsuba_timing : Timing
+        Times in which each of them renders one picture.
     """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
-    loaded = mi.load_string(text)
-    tasks: dict[str, Task] = {
-        "tracer": partial(render, scene),
-        "Mitsuba": lambda: np.array(mi.render(loaded)),
-    }
+    loaded_scene = mi.load_string(mitsuba_scene)
+    tasks: dict[str, Task] = {"tracer": partial(render, scene)}
+    tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
     timings = time_interleaved(tasks, ROUNDS)
     return timings["tracer"], timings["Mitsuba"]
 
 
 def benchmark_whole_process(quick: bool) -> str:
-    """Time commands that read a scene file and write a PNG file, for each renderer.
+    """Time each renderer's whole command, from a scene file to a PNG file.
 
     Parameters
     ----------
     quick : bool
-        Whether to use a single small picture.
+        Whether to render one scene in a small picture only.
 
     Returns
     -------
     section : str
-        The section of the page about these times.
+        The section of the Markdown page with these times.
     """
-    variant, png = use_variant().variant, str(build_path("out.png"))
-    tracer = [sys.executable, "-m", "tracer", "--quiet", "-o", png]
-    mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT]
+    variant, png_path = use_variant().variant, str(build_path("out.png"))
+    tracer_command = [sys.executable, "-m", "tracer", "--quiet", "-o", png_path]
+    mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT]
     rows: list[tuple[object, ...]] = []
-    pairs = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
-    for size, name in pairs[:1] if quick else pairs:
+    pictures = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
+    for size, name in pictures[:1] if quick else pictures:
         scene = resize_picture(load_scene(SCENES / f"{name}.xml"), *size)
         save_scene(scene, scene_file := build_path("tracer.xml"))
         (exact_file := build_path("exact.xml")).write_text(str(convert_exact(scene)))
         (stock_file := build_path("stock.xml")).write_text(str(convert_stock(scene, 1)))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
-            "tracer": [*tracer, str(scene_file)],
-            "Mitsuba exact": [*mitsuba, variant, str(exact_file), png],
-            "Mitsuba stock": [*mitsuba, variant, str(stock_file), png],
-            "the same, scalar": [*mitsuba, SCALAR, str(stock_file), png],
+            "tracer": [*tracer_command, str(scene_file)],
+            "Mitsuba exact": [*mitsuba_script, variant, str(exact_file), png_path],
+            "Mitsuba stock": [*mitsuba_script, variant, str(stock_file), png_path],
+            "the same, scalar": [*mitsuba_script, SCALAR, str(stock_file), png_path],
         }
         if povray.is_installed():
-            commands["POV-Ray"] = povray.write_scene_and_command(scene, Path(png))
-        tasks = {name: command_task(command) for name, command in commands.items()}
+            commands["POV-Ray"] = povray.write_scene_and_command(scene, Path(png_path))
+        tasks = {name: make_command_task(command) for name, command in commands.items()}
         timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
-        over_exact, *over_stock = (
+        speedup_over_exact, *speedups_over_stock = (
             compute_speedup(timings["tracer"], timings[other])
             for other in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
         )
-        cells = (*timings.values(), over_exact, min(over_stock))
+        cells = (*timings.values(), speedup_over_exact, min(speedups_over_stock))
         rows.append((f"{name} {size[0]}×{size[1]}", *cells))
     return format_section(
         "Whole process: from XML to PNG",
@@ -193,17 +190,17 @@ def benchmark_whole_process(quick: bool) -> str:
 
 
 def benchmark_rendering(quick: bool) -> str:
-    """Time the rendering of every scene in this process, without loading and writing files.
+    """Time the rendering of every scene in this process, without reading and writing files.
 
     Parameters
     ----------
     quick : bool
-        Whether to use only a few scenes in small pictures.
+        Whether to render a few scenes in small pictures only.
 
     Returns
     -------
     section : str
-        The section of the page about these times.
+        The section of the Markdown page with these times.
     """
     variant = use_variant().variant
     rows: list[tuple[object, ...]] = []
@@ -213,12 +210,13 @@ def benchmark_rendering(quick: bool) -> str:
         scenes |= {f"field-{count}": field_scene(count) for count in (1000, 10_000)}
         for name in _FEW_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
-            ours, exact_timing = _time_tracer_and_mitsuba(scene, str(convert_exact(scene)))
-            ours_again, stock_timing = _time_tracer_and_mitsuba(scene, str(convert_stock(scene, 1)))
-            over_exact = compute_speedup(ours, exact_timing)
-            speedups.append((over_exact, compute_speedup(ours_again, stock_timing)))
-            timings = ours, exact_timing, stock_timing
-            rows.append((f"{name} {size[0]}×{size[1]}", *timings, *speedups[-1]))
+            exact_scene, stock_scene = str(convert_exact(scene)), str(convert_stock(scene, 1))
+            timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_scene)
+            second_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_scene)
+            over_exact = compute_speedup(timing, exact_timing)
+            speedups.append((over_exact, compute_speedup(second_timing, stock_timing)))
+            cells = timing, exact_timing, stock_timing, *speedups[-1]
+            rows.append((f"{name} {size[0]}×{size[1]}", *cells))
         means = (geometric_mean(column) for column in zip(*speedups, strict=True))
         rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *means))
     return format_section(
@@ -234,34 +232,32 @@ def benchmark_rendering(quick: bool) -> str:
 
 
 def benchmark_objects(quick: bool) -> str:
-    """Time loading and rendering of scenes with many objects.
+    """Time the loading and rendering of scenes with up to 100,000 objects.
 
     Parameters
     ----------
     quick : bool
-        Whether to use at most 100 objects instead of 100,000.
+        Whether to use 10 and 100 objects only.
 
     Returns
     -------
     section : str
-        The section of the page about these times.
+        The section of the Markdown page with these times.
     """
     use_variant()
     rows: list[tuple[object, ...]] = []
     for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
         save_scene(field_scene(count), path := build_path("objects.xml"))
-        scene, text = load_scene(path), str(convert_exact(load_scene(path)))
+        scene = load_scene(path)
+        mitsuba_scene = str(convert_exact(scene))
+        tasks: dict[str, Task] = {"parse": partial(ET.parse, path)}
+        tasks |= {"load": partial(load_scene, path), "render": partial(render, scene)}
         # Mitsuba's many objects must not slow down the garbage collector, nor its kernels.
         gc.collect()
         gc.freeze()
-        tasks: dict[str, Task] = {
-            "parse": partial(ET.parse, path),
-            "load": partial(load_scene, path),
-            "render": partial(render, scene),
-        }
         timings = time_interleaved(tasks, ROUNDS)
         gc.unfreeze()
-        rows.append((f"{count:,}", *timings.values(), *_time_mitsuba_once(text)))
+        rows.append((f"{count:,}", *timings.values(), *_time_mitsuba_once(mitsuba_scene)))
     return format_section(
         "Many objects",
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
@@ -274,22 +270,22 @@ def benchmark_objects(quick: bool) -> str:
     )  # fmt: skip
 
 
-def _time_mitsuba_once(text: str) -> list[Timing]:
-    """Time how Mitsuba loads a scene and renders two pictures of it, once.
+def _time_mitsuba_once(mitsuba_scene: str) -> list[Timing]:
+    """Time once how Mitsuba loads a scene, renders it, and renders it again.
 
     Parameters
     ----------
-    text : str
-        The scene in Mitsuba's format.
+    mitsuba_scene : str
+        The scene in Mitsuba's XML format.
 
     Returns
     -------
     timings : list of three Timing
-        Times of loading, of the first picture, for which kernels are compiled, and of the next
+        Times of loading, of the first picture, for which kernels are compiled, and of the second
         picture.
     """
     times = [perf_counter()]
-    scene = mi.load_string(text)
+    scene = mi.load_string(mitsuba_scene)
     times.append(perf_counter())
     for _ in range(2):
         np.array(mi.render(scene))
@@ -298,7 +294,10 @@ def _time_mitsuba_once(text: str) -> list[Timing]:
 
 
 def write_frames_and_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str]]]:
-    """Write the frames of an animation to the build folder, and return commands to render them.
+    """Write an animation's frames as scene files, and return each renderer's commands for them.
+
+    The files are written to the build folder, in the format of each renderer.  The eye moves away
+    from the scene, from frame to frame.
 
     Parameters
     ----------
@@ -316,53 +315,52 @@ def write_frames_and_commands(count: int, size: tuple[int, int]) -> dict[str, li
     """
     scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
-    files, pov_commands = list[str](), list[list[str]]()
+    files, povray_commands = list[str](), list[list[str]]()
     mitsuba_files = {"exact": list[str](), "stock": list[str]()}
     for k in range(count):
         frame = replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
         save_scene(frame, path := build_path(f"frame-{k}.xml"))
         files.append(str(path))
-        for name, converted in (
-            ("exact", convert_exact(frame)),
-            ("stock", convert_stock(frame, 1)),
-        ):
-            (path := build_path(f"frame-{k}.{name}.xml")).write_text(str(converted))
-            mitsuba_files[name] += [str(path), f"{path}.png"]
-        pov_commands.append(povray.write_scene_and_command(frame, build_path(f"frame-{k}.png")))
+        converted = {"exact": convert_exact(frame), "stock": convert_stock(frame, 1)}
+        for flavour, mitsuba_scene in converted.items():
+            (path := build_path(f"frame-{k}.{flavour}.xml")).write_text(str(mitsuba_scene))
+            mitsuba_files[flavour] += [str(path), f"{path}.png"]
+        picture = build_path(f"frame-{k}.png")
+        povray_commands.append(povray.write_scene_and_command(frame, picture))
     tracer = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
     halves = [shlex.join([*tracer, "1", *files[k::2]]) for k in (0, 1)]
-    pool = [sys.executable, "-c", _POOL_SCRIPT]
-    mitsuba = [sys.executable, "-c", _MITSUBA_SCRIPT, use_variant().variant]
+    pool_script = [sys.executable, "-c", _POOL_SCRIPT]
+    mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT, use_variant().variant]
     commands = {
         "tracer, 1 process": [[*tracer, "1", *files]],
         "tracer, 2 processes": [[*tracer, "2", *files]],
         "two such commands, 1 process and half of the frames each": [
             ["sh", "-c", f"{halves[0]} & {halves[1]}; wait"]
         ],
-        "pool.map(tracer.to_png), 1 worker": [[*pool, "1", *files]],
-        "pool.map(tracer.to_png), 2 workers": [[*pool, "2", *files]],
-        "Mitsuba exact": [[*mitsuba, *mitsuba_files["exact"]]],
-        "Mitsuba stock": [[*mitsuba, *mitsuba_files["stock"]]],
+        "pool.map(tracer.to_png), 1 worker": [[*pool_script, "1", *files]],
+        "pool.map(tracer.to_png), 2 workers": [[*pool_script, "2", *files]],
+        "Mitsuba exact": [[*mitsuba_script, *mitsuba_files["exact"]]],
+        "Mitsuba stock": [[*mitsuba_script, *mitsuba_files["stock"]]],
     }
-    return commands | ({"POV-Ray": pov_commands} if povray.is_installed() else {})
+    return commands | ({"POV-Ray": povray_commands} if povray.is_installed() else {})
 
 
 def benchmark_frames(quick: bool) -> str:
-    """Time commands that render the frames of an animation, for each renderer.
+    """Time the commands with which each renderer renders the frames of an animation.
 
     Parameters
     ----------
     quick : bool
-        Whether to render a few small frames.
+        Whether to render a few small frames only.
 
     Returns
     -------
     section : str
-        The section of the page about these times.
+        The section of the Markdown page with these times.
     """
     count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
-    commands = write_frames_and_commands(count, size)
-    tasks = {name: partial(_run_commands, steps) for name, steps in commands.items()}
+    renderers = write_frames_and_commands(count, size)
+    tasks = {name: partial(run_commands, commands) for name, commands in renderers.items()}
     timings = time_interleaved(tasks, ROUNDS)
     timings = {name: timing.divided_by(count) for name, timing in timings.items()}
     first_timing = timings["tracer, 1 process"]
@@ -377,17 +375,17 @@ def benchmark_frames(quick: bool) -> str:
     )
 
 
-def _run_commands(commands: Sequence[Sequence[str]]) -> None:
+def run_commands(commands: Sequence[Sequence[str]]) -> None:
     """Run commands one after the other; raise CalledProcessError if one fails."""
     for command in commands:
-        command_task(command)()
+        make_command_task(command)()
 
 
 SECTIONS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, benchmark_frames)
 
 
 def main() -> None:
-    """Measure all sections, print each as soon as it is measured, and write the page."""
+    """Measure all sections, print each when it is measured, and write the Markdown page."""
     arguments = make_parser("reference.benchmark", "small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
     page = [

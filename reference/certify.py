@@ -3,7 +3,7 @@
     python -m reference.certify SCENE.xml --error 1/512 --judge PICTURE.png
 
 writes an antialiased picture, and states how close it is to the exact one: in linear radiance, and
-by the number of pixels in which no other 8-bit codes are possible.  For the method see
+by the number of pixels for which no other 8-bit codes are possible.  For the method see
 `reference.judges.certificate`.
 
 Exit status: 0, or 1 if a judged picture has codes that are certainly wrong, 2 for wrong usage, 3 if
@@ -25,6 +25,7 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +39,8 @@ from tracer.command.process import print_result
 from tracer.command.progress import Progress
 from tracer.messages import printable
 
-# Permitted errors of a pixel's mean radiance, if --error is not given: without and with --codes.
-# With --codes, only pixels stay uncertain whose radiance is this close to where the code changes.
-_DEFAULT_ERROR, _DEFAULT_ERROR_OF_CODES = Fraction(1, 128), Fraction(1, 65536)
+# Permitted error of a pixel's mean radiance, if --error is not given.
+_DEFAULT_ERROR = Fraction(1, 128)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,7 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     status : int
-        0, or 1 if the picture that is judged has codes that are certainly wrong.
+        The exit status: 1 if the picture given by `--judge` has codes that are certainly wrong,
+        otherwise 0.
 
     Raises
     ------
@@ -68,21 +69,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     path, output = arguments.scene, arguments.output or f"{arguments.scene}.certified.png"
     inputs = [Path(file) for file in (path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output)], inputs)
-    error = arguments.error or (_DEFAULT_ERROR_OF_CODES if arguments.codes else _DEFAULT_ERROR)
     failure_if_not = partial(errors_as_failure, status=FAILED_STATUS)
     with failure_if_not(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
-    judged = _read_codes(arguments.judge, scene) if arguments.judge else None
+    judged_codes = _read_codes(arguments.judge, scene) if arguments.judge else None
     start = perf_counter()
     with (
         failure_if_not(path, "certified", error_types=(ValueError, RuntimeError)),
         Progress(1, "pictures") as bar,
     ):
-        certificate = certify(scene, float(error), codes=arguments.codes, progress=bar.update)
-    lines, wrong_count = _summarise(certificate, error, arguments.codes), 0
+        certificate = certify(scene, float(arguments.error), bar.update)
+    lines, wrong_count = _summarise(certificate, arguments.error), 0
     seconds = perf_counter() - start
-    if judged is not None:
-        wrong_count, verdict = count_wrong_codes(certificate, judged)
+    if judged_codes is not None:
+        wrong_count, verdict = count_wrong_codes(certificate, judged_codes)
         lines.append(f"{arguments.judge}: {verdict}")
     lines.append(f"{output}: {certificate.cell_count} cells in {seconds:.2f} s")
     with failure_if_not(output, "written", "choose another with -o"):
@@ -93,38 +93,36 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make_command_parser() -> CommandParser:
-    """Make the command-line parser of this module."""
+    """Build the command-line parser of `python -m reference.certify`."""
     command_parser = make_parser("reference.certify")
-    add = command_parser.add_argument
-    add("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
-    default = f"{_DEFAULT_ERROR}; {_DEFAULT_ERROR_OF_CODES} with --codes"
-    text = f"permitted error of a pixel's mean radiance ({default})"
-    add("--error", type=_positive_fraction, metavar="E", help=text)
-    text = "also accept a pixel as soon as only one 8-bit code per channel is possible"
-    add("--codes", action="store_true", help=text)
-    text = "the picture to write (SCENE.xml.certified.png)"
-    add("-o", "--output", type=parse_path, metavar="OUT.png", help=text)
-    text = "a picture of the scene, whose certainly wrong 8-bit codes are counted"
-    add("--judge", type=parse_path, metavar="PICTURE.png", help=text)
+    add_argument = command_parser.add_argument
+    add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
+    options: Any = {"type": _positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
+    help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
+    add_argument("--error", help=help_text, **options)
+    help_text = "the picture to write (SCENE.xml.certified.png)"
+    add_argument("-o", "--output", type=parse_path, metavar="OUT.png", help=help_text)
+    help_text = "a picture of the scene, whose certainly wrong 8-bit codes are counted"
+    add_argument("--judge", type=parse_path, metavar="PICTURE.png", help=help_text)
     return command_parser
 
 
-def _positive_fraction(text: str) -> Fraction:
-    """Parse a command-line argument that must be a positive number or fraction, as 1/128.
+def _positive_fraction(argument: str) -> Fraction:
+    """Parse a command-line argument that must be a positive number or fraction, such as 1/128.
 
     Raises
     ------
     ArgumentTypeError
-        If the text is no such number.
+        If the argument is not such a number.
     """
     with suppress(OverflowError, ValueError, ZeroDivisionError):
-        if float(error := Fraction(text)) > 0:
+        if float(error := Fraction(argument)) > 0:
             return error
-    raise argparse.ArgumentTypeError(f"must be a number or fraction above 0, is {text!r}")
+    raise argparse.ArgumentTypeError(f"must be a number or fraction above 0, is {argument!r}")
 
 
 def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read a picture that must have the size of a scene's picture.
+    """Read the 8-bit codes of a picture that must have the size of a scene's picture.
 
     Parameters
     ----------
@@ -136,7 +134,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The 8-bit codes of the picture.
+        The codes of the picture.
 
     Raises
     ------
@@ -147,13 +145,12 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     height, width, _ = codes.shape
     if (width, height) != (scene.width, scene.height):
         sizes = f"its size is {width} x {height}, the scene's {scene.width} x {scene.height}"
-        raise Failure(
-            path, f"cannot be judged: {sizes}", "choose a picture of that size", FAILED_STATUS
-        )
+        reason, remedy = f"cannot be judged: {sizes}", "choose a picture of that size"
+        raise Failure(path, reason, remedy, FAILED_STATUS)
     return codes
 
 
-def _summarise(certificate: Certificate, error: Fraction, accepts_certain_codes: bool) -> list[str]:
+def _summarise(certificate: Certificate, error: Fraction) -> list[str]:
     """State what is certain about a picture, in two or three lines.
 
     Parameters
@@ -162,8 +159,6 @@ def _summarise(certificate: Certificate, error: Fraction, accepts_certain_codes:
         The picture, with bounds on each pixel.
     error : Fraction
         The permitted error of each pixel's mean radiance.
-    accepts_certain_codes : bool
-        Whether pixels of which only one 8-bit code is possible may exceed the permitted error.
 
     Returns
     -------
@@ -171,14 +166,15 @@ def _summarise(certificate: Certificate, error: Fraction, accepts_certain_codes:
         The lines to print.
     """
     exceeds, is_certain = certificate.error > float(error), certificate.is_certain
-    of_pixels = f"of {exceeds.size} pixels"
+    exceeding_count, of_pixels = np.count_nonzero(exceeds), f"of {exceeds.size} pixels"
     lines = [
-        f"{np.count_nonzero(~exceeds)} {of_pixels} are within {error};"
+        f"{exceeds.size - exceeding_count} {of_pixels} are within {error};"
         f" all within {certificate.error.max():.2g}",
         f"{np.count_nonzero(is_certain)} {of_pixels} have certain codes, {is_certain.mean():.2%}",
     ]
-    if count := np.count_nonzero(exceeds & ~(is_certain & accepts_certain_codes)):
-        lines.append(f"{count} pixels exceed the permitted error: edges touch each other there")
+    if exceeding_count:
+        explanation = "exceed the permitted error: edges touch each other there"
+        lines.append(f"{exceeding_count} pixels {explanation}")
     return lines
 
 
@@ -195,9 +191,9 @@ def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]
     Returns
     -------
     wrong_count : int
-        Number of codes that no radiance within the bounds gives.
+        Number of codes that do not belong to any radiance within the bounds.
     verdict : str
-        The number in words, with the position of the code that is farthest outside.
+        A sentence with this number, and the position of the worst code.
     """
     low, high = (to_codes(bound).astype(int) for bound in (certificate.low, certificate.high))
     excess = np.maximum(np.maximum(low - codes, codes - high), 0)

@@ -1,4 +1,4 @@
-"""Compute what a million frames would cost on a cluster of computers, and what would break first.
+"""Estimate what a million frames would cost on a cluster of computers, and what would break first.
 
 ``python -m reference.cluster`` writes `cluster.md` into this folder.  On one computer, it measures
 the CPU time of frames, their size in bytes, and the time of Dask's scheduler for each task.
@@ -17,9 +17,9 @@ from time import perf_counter
 
 from distributed import Client, LocalCluster
 
-from reference.benchmark import format_section, write_frames_and_commands
+from reference.benchmark import format_section, run_commands, write_frames_and_commands
 from reference.command import HERE, build_path, make_parser
-from reference.measured.measurements import command_task, describe_origin
+from reference.measured.measurements import describe_origin
 
 _FRAMES = 1_000_000
 
@@ -37,7 +37,7 @@ def _measure_cpu_seconds(commands: list[list[str]]) -> float:
     Parameters
     ----------
     commands : list of lists of str
-        The programs and their arguments.
+        For each command, the program and its arguments.
 
     Returns
     -------
@@ -45,37 +45,35 @@ def _measure_cpu_seconds(commands: list[list[str]]) -> float:
         CPU time of all processes that the commands started and waited for.
     """
     before = os.times()
-    for command in commands:
-        command_task(command)()
+    run_commands(commands)
     after = os.times()
-    children = after.children_user + after.children_system
-    return children - before.children_user - before.children_system
+    user_seconds = after.children_user - before.children_user
+    return user_seconds + after.children_system - before.children_system
 
 
 def _measure_scheduler_seconds(count: int) -> float:
-    """Measure the time that Dask's scheduler takes for each task without any work.
+    """Measure how long Dask's scheduler takes for a task that does nothing.
 
     Parameters
     ----------
     count : int
-        Number of tasks that are timed.  The same number runs before, to
-        start the worker.
+        Number of timed tasks.  As many tasks run before, so that the worker has started.
 
     Returns
     -------
     seconds : float
-        Time per task by the clock.
+        Elapsed time per task.
     """
     options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
     with LocalCluster(1, **options) as cluster, Client(cluster) as client:
-        client.gather(client.map(abs, range(count)))  # afterwards, the worker has started
+        client.gather(client.map(abs, range(count)))
         start = perf_counter()
         client.gather(client.map(abs, range(count, 2 * count)))
         return (perf_counter() - start) / count
 
 
 def main() -> None:
-    """Measure costs and limits of rendering on a cluster; write and print the page about them."""
+    """Measure what limits rendering on a cluster, and write and print the page about its costs."""
     arguments = make_parser("reference.cluster", "few and small frames").parse_args()
     count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
     commands = write_frames_and_commands(count, size)

@@ -1,9 +1,9 @@
 """Convert scenes for POV-Ray, render them with it, and read its pictures.
 
-POV-Ray serves as an independent reference, and as a renderer to compare times with.  Its lights do
-not fall off with distance by default, and its `specular` is the same Blinn-Phong lobe.  So its
-picture should equal that of the tracer, with one exception: its highlights have no colours, and a
-coloured highlight is converted to the grey of its mean.
+POV-Ray serves as an independent reference, and for comparisons of times.  By default, its lights do
+not fall off with distance, and its `specular` is the same Blinn-Phong lobe.  So its picture should
+equal that of the tracer, with one exception: its highlights have no colours, so a coloured
+highlight is converted to the grey of its mean.
 """
 
 from __future__ import annotations
@@ -33,19 +33,20 @@ _HEADER = "#version 3.7; global_settings { assumed_gamma 1 } background { rgb 0 
 
 
 def is_installed() -> bool:
-    """Test whether the command `povray` is installed."""
+    """Test whether POV-Ray, the command `povray`, is installed."""
     return shutil.which("povray") is not None
 
 
 def _format_vector(numbers: Iterable[float]) -> str:
-    """Format three numbers, a vector or a colour, in the POV-Ray language: "<x, y, z>"."""
+    """Format the three components of a vector or colour for POV-Ray, as "<x, y, z>"."""
     return f"<{', '.join(repr(float(number)) for number in numbers)}>"
 
 
 def _convert_shader(shader: Shader) -> str:
     """Convert a Lambertian or Blinn-Phong shader to a texture in the POV-Ray language.
 
-    A coloured highlight becomes grey, the mean of its colour, because POV-Ray has no other.
+    A coloured highlight becomes grey, with the mean of its channels, because POV-Ray has no
+    coloured highlights.
     """
     finish = "ambient 0 diffuse 1"
     if isinstance(shader, Phong) and any(shader.specular):
@@ -57,14 +58,13 @@ def _convert_shader(shader: Shader) -> str:
 def _convert_camera(scene: Scene) -> str:
     """Convert a scene's camera to the POV-Ray language.
 
-    POV-Ray describes the camera by vectors to the window's centre and along its sides.  They need
-    not be perpendicular, because the window may be oblique.
+    POV-Ray describes a camera by vectors to the window's centre and along its sides.  They need not
+    be perpendicular to each other, because the window may be oblique.
     """
     camera = scene.camera
-    vectors = camera.view_dir, camera.normal, camera.view_up
-    ahead, normal, up = (np.array(vector) for vector in vectors)
+    ahead, normal = np.array(camera.view_dir), np.array(camera.normal)
     towards_eye = -np.copysign(1, normal @ ahead) * normal
-    right = np.cross(up, towards_eye)
+    right = np.cross(camera.view_up, towards_eye)
     up = np.cross(towards_eye, right)
     return (
         f"camera {{ location {_format_vector(camera.view_point)}"
@@ -75,7 +75,7 @@ def _convert_camera(scene: Scene) -> str:
 
 
 def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
-    """Convert a scene to the POV-Ray 3.7 language.
+    """Convert a scene to the language of POV-Ray 3.7.
 
     Parameters
     ----------
@@ -86,28 +86,28 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
 
     Returns
     -------
-    text : str
+    povray_scene : str
         The content of a POV-Ray scene file.
     """
     lines = [_HEADER, _convert_camera(scene)]
     for light in scene.lights:
         color = f"{exposure!r} * {_format_vector(light.intensity)}"
         lines.append(f"light_source {{ {_format_vector(light.position)} rgb {color} }}")
-    shader_index = {shader: k for k, shader in enumerate(scene.surfaces.shaders)}
-    lines += [f"#declare S{k} = {_convert_shader(shader)}" for shader, k in shader_index.items()]
+    names = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
+    lines += [f"#declare {name} = {_convert_shader(shader)}" for shader, name in names.items()]
     for surface in scene.surfaces:
         if isinstance(surface, Sphere):
             shape = f"sphere {{ {_format_vector(surface.center)}, {surface.radius!r}"
         else:
             shape = f"box {{ {_format_vector(surface.min_pt)}, {_format_vector(surface.max_pt)}"
-        lines.append(f"{shape} texture {{ S{shader_index[surface.shader]} }} }}\n")
+        lines.append(f"{shape} texture {{ {names[surface.shader]} }} }}\n")
     return "\n".join(lines)
 
 
 def write_scene_and_command(
     scene: Scene, target: Path, *options: str, exposure: float = 1.0
 ) -> list[str]:
-    """Write a scene as a POV-Ray file, and return the command that renders it.
+    """Write a scene as a POV-Ray scene file, and return the command that renders it.
 
     Parameters
     ----------
@@ -133,10 +133,10 @@ def write_scene_and_command(
 
 
 def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) -> list[str]:
-    """Write a scene as a POV-Ray file, and return the command that renders a linear picture of it.
+    """Write a scene as a POV-Ray scene file, and return a command that renders a linear picture.
 
-    The picture has 16 bits per channel, and its radiance is clipped at `WHITE`.
-    `read_linear_picture` reads it.
+    The picture has 16 bits per channel, and its radiance is clipped at `WHITE`.  Read it with
+    `read_linear_picture`.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) ->
 
 
 def read_linear_picture(target: Path) -> NDArray[np.float64]:
-    """Read a picture that a command of `write_linear_scene_and_command` has rendered.
+    """Read a picture rendered by a command from `write_linear_scene_and_command`.
 
     Parameters
     ----------
@@ -196,12 +196,12 @@ def run_and_time(command: Sequence[str]) -> float:
     Returns
     -------
     seconds : float
-        The time without the start of the program, at least `_MIN_SECONDS`.
+        The reported time, which does not include the program's start; at least half a millisecond.
 
     Raises
     ------
     RuntimeError
-        If POV-Ray fails.
+        If POV-Ray fails, or reports no time.  The message contains its error output.
     """
     result = subprocess.run(command, capture_output=True, text=True, errors="replace")
     reported = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)

@@ -47,7 +47,7 @@ _RADIANCE_STEP = 2.0**-20
 
 
 def load_small(path: Path) -> Scene:
-    """Load a scene file, and change the size of its picture to a width of `WIDTH` pixels.
+    """Load a scene file with a smaller picture, 160 pixels wide (`WIDTH`).
 
     The ratio of width and height stays the same, apart from rounding.
     """
@@ -56,12 +56,12 @@ def load_small(path: Path) -> Scene:
 
 
 def scene_hash(path: Path) -> str:
-    """Compute the SHA-256 hash of a scene file, in hexadecimal digits."""
+    """Compute the SHA-256 hash of a scene file, as hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_stored_picture(name: str) -> Floats:
-    """Read the picture of a scene that Mitsuba has rendered and that is stored with this project.
+    """Read Mitsuba's picture of a scene, which is stored with this project.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def read_stored_picture(name: str) -> Floats:
 
 
 def render_sheet(paths: Iterable[Path]) -> Image.Image:
-    """Render an overview of scenes: small pictures in rows, each above the name of its scene.
+    """Render an overview of scenes: small pictures in rows, each above its scene's name.
 
     Parameters
     ----------
@@ -90,28 +90,28 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
     sheet : Image
         The overview.  The narrowest pictures come first.
     """
-    named = [(_render_image(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
+    pictures = [(_render_image(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
     row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
-    image = Image.new("RGB", (_SHEET_WIDTH, row_height * len(named)), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=_NAME_SIZE)
+    sheet = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_NAME_SIZE)
     x = y = 0
-    for picture, name in sorted(named, key=lambda pair: pair[0].width):
+    for picture, name in sorted(pictures, key=lambda pair: pair[0].width):
         if x + picture.width > _SHEET_WIDTH:
             x, y = 0, y + row_height
-        image.paste(picture, (x, y))
+        sheet.paste(picture, (x, y))
         draw.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
         x += picture.width + _GAP
-    return image.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
+    return sheet.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
 
 
 def _render_image(scene: Scene, height: int) -> Image.Image:
-    """Render a scene with antialiasing as a picture of the given height, in pixels."""
+    """Render a scene at a given height in pixels, with 16 samples per pixel."""
     resized = replace(scene, width=round(scene.width * height / scene.height), height=height)
     return Image.fromarray(to_codes(render(resized, _SAMPLES)))
 
 
 def main() -> None:
-    """Render all stored pictures again, and write how they were rendered to `manifest.json`."""
+    """Render all stored pictures again, and describe in `manifest.json` how they were rendered."""
     make_parser("reference.regenerate").parse_args()
     render_sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
     large = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)

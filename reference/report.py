@@ -59,12 +59,12 @@ def render_report(
     charts: Iterable[tuple[str, bytes]] = (),
     failures: Sequence[str] = (),
 ) -> str:
-    """Render an HTML page that compares the tracer's and Mitsuba's pictures of scenes.
+    """Render an HTML page that compares the tracer's pictures of scenes with Mitsuba's.
 
     Parameters
     ----------
     results : sequence of (CheckResult, str)
-        The comparisons to show, each with a description of its scene.
+        The comparisons to show, each with a description of the scene.
     charts : iterable of (str, bytes)
         Titles and SVGs of charts to show at the end.
     failures : sequence of str
@@ -87,7 +87,7 @@ def render_report(
         good=all_agree,
         overview="All scenes",
         head=_HEAD,
-        rows=[_overview_row(index, result) for index, (result, _) in enumerate(results)],
+        rows=[_format_overview_row(k, result) for k, (result, _) in enumerate(results)],
         pairs=[_prepare_result(result, comment) for result, comment in results],
         legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {describe_origin()}",
@@ -96,42 +96,43 @@ def render_report(
     )
 
 
-def _overview_row(index: int, result: CheckResult) -> list[list[Cell]]:
+def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell]]:
     """Format the comparison of one scene as a row of the overview table.
 
     Parameters
     ----------
-    index : int
-        Number of the scene's pair of pictures on the page, to which the row links.
+    pair_index : int
+        Index of the scene's pictures on the page, to which the row links.
     result : CheckResult
         The comparison.
 
     Returns
     -------
     row : list of lists of Cell
-        For each column of the table, the pieces of text in it.
+        For each column of the table, a list with one piece of text.
     """
     verdict = Cell(result.verdict, good=result.verdict == "agrees")
     excluded = f"{result.excluded.mean():.2%}"
     figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
-    return [[cell] for cell in (Cell(result.name, index), verdict, *map(Cell, figures + times))]
+    cells = Cell(result.name, pair_index), verdict, *map(Cell, figures + times)
+    return [[cell] for cell in cells]
 
 
 def _prepare_result(result: CheckResult, comment: str) -> Pair:
-    """Prepare both pictures of a comparison and their difference for the page's template.
+    """Prepare the pictures and figures of a comparison for the template of the HTML page.
 
     Parameters
     ----------
     result : CheckResult
-        The comparison.  Excluded pixels are grey in the picture of the difference.
+        The comparison.  Excluded pixels become grey in the picture of the difference.
     comment : str
         Description of the scene.
 
     Returns
     -------
     pair : Pair
-        The values for the template.
+        The template's values by name: see `prepare_pair`.
     """
     excluded, figures, agrees = result.excluded, result.figures, result.verdict == "agrees"
     mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
@@ -163,12 +164,12 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
 
 
 def _format_time(seconds: float) -> str:
-    """Format a time in seconds for readers, in milliseconds if it is below a second."""
+    """Format a time given in seconds, in milliseconds if it is below a second."""
     return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
 def _read_comment(path: Path) -> str:
-    """Read the comment before the root element of a scene file, as one line.
+    """Read the first comment before a scene file's root element, as one line.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def _read_comment(path: Path) -> str:
     Returns
     -------
     comment : str
-        The text of the first comment, with single spaces, or "" if there is none.
+        The comment, in which single spaces replace all white space; "" without a comment.
     """
     with path.open("rb") as file:
         first = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
@@ -187,7 +188,7 @@ def _read_comment(path: Path) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Compare the scenes that the command line names, and write the report.
+    """Compare the scenes named on the command line, and write the report.
 
     Parameters
     ----------
@@ -208,21 +209,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         If the arguments are wrong.
     """
     command_parser = make_parser("reference.report")
-    add = command_parser.add_argument
-    add("scenes", nargs="*", type=Path, metavar="SCENE.xml", help="scene files (all scenes/)")
+    add_argument = command_parser.add_argument
+    help_text = "scene files (all in scenes/)"
+    add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help=help_text)
     help_text = "the page to write, or a folder for it, which may end in / (build/report.html)"
-    default_path = str(BUILD / _NAME)
-    add("-o", "--output", type=parse_path, metavar="PATH", help=help_text, default=default_path)
-    add("--variant", help="Mitsuba's variant (the fastest that works here)")
+    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=help_text)
+    add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or own_scenes())})
-    output = Path(arguments.output, _NAME if is_folder(arguments.output) else "")
+    output_name = arguments.output or str(BUILD / _NAME)
+    output = Path(output_name, _NAME if is_folder(output_name) else "")
     forbid_overwriting_inputs(command_parser, [output], (*paths, TEMPLATE, *CHARTS.values()))
     choose_variant(arguments.variant, status=MISUSED)
-    names_differ = len({path.stem for path in paths}) == len(paths)
+    names_are_unique = len({path.stem for path in paths}) == len(paths)
     compared = []
     for path in track(paths, len(paths), "scenes"):
-        name = printable(path.stem if names_differ else str(path))
+        name = printable(path.stem if names_are_unique else str(path))
         compared.append(attempt(_compare_scene, path, name, arguments.variant))
     results = [pair for pair in compared if not isinstance(pair, Failure)]
     failures = [str(failure) for failure in compared if isinstance(failure, Failure)]

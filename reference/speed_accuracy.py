@@ -1,11 +1,11 @@
 """The speed-accuracy chart: how much time each renderer takes to reach a certain error.
 
-``python -m reference.speed_accuracy`` writes `speed_accuracy.svg`, and a CSV file with its table,
-into this folder.  The error is the root mean square error of the linear radiance, compared with a
-certified picture (`reference.judges.certificate`).  From point to point, the number of samples per
-pixel is multiplied by 4, and the permitted error of the certified tracer is divided by 4.  All
-methods are timed alternately.  A method stops when its next picture would take too long, or when
-its error comes close to that of the certified picture.
+``python -m reference.speed_accuracy`` writes `speed_accuracy.svg`, and `speed_accuracy.csv` with
+its table, into this folder.  The error is the root mean square error of the linear radiance,
+compared with a certified picture (`reference.judges.certificate`).  From point to point, the number
+of samples per pixel is multiplied by 4, and the permitted error of the certified tracer is divided
+by 4.  All methods are timed alternately.  The curve of a method ends when its next picture would
+take too long, or when its error comes close to that of the certified picture.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from reference.command import SCENES, build_path
 from reference.figures import Floats
 from reference.judges import plain
 from reference.judges.certificate import certify
-from reference.judges.true_picture import render_supersampled, rmse, true_picture
+from reference.judges.sampling import render_supersampled, root_mean_square_error
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from reference.measured.measurements import time_interleaved
 from reference.measured.workloads import crowd, resize_picture
@@ -42,14 +42,14 @@ _OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray a
 _GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
 _METHODS = (_OURS, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED, _MITSUBA)
 
-# Threshold and depth of POV-Ray's adaptive supersampling, from rough to fine.
+# Thresholds and depths of POV-Ray's adaptive supersampling, from coarse to fine.
 _POVRAY_SETTINGS = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
 
 # Permitted error of the certified picture with which all others are compared.
 _REFERENCE_ERROR = 1 / 16384
 
-# A method whose picture takes more than this many seconds stops: the next picture, with four times
-# the samples, would take too long.
+# The curve of a method ends if a picture takes more than this many seconds: the next picture, with
+# four times the samples, would take too long.
 _MAX_SECONDS = 0.7
 
 # Minimum number of rounds in which each picture is timed.
@@ -79,7 +79,7 @@ def _render_all_pairs(scene: Scene, side: int) -> Floats:
     Returns
     -------
     image : (height, width, 3) float array
-        Mean linear radiance of the samples in each pixel.
+        Mean linear RGB radiance of the samples in each pixel.
     """
     offsets = ((np.arange(side) + 0.5) / side - 0.5).tolist()
     images = (
@@ -88,33 +88,34 @@ def _render_all_pairs(scene: Scene, side: int) -> Floats:
     return np.asarray(sum(images)) / side**2
 
 
-def _rendering_tasks(scene: Scene, k: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Make tasks (functions to be timed) that render a scene by each method, except POV-Ray.
+def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
+    """Return functions that render a scene by each method except POV-Ray, for timing.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    k : int
-        A task takes 4^k times its factor samples per pixel.
+    level : int
+        Each method takes 4**level samples per pixel, multiplied by the factor in its key.
 
     Returns
     -------
     tasks : dict of (str, int) to callable
-        Keys are pairs of a method and its factor.  Values are functions that return an image
-        (height, width, 3).
+        Keys are pairs of a method and a factor.  Values are functions that return an image
+        (height, width, 3).  The factor of the certified tracer is the reciprocal of its permitted
+        error at level 0.
     """
     gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
-    text = str(convert_exact(scene, 4**k)).replace('"stratified"', '"multijitter"')
-    loaded = mi.load_string(text)
+    mitsuba_scene = str(convert_exact(scene, 4**level)).replace('"stratified"', '"multijitter"')
+    loaded_scene = mi.load_string(mitsuba_scene)
     return {
-        (_OURS, 1): partial(render, scene, 4**k),
+        (_OURS, 1): partial(render, scene, 4**level),
         # Numbers of samples that are not powers of four: 9, 36, 144, ...
-        (_OURS, 9): partial(render, scene, 9 * 4**k),
-        (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**k)).image,
-        (_GRID, 1): partial(render_supersampled, scene, 2**k),
-        (_ALL_PAIRS, 1): partial(_render_all_pairs, scene, 2**k),
-        (_MITSUBA, 1): lambda: np.array(mi.render(loaded)),
+        (_OURS, 9): partial(render, scene, 9 * 4**level),
+        (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**level)).image,
+        (_GRID, 1): partial(render_supersampled, scene, 2**level),
+        (_ALL_PAIRS, 1): partial(_render_all_pairs, scene, 2**level),
+        (_MITSUBA, 1): lambda: np.array(mi.render(loaded_scene)),
     }
 
 
@@ -133,35 +134,36 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     Yields
     ------
     row : tuple
-        A row of the table: the scene, the method, the number of samples per pixel, the error, and
-        the median, minimum and maximum of the time in seconds.
+        A row of the table: the scene, the method, the number of samples per pixel, the root mean
+        square error, and the median, minimum and maximum of the time in seconds.
     """
-    error = _REFERENCE_ERROR * (16 if quick else 1)
-    reference_image, target = true_picture(scene, error).image, build_path("povray.ppm")
-    # This picture has a larger error than the reference.
-    min_error = rmse(true_picture(scene, 4 * error).image, reference_image)
+    permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
+    reference_image = certify(scene, permitted_error).image
+    # Errors that are not larger than that of a less accurate reference picture are not shown.
+    less_accurate_image = certify(scene, 4 * permitted_error).image
+    min_error = root_mean_square_error(less_accurate_image, reference_image)
+    povray_picture = build_path("povray.ppm")
     finished: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
-    for k, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
-        tasks = _rendering_tasks(scene, k)
+    for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
+        tasks = _make_rendering_tasks(scene, level)
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
-        # The time that POV-Ray reports, without its start, as that of the others.
-        tasks[_POVRAY, 1] = partial(
-            povray.run_and_time, povray.write_linear_scene_and_command(scene, target, *options)
-        )
+        command = povray.write_linear_scene_and_command(scene, povray_picture, *options)
+        # The time that POV-Ray reports does not include its start.
+        tasks[_POVRAY, 1] = partial(povray.run_and_time, command)
         tasks = {key: task for key, task in tasks.items() if key not in finished}
         for key, timing in time_interleaved(tasks, _ROUNDS).items():
-            (method, factor), image = key, tasks[key]()
-            image = povray.read_linear_picture(target) if method == _POVRAY else image
-            method_error = rmse(image, reference_image)
-            if method_error > min_error:
-                yield (name, method, factor * 4**k, method_error, *timing)
-            if timing.median > _MAX_SECONDS or method_error <= min_error:
+            (method, factor), result = key, tasks[key]()
+            image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
+            error = root_mean_square_error(image, reference_image)
+            if error > min_error:
+                yield (name, method, factor * 4**level, error, *timing)
+            if timing.median > _MAX_SECONDS or error <= min_error:
                 finished.add(key)
         tasks.clear()  # so that Mitsuba's scene is deleted before the next is loaded
 
 
 def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
-    """Draw the chart: one panel for each scene, in two columns, and the legend after the last.
+    """Draw one panel for each scene, in two columns, and the legend after the last panel.
 
     Parameters
     ----------
@@ -186,11 +188,9 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
                     axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
         label = "error of rounding to 8 bits"
         axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=label)
-        axes.set_title(scene)
+        axes.set(title=scene, xlabel="time", ylabel="RMSE")
         axes.minorticks_off()
         axes.tick_params(labelbottom=True)
-        axes.set_xlabel("time")
-        axes.set_ylabel("RMSE")
     panels[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
     panels[-1].axis("off")
     panels[-1].legend(*panels[0].get_legend_handles_labels(), loc="center", fontsize=10)
@@ -198,8 +198,8 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     return figure
 
 
-def _scenes_to_measure(quick: bool) -> dict[str, Scene]:
-    """Load or make the scenes to measure.
+def _load_scenes(quick: bool) -> dict[str, Scene]:
+    """Return the scenes to measure, in the order of the chart's panels.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _scenes_to_measure(quick: bool) -> dict[str, Scene]:
     Returns
     -------
     scenes : dict of str to Scene
-        The scenes by their titles in the chart.
+        Each scene by the title of its panel.
     """
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     scenes = [
@@ -226,12 +226,12 @@ def _scenes_to_measure(quick: bool) -> dict[str, Scene]:
 
 
 def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Measure all methods on all scenes.
+    """Measure times and errors of all methods on all scenes.
 
     Parameters
     ----------
     quick : bool
-        Whether to measure only one scene, with fewer points.
+        Whether to measure fewer points, on one scene only.
 
     Yields
     ------
@@ -240,7 +240,7 @@ def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
     """
     use_variant(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
-    scenes = _scenes_to_measure(quick)
+    scenes = _load_scenes(quick)
     for name, scene in track(scenes.items(), len(scenes), "scenes"):
         yield from measure_scene(name, scene, quick=quick)
 
@@ -249,9 +249,10 @@ def main() -> None:
     """Measure times and errors, store them as a table, and draw the chart."""
     note = (
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
-        " certified picture.  Points: 1, 4, 16, ...\nsamples per pixel (this tracer: 9, 36, ... as"
-        " well; it divides pixels into quarters, which causes steps); thresholds of POV-Ray;\nfor"
-        " the certified tracer, errors of at most 1/8, 1/32, ... in every pixel."
+        " certified picture.  Each point is\na picture with 1, 4, 16, ... samples per pixel; this"
+        " tracer has points with 9, 36, ... as well.  Its curve has steps, because it divides\n"
+        "pixels into quarters.  POV-Ray uses decreasing thresholds, and the certified tracer"
+        " permits errors of 1/8, 1/32, ... in every pixel."
     )
     texts = ("Time against error: lower left is better", note)
     run_chart_command("speed_accuracy", _COLUMNS, _measure_all_scenes, _draw_chart, texts)

@@ -1,10 +1,10 @@
 """The stability chart: where usual methods of ray tracing fail, and where this tracer does not.
 
 ``python -m reference.stability`` writes `stability.svg` and `stability.csv` into this folder.  Each
-point is a small picture of a scene that gets harder along the axis.  It is compared with arithmetic
-of 80 digits, by the largest error of the radiance, or by the percentage of pixels that are wrongly
-lit or dark.  `reference.judges.plain` renders both the exact pictures and those of the usual
-methods.
+point is a small picture of a scene that gets harder along the axis.  It is compared with the exact
+picture, rendered in decimal numbers of 80 digits, by the largest error of the radiance, or by the
+percentage of pixels that are wrongly lit or dark.  `reference.judges.plain` renders both the exact
+pictures and those of the usual methods.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _GUIDES = {"dotted": ":", "dash-dotted": "-."}
 
 
 def _make_scene(
-    eye: Vector, ahead: Vector, light: Vector, *spheres: Sphere, view: Vector, pixels: int = 24
+    eye: Vector, ahead: Vector, light: Vector, *spheres: Sphere, window: Vector, pixels: int = 24
 ) -> Scene:
-    """Make a scene of spheres under one light.
+    """Build a scene of spheres under one light.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def _make_scene(
         Position of the light.
     *spheres : Sphere
         The spheres, in the order of the scene.
-    view : (float, float, float)
-        Distance from the eye, width and height of the camera's window.
+    window : (float, float, float)
+        Distance of the camera's window from the eye, and width and height of the window.
     pixels : int
         Width of the picture in pixels.  The height is chosen such that pixels are square.
 
@@ -63,15 +63,15 @@ def _make_scene(
     scene : Scene
         The scene.
     """
-    distance, width, height = view
-    window: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
-    camera = Camera(view_point=eye, view_dir=ahead, **window)
+    distance, width, height = window
+    sizes: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
+    camera = Camera(view_point=eye, view_dir=ahead, **sizes)
     size = {"width": pixels, "height": round(pixels * height / width)}
     return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
 
 
 def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scene:
-    """Make a scene in which the camera views a unit sphere from a distance.
+    """Build a scene in which the camera views a unit sphere from a distance.
 
     Parameters
     ----------
@@ -86,49 +86,47 @@ def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scen
     scene : Scene
         The scene.
     """
-    direction, view = np.array([2, -3, 6]) / 7, (distance, width, height)
-    pixels = round(24 * width)
-    eye = distance * direction
-    return _make_scene(eye, -direction, (2, 0, 6), Sphere(), view=view, pixels=pixels)
+    direction, window = np.array([2, -3, 6]) / 7, (distance, width, height)
+    eye, pixels = distance * direction, round(24 * width)
+    return _make_scene(eye, -direction, (2, 0, 6), Sphere(), window=window, pixels=pixels)
 
 
 def silhouette_of_sphere(distance: float) -> Scene:
-    """Make a scene in which the camera views a unit sphere's silhouette from a distance.
+    """Build a scene in which the camera views a unit sphere's silhouette from a distance.
 
-    The window shows a millionth of a radius on both sides of the silhouette.  Float64 represents
-    the rays exactly.
+    The picture shows 2**-20, about a millionth of a radius, on both sides of the silhouette.
+    Float64 represents the camera rays exactly.
     """
-    view = (distance, 2.0**-19, 2.0**-19)
-    return _make_scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), view=view, pixels=64)
+    window = (distance, 2.0**-19, 2.0**-19)
+    return _make_scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), window=window, pixels=64)
 
 
 def moved_sphere(offset: float) -> Scene:
-    """Make a scene with a unit sphere 4 radii in front of the eye, and move it far away.
+    """Build a scene with a unit sphere about 4 radii in front of the eye, and move it far away.
 
-    The whole scene is moved by (1, -0.7, 0.4) times the offset.
+    Camera, light and sphere are moved by (1, -0.7, 0.4) times the offset.
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = positions + offset * np.array([1, -0.7, 0.4])
-    return _make_scene(eye, (-1, 0, -4), light, Sphere(center=center), view=(4, 1, 1))
+    return _make_scene(eye, (-1, 0, -4), light, Sphere(center=center), window=(4, 1, 1))
 
 
 def ground_sphere(radius: float) -> Scene:
-    """Make a scene whose ground is a sphere with this radius; the eye is at a height of 1."""
+    """Build a scene whose ground is a sphere of the given radius, with the eye at height 1."""
     sphere = Sphere(center=(0, -radius, 0), radius=radius)
-    return _make_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, view=(1, 0.5, 0.5))
+    return _make_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, window=(1, 0.5, 0.5))
 
 
 def highlight_on_sphere(exponent: float) -> Scene:
-    """Make a scene in which a highlight fills the picture, whatever the Phong exponent is."""
+    """Build a scene in which a highlight fills the picture, for any Phong exponent."""
     gloss = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
     size = 3 / max(exponent, 36.0) ** 0.5
-    view = (18**0.5, size, size)
-    sphere = Sphere(shader=gloss)
-    return _make_scene((3, 0, 4), (-1, 0, -1), (-3, 0, 4), sphere, view=view, pixels=16)
+    eye, ahead, light, sphere = (3, 0, 4), (-1, 0, -1), (-3, 0, 4), Sphere(shader=gloss)
+    return _make_scene(eye, ahead, light, sphere, window=(18**0.5, size, size), pixels=16)
 
 
 def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
-    """Make a scene of a ball that touches the ground, which is a large sphere.
+    """Build a scene of a ball that touches the ground, which is a large sphere.
 
     Parameters
     ----------
@@ -146,32 +144,32 @@ def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> 
         The scene.
     """
     positions = [(0, 1, 4), (4, 5, 3), (0, -radius, 0), (0, 0.5, 0)]
-    eye, light, below, above = scale * np.array(positions) + offset
-    spheres = Sphere(center=below, radius=scale * radius), Sphere(center=above, radius=scale * 0.5)
-    view = (2 * scale, 2 * scale, 1.125 * scale)
-    return _make_scene(eye, (0, 0, -1), light, *spheres, view=view, pixels=128)
+    eye, light, ground, ball = scale * np.array(positions) + offset
+    spheres = Sphere(center=ground, radius=scale * radius), Sphere(center=ball, radius=scale * 0.5)
+    window = (2 * scale, 2 * scale, 1.125 * scale)
+    return _make_scene(eye, (0, 0, -1), light, *spheres, window=window, pixels=128)
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")
 METHODS: dict[str, Method] = {
     "this tracer": render,
-    "float64, textbook": partial(plain.render, spheres="textbook"),
-    "float64, multiplied out": partial(plain.render, spheres="expanded"),
+    "float64, textbook": partial(plain.render, sphere_method="textbook"),
+    "float64, multiplied out": partial(plain.render, sphere_method="expanded"),
     "float64, pow(n·h, e)": plain.render,
     "float32, closest approach": _FLOAT32,
     "float32, pow(n·h, e)": _FLOAT32,
-    "float32, textbook": partial(_FLOAT32, spheres="textbook"),
-    "t > 0": partial(plain.render, shadows="t>0"),
-    "t > 1e-4": partial(plain.render, shadows="t>1e-4"),
-    "t > 1e-6": partial(plain.render, shadows="t>1e-6"),
-    "normal offset 1e-4": partial(plain.render, shadows="normal"),
-    "offset of 256 ulp": partial(plain.render, shadows="ulps"),
+    "float32, textbook": partial(_FLOAT32, sphere_method="textbook"),
+    "t > 0": partial(plain.render, shadow_method="t>0"),
+    "t > 1e-4": partial(plain.render, shadow_method="t>1e-4"),
+    "t > 1e-6": partial(plain.render, shadow_method="t>1e-6"),
+    "normal offset 1e-4": partial(plain.render, shadow_method="normal"),
+    "offset of 256 ulp": partial(plain.render, shadow_method="ulps"),
 }
 """Functions that render a scene, by the names of the methods that they use."""
 
 
 def largest_error(image: Floats, exact: Floats) -> float:
-    """Compute the largest error of the radiance in an image.
+    """Compute the largest error of an image's radiance.
 
     Parameters
     ----------
@@ -181,13 +179,13 @@ def largest_error(image: Floats, exact: Floats) -> float:
     Returns
     -------
     error : float
-        The largest absolute difference of any channel.  A NaN in the image counts as an error of 1.
+        The largest absolute difference in any channel of a pixel.  The error of a NaN is 1.
     """
     return float(np.nan_to_num(np.abs(image - exact), nan=1.0).max())
 
 
 def wrong_percentage(image: Floats, exact: Floats) -> float:
-    """Compute the percentage of pixels that are wrongly lit or dark.
+    """Compute the percentage of pixels that are dark but should be lit, or the reverse.
 
     Parameters
     ----------
@@ -197,14 +195,14 @@ def wrong_percentage(image: Floats, exact: Floats) -> float:
     Returns
     -------
     percentage : float
-        Percentage of pixels of which a channel is 0 in one image and above 0 in the other.
+        Percentage of pixels with a channel that is 0 in one image and above 0 in the other.
     """
     return 100 * float(((image > 0) != (exact > 0)).any(axis=2).mean())
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of the chart: a family of scenes, and how pictures of them are measured.
+    """A panel of the chart: a family of scenes, and the measure of errors in their pictures.
 
     Attributes
     ----------
@@ -221,8 +219,8 @@ class Panel:
     guides : tuple of str
         Names of the lines to draw at eps x and at eps x^2: see `_GUIDES`.
     nearby : tuple of float
-        Each point of a curve shows the largest error of the scenes at these multiples of its
-        position.
+        Factors: each point of a curve shows the largest error of the scenes at its position
+        multiplied by each of these.
     """
 
     title: str
@@ -269,39 +267,39 @@ PANELS = (
 # fmt: on
 
 
-def measure_errors(panel: Panel, name: str, positions: Iterable[float]) -> Floats:
-    """Measure the errors of a rendering method in the scenes of a panel of the chart.
+def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Floats:
+    """Measure the errors of one rendering method along the axis of a panel of the chart.
 
     Parameters
     ----------
     panel : Panel
-        The panel, which defines scenes and the measure of errors.
-    name : str
-        The method, a key of `METHODS`.
+        The panel, which defines the scenes and the measure of errors.
+    method : str
+        The rendering method, a key of `METHODS`.
     positions : iterable of n floats
-        Positions on the panel's horizontal axis, for each of which a scene is made.
+        Positions on the panel's horizontal axis, for each of which scenes are made.
 
     Returns
     -------
     errors : (n,) float array
-        For each position, the largest error in the scenes at the multiples `panel.nearby` of it.
+        For each position, the largest error in the scenes at its multiples by `panel.nearby`.
     """
-    render_by_method, errors = METHODS[name], list[float]()
-    for x in positions:
-        scenes = [panel.scene(factor * float(x)) for factor in panel.nearby]
-        images = [(render_by_method(scene), _render_exactly(scene)) for scene in scenes]
+    errors = []
+    for position in positions:
+        scenes = [panel.scene(factor * float(position)) for factor in panel.nearby]
+        images = [(METHODS[method](scene), _render_exactly(scene)) for scene in scenes]
         errors.append(max(panel.error(image, exact) for image, exact in images))
     return np.array(errors)
 
 
 @cache
 def _render_exactly(scene: Scene) -> Floats:
-    """Render a scene in arithmetic of 80 digits; images (height, width, 3) are cached."""
+    """Render a scene in decimal numbers of 80 digits; images (height, width, 3) are cached."""
     return plain.render(scene, arithmetic="decimal")
 
 
 def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Measure the errors of all methods in all panels of the chart.
+    """Measure the errors of all rendering methods in all panels of the chart.
 
     Parameters
     ----------
@@ -332,8 +330,8 @@ EXAMPLES = (
 def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     """Draw the chart: example pictures, and below them panels in two columns.
 
-    The left column contains the panels about hits and highlights.  The right one contains those
-    about shadows and, below these, the legends of both columns.
+    The left column contains the panels about hits and highlights.  The right column contains the
+    panels about shadows and, below them, the legends of both columns.
 
     Parameters
     ----------
@@ -379,7 +377,9 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
 def _draw_panel(
     axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
 ) -> None:
-    """Draw one panel of the chart: a curve for each method, and the lines that compare it with eps.
+    """Draw one panel of the chart: a curve for each method, and guides proportional to eps.
+
+    The guides are lines at eps x and eps x^2, for the rounding error eps of float32 and of float64.
 
     Parameters
     ----------

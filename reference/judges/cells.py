@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reference.judges.arrays import Bools, Floats, Ints
+from reference.judges.enclosures import Enclosures
 from reference.judges.faces import Faces
-from reference.judges.forms import Form
 
 MAX_WIDTH = 8
 """Maximum width, in pixels, of cells that have triples, and whose pixels may be finished together.
@@ -35,7 +35,7 @@ A power of two."""
 
 
 class Cells(NamedTuple):
-    """A number c of cells of equal width, with p pairs and q triples.
+    """c square cells of equal width that cover parts of a picture, with p pairs and q triples.
 
     A pair consists of a cell, and a face (a sphere, or a side of a box) that may be visible in the
     cell.  A light is settled for a pair if it is known to reach either all or nothing of the face
@@ -54,7 +54,7 @@ class Cells(NamedTuple):
         Whether the pair's face covers all of the pair's cell.
     is_settled : (p, lights) bool array
         Whether the light is settled for the pair.
-    radiance : Form
+    radiance : Enclosures
         Enclosures (8, 3, p) of the radiance that all settled lights together add to the pair.
     triples : (3, q) int array
         Row 0 contains indices of pairs, row 1 of lights, and row 2 of the objects that may shade
@@ -68,11 +68,14 @@ class Cells(NamedTuple):
     pair_face: Ints
     covers_cell: Bools
     is_settled: Bools
-    radiance: Form
+    radiance: Enclosures
     triples: Ints
 
     def select_triples(self, kept: Bools) -> Cells:
-        """Select triples of a pair, a light and an object that may shade the pair's face.
+        """Copy the cells with all pairs and some triples.
+
+        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
+        object that may shade the pair's face from the light.
 
         Parameters
         ----------
@@ -87,7 +90,10 @@ class Cells(NamedTuple):
         return self._replace(triples=self.triples.compress(kept, axis=1))
 
     def select_pairs(self, kept: Bools) -> tuple[Cells, Ints]:
-        """Select pairs of a cell and a face that may be visible in it, and their triples.
+        """Copy the cells with some pairs and their triples.
+
+        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
+        object that may shade the pair's face from the light.
 
         Parameters
         ----------
@@ -110,7 +116,10 @@ class Cells(NamedTuple):
         return cells.select_triples(cells.triples[0] >= 0), new_index
 
     def select_cells(self, kept: Bools) -> Cells:
-        """Select cells, with all of their pairs and triples.
+        """Copy some of the cells, with all of their pairs and triples.
+
+        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
+        object that may shade the pair's face from the light.
 
         Parameters
         ----------
@@ -169,7 +178,7 @@ class Cells(NamedTuple):
 
 
 def initial_cells(faces: Faces, width: int, height: int) -> Cells:
-    """Cover a picture by a row or a column of square cells.
+    """Cover a picture with a row or a column of square cells.
 
     The width of the cells is a power of two, in pixels: the smallest that is at least both 16 and
     the shorter side of the picture.
@@ -184,8 +193,9 @@ def initial_cells(faces: Faces, width: int, height: int) -> Cells:
     Returns
     -------
     cells : Cells
-        The cells.  Each is paired with every face that may be visible to the camera.  Lights that
-        are known to reach no visible point of a face are settled; there are no triples.
+        The cells.  Each is paired with every face that may be visible to the camera.  Lights known
+        to reach no visible point of a face are settled.  There are no triples (of a cell with a
+        face, a light, and an object that may shade the face).
     """
     cell_width = 2.0 * MAX_WIDTH
     while cell_width < min(width, height):
@@ -202,6 +212,6 @@ def initial_cells(faces: Faces, width: int, height: int) -> Cells:
         pair_face=pair_face,
         covers_cell=np.zeros(pair_face.size, np.bool_),
         is_settled=faces.is_unlit[:, pair_face].T,
-        radiance=Form(np.zeros((8, 3, pair_face.size))),
+        radiance=Enclosures(np.zeros((8, 3, pair_face.size))),
         triples=np.zeros((3, 0), dtype=np.intp),
     )

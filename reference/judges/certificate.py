@@ -5,34 +5,30 @@ smooth function, and radiance is smooth between edges.  Enclose the radiance by 
 it is smooth, enclose each edge in a narrow strip, and count the worst case inside the strips.
 If the bounds are too wide, divide the picture into smaller cells.
 
-Sources: the subdivision is that of Warnock (1969; see `cells`), the bounds are affine arithmetic of
-second order (Comba and Stolfi, 1993; see `forms`), and one of them is Winternitz's theorem (see
-below).  Their combination is this project's own.
+Sources: the subdivision is that of Warnock (1969; see `cells`).  The bounds are affine arithmetic
+of second order (Comba and Stolfi, 1993; see `enclosures`).  Their combination is this project's
+own.
 
 A cell of the picture is treated as follows:
 
-1. A light that reaches all of a face in the cell adds a form.  The mean of the form's polynomial
-   over the cell is computed exactly, so that the estimate is much better than the bounds.  Quarters
-   of the cell inherit what such lights add.
+1. A light that reaches all of a face in the cell adds radiance that a polynomial encloses.  The
+   polynomial's mean over the cell is computed exactly, so that the estimate is much better than the
+   bounds.  Quarters of the cell inherit what such lights add.
 2. If no other face is visible in the cell, it is finished, and so are all pixels in it.
 3. Otherwise each edge lies in a *strip* between two parallel lines (see `regions`).  The centre
    lines of the strips divide the cell into convex *regions*.  Outside the strips, nothing changes
    within a region.  So one sample at the centroid of a region shows which face is visible and which
    lights reach it.
-4. If there are many edges, those with the largest jumps of radiance divide the cell; the others are
-   *loose*.
+4. A cell is divided into quarters if it has too many edges or too wide strips, or if the error of
+   its mean radiance is too large.
 
-Why the bounds are sound: without loose edges, each point of a region either shows what the centroid
-shows, or lies in a strip.  Three errors remain:
+Why the bounds are sound: each point of a region either shows what the centroid shows, or lies in a
+strip.  Two errors remain:
 
 - In a strip, radiance differs from that of the region by at most the strip's *jump*: the radiance
   of one light, or all radiance that the cell may show.
 - If the centroid itself is in a strip, it may be on the wrong side of the edge.  Then all of the
   region may be wrong by the jump: this is the region's *doubt*.
-- A loose edge may make a region wrong by its jump in two places: in its strip, and beyond the
-  strip's centre line as seen from the centroid.  A line cuts off at most 5/9 of a convex region on
-  the side that does not contain the centroid (Winternitz's theorem; Grünbaum, Partitions of
-  mass-distributions and of convex bodies by hyperplanes, 1960).
 
 The error of a pixel is at most the sum of these over its cells, weighted by areas.  Cells whose
 error is at most the average that remains to the pixel are finished; the others are divided.
@@ -41,11 +37,11 @@ Samples are traced by the tracer, but only for the question of what they see, no
 a sample shows a face that the cell rules out, then the certificate or the tracer has an error, and
 a RuntimeError is raised.
 
-Rounding: positions of samples and cells have rounding errors smaller than the forms' radii, which
-contain 1e-13 times the coordinates involved.  Areas and means of regions take about a hundred
-roundings.  Let radiance be at most R, and e = 2^-53.  Then the sum over at most 4^10 cells of a
-pixel errs by 4^10 e R if all roundings have the same sign, and the sum over n lights by n e R.
-Therefore the bounds are widened by 1e-9 R.
+Rounding: positions of samples and cells have rounding errors smaller than the error bounds of the
+enclosures, which contain 1e-13 times the coordinates involved.  Areas and means of regions take
+about a hundred roundings.  Let radiance be at most R, and e = 2^-53.  Then the sum over at most
+4^10 cells of a pixel errs by 4^10 e R if all roundings have the same sign, and the sum over n
+lights by n e R.  Therefore the bounds are widened by 1e-9 R.
 """
 
 from __future__ import annotations
@@ -55,7 +51,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reference.judges.arrays import (
     Bools,
@@ -66,10 +61,10 @@ from reference.judges.arrays import (
     list_segment_elements,
     sum_by_index,
 )
-from reference.judges.cell_forms import CellForms, Contributions
 from reference.judges.cells import MAX_WIDTH, Cells, initial_cells
+from reference.judges.enclosed_cells import Contributions, EnclosedCells
+from reference.judges.enclosures import UNKNOWN, Enclosures, constant_enclosures
 from reference.judges.faces import Faces
-from reference.judges.forms import Form, Z, constant_form
 from reference.judges.regions import (
     MIN_AREA,
     Regions,
@@ -79,19 +74,15 @@ from reference.judges.regions import (
 )
 from tracer import Scene, to_codes
 
-MAX_AREA_BEYOND = 5 / 9
-"""Maximum fraction of a convex region on the side of a line that does not contain its centroid
-(Winternitz's theorem).  A triangle attains it: half would not be a bound."""
-
 # Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays stay in
 # the CPU cache.  Tuned on two scenes: half or twice this number takes 3 to 7 % longer.
 _ITEMS_PER_BATCH = 12000
 
-# Maximum number of edges that divide a cell; others are loose.  Each may double the number of
-# regions.
+# Maximum number of edges that divide a cell into regions; a cell with more of them is divided into
+# quarters.  Each edge may double the number of regions.
 _MAX_LINES = 5
 
-# A strip that covers more than this fraction of its cell is loose: to divide by it would not help.
+# A cell with a strip that covers more than this fraction of it is divided into quarters.
 _MAX_STRIP_AREA = 0.999
 
 # The settled lights of a pair may take this fraction of the permitted error.
@@ -134,21 +125,16 @@ class Certificate:
         return np.asarray((self.high - self.image).max(axis=2))
 
     @property
-    def codes(self) -> NDArray[np.uint8]:
-        """The 8-bit codes (height, width, 3) of `image`."""
-        return to_codes(self.image)
-
-    @property
     def is_certain(self) -> Bools:
         """Mask (height, width) of the pixels for which both bounds have the same 8-bit codes."""
         return np.asarray((to_codes(self.low) == to_codes(self.high)).all(axis=2))
 
 
-class Enclosure(NamedTuple):
-    """Enclosures of the radiance in c cells, which edges divide into n convex regions.
+class CellEstimates(NamedTuple):
+    """Estimates of the mean radiance of c cells, with the convex regions from which they come.
 
-    An edge lies in a strip between two parallel lines.  An edge is loose if it does not divide its
-    cell.  Its jump is a bound on the change of radiance across it.
+    Edges divide the cells into n regions.  An edge lies in a strip between two parallel lines.  Its
+    jump is a bound on the change of radiance across it.
 
     Attributes
     ----------
@@ -156,14 +142,11 @@ class Enclosure(NamedTuple):
         The strips whose centre lines divide cells.
     regions : Regions
         The regions.
-    radiance : Form
+    radiance : Enclosures
         Enclosures (8, 3, n) of the radiance of all points of each region that lie in no strip.
     doubt : (n,) float array
         Additional error of the radiance anywhere in a region: the sum of the jumps of all strips
         that contain the region's centroid, where the region's sample is traced.
-    loose_jump : (c,) float array
-        Additional error of the radiance anywhere in a cell: the sum of the jumps of its loose
-        edges.
     max_radiance : (3, c) float array
         Upper bound on the radiance of all points in a cell.
     mean, error : (3, c) and (c,) float arrays
@@ -172,17 +155,16 @@ class Enclosure(NamedTuple):
 
     lines: Strips
     regions: Regions
-    radiance: Form
+    radiance: Enclosures
     doubt: Floats
-    loose_jump: Floats
     max_radiance: Floats
     mean: Floats
     error: Floats
 
 
-def enclose(
-    forms: CellForms, contributions: Contributions, is_skipped: Bools, error: float
-) -> Enclosure:
+def estimate_means(
+    enclosed: EnclosedCells, contributions: Contributions, is_skipped: Bools
+) -> CellEstimates:
     """Estimate the mean radiance of each cell, and bound the error of the estimate.
 
     Edges divide a cell into regions, and one sample is traced at the centroid of each region.  A
@@ -190,21 +172,19 @@ def enclose(
 
     Parameters
     ----------
-    forms : CellForms
+    enclosed : EnclosedCells
         The c cells, with their pairs and edge functions.
     contributions : Contributions
-        For each pair, the radiance of all lights that are not settled, which means that they are
-        not known to reach all or nothing of the face in the cell.
+        For each pair, the radiance of all lights that are not settled.  A light is settled if it is
+        known to reach all or nothing of the face in the cell.
     is_skipped : (c,) bool array
         Cells for which no sample is traced.  Their mean is half of `max_radiance`, with the same
-        error.
-    error : float
-        Permitted error of a pixel's mean radiance.  Cells that would exceed it alone, because of
-        loose edges (edges that do not divide their cell), are skipped, too.
+        error.  Cells without radiance, or with edges that are too many or too wide, are skipped,
+        too.
 
     Returns
     -------
-    enclosure : Enclosure
+    estimates : CellEstimates
         The means and errors of all cells, and the regions from which they were computed.
 
     Raises
@@ -212,36 +192,33 @@ def enclose(
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    cells, cell_count = forms.cells, forms.cells.x.size
-    max_radiance = _max_radiance(cells, contributions)
-    edges = _strips_of_edges(forms, contributions, max_radiance, is_skipped)
-    is_loose = _is_loose(edges)
-    loose_edges = edges.take(is_loose)
-    loose_jump = sum_by_index(loose_edges.cell, loose_edges.jump, cell_count)
-    wrong_area = np.minimum(loose_edges.area + MAX_AREA_BEYOND, 1)
-    loose_error = sum_by_index(loose_edges.cell, wrong_area * loose_edges.jump, cell_count)
+    cells, cell_count = enclosed.cells, enclosed.cells.x.size
+    max_radiance = _bound_radiance(cells, contributions)
+    edges = _enclose_edges(enclosed, contributions, max_radiance, is_skipped)
+    is_too_wide = np.bincount(edges.cell, edges.area > _MAX_STRIP_AREA, cell_count) > 0
+    has_many_edges = np.bincount(edges.cell, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
-    is_skipped = is_skipped | (loose_error * cells.width**2 > error) | is_black
-    lines = edges.take(~is_loose & ~is_skipped[edges.cell])
-    known, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
-    regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), known.size)
-    regions = regions._replace(cell=known[regions.cell])
+    is_skipped = is_skipped | is_too_wide | has_many_edges | is_black
+    lines = edges.take(~is_skipped[edges.cell])
+    sampled, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
+    regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), sampled.size)
+    regions = regions._replace(cell=sampled[regions.cell])
     doubt = _bound_doubt(lines, regions, cell_count)
-    radiance = _region_radiance(forms, contributions, regions)
-    region_mean = (radiance.coef[:Z] * regions.mean[:, None]).sum(axis=0)
+    radiance = _enclose_regions(enclosed, contributions, regions)
+    region_mean = (radiance.coef[:UNKNOWN] * regions.mean[:, None]).sum(axis=0)
     max_difference = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
-    region_error = np.minimum(radiance.radius + doubt, max_difference)
+    region_error = np.minimum(radiance.radius + doubt, max_difference).max(axis=0)
     weighted = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell, channel, cell_count) for channel in weighted])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
-    cell_error = sum_by_index(regions.cell, regions.area * region_error.max(axis=0), cell_count)
-    cell_error += sum_by_index(lines.cell, lines.area * lines.jump, cell_count) + loose_error
+    cell_error = sum_by_index(regions.cell, regions.area * region_error, cell_count)
+    cell_error += sum_by_index(lines.cell, lines.area * lines.jump, cell_count)
     cell_error[is_skipped] = np.inf
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
-    return Enclosure(lines, regions, radiance, doubt, loose_jump, max_radiance, mean, cell_error)
+    return CellEstimates(lines, regions, radiance, doubt, max_radiance, mean, cell_error)
 
 
-def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
+def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     """Compute an upper bound on the radiance in each cell, from its faces under all lights.
 
     A light is settled for a face in a cell if it is known to reach all or nothing of the face in
@@ -266,8 +243,8 @@ def _max_radiance(cells: Cells, contributions: Contributions) -> Floats:
     return max_radiance
 
 
-def _strips_of_edges(
-    forms: CellForms, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
+def _enclose_edges(
+    enclosed: EnclosedCells, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump (change of radiance) across the edge.
 
@@ -276,7 +253,7 @@ def _strips_of_edges(
 
     Parameters
     ----------
-    forms : CellForms
+    enclosed : EnclosedCells
         The c cells, with their edge functions.
     contributions : Contributions
         Radiance of all lights that are not settled (not known to reach all or nothing of a face in
@@ -291,42 +268,19 @@ def _strips_of_edges(
     strips : Strips
         The strips, sorted by cell.  Edges without a jump are omitted.
     """
-    light_count = forms.cells.is_settled.shape[1]
-    pair, light, form = forms.edge_functions()
+    cells, light_count = enclosed.cells, enclosed.cells.is_settled.shape[1]
+    pair, light, functions = enclosed.edge_functions()
     keys = contributions.pair * light_count + contributions.light
-    position, cell = find_sorted(keys, pair * light_count + light), forms.cells.pair_cell[pair]
+    position, cell = find_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
     # The last element is for lights without a contribution.
     jump_of_light = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], jump_of_light)
     index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
-    return enclose_in_strips(cell[index], form[index], jump[index])
-
-
-def _is_loose(edges: Strips) -> Bools:
-    """Decide which edges are loose, so that they do not divide their cell into regions.
-
-    An edge is loose if (1) its strip covers nearly all of the cell, or (2) `_MAX_LINES` other edges
-    of the cell have larger jumps of radiance.
-
-    Parameters
-    ----------
-    edges : Strips
-        Strips (n,) that contain the edges, sorted by cell.
-
-    Returns
-    -------
-    is_loose : (n,) bool array
-        Whether each edge is loose.
-    """
-    is_loose = edges.area > _MAX_STRIP_AREA
-    order = np.lexsort((-edges.jump, is_loose, edges.cell))
-    rank_in_cell = np.arange(order.size) - edges.cell.searchsorted(edges.cell)
-    is_loose[order] |= rank_in_cell >= _MAX_LINES
-    return is_loose
+    return enclose_in_strips(cell[index], functions[index], jump[index])
 
 
 def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the error that a sample in a strip may cause in the radiance of its region.
+    """Bound the error in a region's radiance that arises if its sample lies in a strip.
 
     A strip is the part of a cell between two parallel lines that enclose an edge.  Each region is
     shaded by one sample at its centroid.  If the centroid is in a strip, the sample may be on the
@@ -351,14 +305,16 @@ def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
     first_line = lines.cell.searchsorted(np.arange(cell_count + 1))
     length = np.diff(first_line)[regions.cell]
     region, line = list_segment_elements(length, first_line[regions.cell])
-    side = lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line]
-    is_in_strip = np.abs(side) <= lines.half_width[line]
+    distance = np.abs(lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line])
+    is_in_strip = distance <= lines.half_width[line]
     doubt = sum_by_index(region, is_in_strip * lines.jump[line], x.size)
     doubt[regions.area < MIN_AREA] = np.inf
     return doubt
 
 
-def _region_radiance(forms: CellForms, contributions: Contributions, regions: Regions) -> Form:
+def _enclose_regions(
+    enclosed: EnclosedCells, contributions: Contributions, regions: Regions
+) -> Enclosures:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
     The sample shows which face is visible in the region, and which lights reach it.  A light is
@@ -366,7 +322,7 @@ def _region_radiance(forms: CellForms, contributions: Contributions, regions: Re
 
     Parameters
     ----------
-    forms : CellForms
+    enclosed : EnclosedCells
         The cells, with the radiance of settled lights.
     contributions : Contributions
         Radiance of all lights that are not settled.
@@ -375,7 +331,7 @@ def _region_radiance(forms: CellForms, contributions: Contributions, regions: Re
 
     Returns
     -------
-    radiance : Form
+    radiance : Enclosures
         Enclosures (8, 3, n) of the radiance of the visible face from all settled lights, and from
         those other lights that reach the centroid.  Regions that show the background have zeros.
 
@@ -385,26 +341,28 @@ def _region_radiance(forms: CellForms, contributions: Contributions, regions: Re
         If a sample shows a face that the cell rules out.
     """
     _, x, y, *_ = regions.mean
-    pair, is_lit = _trace_centroids(forms, regions.cell, x, y)
-    radiance = forms.cells.radiance[pair].coef
+    pair, is_lit = _trace_centroids(enclosed, regions.cell, x, y)
+    radiance = enclosed.cells.radiance[pair].coef
     radiance[..., pair < 0] = 0
-    light_count = forms.cells.is_settled.shape[1]
+    light_count = enclosed.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
     keys = contributions.pair * light_count + contributions.light
     position = find_sorted(keys, pair[region] * light_count + light)
     add_at_sorted_index(radiance, region, contributions.radiance[position].coef)
-    return Form(radiance)
+    return Enclosures(radiance)
 
 
-def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace n samples, and find which face each one shows and which lights reach the visible point.
+def _trace_centroids(
+    enclosed: EnclosedCells, cell: Ints, x: Floats, y: Floats
+) -> tuple[Ints, Bools]:
+    """Trace samples in cells: find the face that each one shows, and the lights that reach it.
 
     A pair is one face that may be visible in one cell.  A light is settled for a pair if it is
     known to reach all or nothing of the face in the cell.
 
     Parameters
     ----------
-    forms : CellForms
+    enclosed : EnclosedCells
         The cells and their pairs.
     cell : (n,) int array
         The cell of each sample.
@@ -424,7 +382,7 @@ def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tupl
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    cells, faces, half = forms.cells, forms.faces, forms.cells.width / 2
+    cells, faces, half = enclosed.cells, enclosed.faces, enclosed.cells.width / 2
     hits, sample, face = faces.trace_samples(cells.x[cell] + half * x, cells.y[cell] + half * y)
     keys = cells.pair_cell * faces.object_index.size + cells.pair_face
     order, pair = keys.argsort(), np.full(cell.size, -1)
@@ -439,7 +397,7 @@ def _trace_centroids(forms: CellForms, cell: Ints, x: Floats, y: Floats) -> tupl
 
 
 class _Picture:
-    """A picture to which cells are added as soon as their radiance is known accurately enough.
+    """A picture to which cells are added when their mean radiance is known accurately enough.
 
     Attributes
     ----------
@@ -447,8 +405,6 @@ class _Picture:
         The spheres and the sides of boxes in the scene.
     error : float
         Permitted error of each pixel's mean radiance.
-    accepts_certain_codes : bool
-        Whether a pixel is also finished if only one 8-bit code per channel is possible.
     image : (3, rows, columns) float array
         For each pixel, the sum of the mean radiance of its finished cells, weighted by their areas.
         Cells may reach beyond the picture, so there are `MAX_WIDTH` more rows and columns.
@@ -458,8 +414,8 @@ class _Picture:
         Number of cells that were examined.
     """
 
-    def __init__(self, scene: Scene, error: float, codes: bool) -> None:
-        """Prepare a scene, and set all pixels to black and to an error of 0.
+    def __init__(self, scene: Scene, error: float) -> None:
+        """Prepare a scene for certification, and make a black picture.
 
         Parameters
         ----------
@@ -467,21 +423,18 @@ class _Picture:
             The scene.
         error : float
             Permitted error of each pixel's mean radiance.
-        codes : bool
-            Whether a pixel is also finished if only one 8-bit code per channel is possible.
 
         Raises
         ------
         ValueError
             If the eye is on a surface, or a light is too far away.
         """
-        self.faces, self.error, self.accepts_certain_codes = Faces(scene), error, codes
-        self.cell_count = 0
+        self.faces, self.error, self.cell_count = Faces(scene), error, 0
         size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
-        """Divide cells into two groups if they are too many for one batch.
+        """Divide cells into two groups if their arrays are too large for one batch.
 
         Parameters
         ----------
@@ -515,7 +468,7 @@ class _Picture:
         row, column = (np.floor(center - half).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
-    def add(self, cells: Cells, index: Ints, radiance: Form) -> None:
+    def add(self, cells: Cells, index: Ints, radiance: Enclosures) -> None:
         """Add the mean radiance of finished cells to the pixels that they cover.
 
         Parameters
@@ -524,7 +477,7 @@ class _Picture:
             Cells, which may be narrower or wider than a pixel.
         index : (n,) int array
             Indices of the finished cells in `cells`.
-        radiance : Form
+        radiance : Enclosures
             Enclosures (8, 3, n) of the radiance in the finished cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
@@ -537,11 +490,11 @@ class _Picture:
         variance = 1 / (3 * pixels_across * pixels_across)
         mean = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixel, area * np.tensordot(coef[:Z], mean, ((0,), (0,))))
+            np.add.at(channel, pixel, area * np.tensordot(coef[:UNKNOWN], mean, ((0,), (0,))))
         np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
-        """Examine cells, add those that are accurate enough to the picture, and return the others.
+        """Add the cells whose radiance is accurate enough to the picture, and return the others.
 
         A cell of at most one pixel is accurate enough if `is_accurate` accepts its error.  A wider
         cell is accurate enough if it shows a single face, and each light reaches all or nothing of
@@ -563,32 +516,32 @@ class _Picture:
             If a sample shows a face that its cell rules out.
         """
         self.cell_count += cells.x.size
-        forms = CellForms(self.faces, cells)
-        cells = forms.cells
+        enclosed = EnclosedCells(self.faces, cells)
+        cells = enclosed.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # other cells are black
         is_alone = pair_count[cells.pair_cell] == 1
         fills_cell = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
-        contributions = forms.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
+        contributions = enclosed.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
         smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[smooth]] = False
         self.add(cells, cells.pair_cell[smooth], cells.radiance[smooth])
         if cells.width <= 1:
-            enclosed = enclose(forms, contributions, ~is_pending, self.error)
-            is_accurate = self.is_accurate(cells, enclosed.mean, enclosed.error, is_pending)
+            estimates = estimate_means(enclosed, contributions, ~is_pending)
+            is_accurate = self.is_accurate(cells, estimates.error, is_pending)
             finished = np.flatnonzero(is_pending & is_accurate)
-            radiance = constant_form(enclosed.mean[:, finished], enclosed.error[finished])
-            self.add(cells, finished, radiance)
+            mean, error = estimates.mean[:, finished], estimates.error[finished]
+            self.add(cells, finished, constant_enclosures(mean, error))
             is_pending[finished] = False
         return cells.select_cells(is_pending)
 
-    def is_accurate(self, cells: Cells, mean: Floats, error: Floats, is_pending: Bools) -> Bools:
-        """Decide which cells need not be divided.
+    def is_accurate(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
+        """Decide which cells are accurate enough, so that they need not be divided.
 
         A cell is accurate enough if one of these is true:
 
         1.  If all pending cells of its pixel were added now, the pixel's error would be within the
-           limit, or (if certain codes are accepted) the pixel's 8-bit codes would be certain.
+           limit.
         2.  Its error is at most the average error that is still permitted to the pending cells of
            its pixel.
         3.  It has the minimum width, or its pixel has at least `_MAX_PENDING_CELLS` cells in
@@ -598,8 +551,8 @@ class _Picture:
         ----------
         cells : Cells
             The c cells, at most one pixel wide.
-        mean, error : (3, c) and (c,) float arrays
-            Mean radiance of each cell, and the bound on its error in any channel.
+        error : (c,) float array
+            Bound on the error of each cell's mean radiance, in any channel.
         is_pending : (c,) bool array
             The cells that have not been added to the picture.
 
@@ -608,28 +561,19 @@ class _Picture:
         is_accurate : (c,) bool array
             Whether the cell is accurate enough.
         """
-        weight, bound = is_pending * np.float64(cells.width**2), self.bound.reshape(-1)
+        weight = is_pending * np.float64(cells.width**2)
         pixel, index = np.unique(self.pixel_index(cells), return_inverse=True)
-        area, remaining = sum_by_index(index, weight, pixel.size), self.error - bound[pixel]
+        remaining = self.error - self.bound.reshape(-1)[pixel]
         total_error = sum_by_index(index, weight * error, pixel.size)
-        if self.accepts_certain_codes:
-            pending = [sum_by_index(index, channel * weight, pixel.size) for channel in mean]
-            value = (np.array(pending) + self.image.reshape(3, -1)[:, pixel]).T[None]
-            radius = (bound[pixel] + total_error)[None, :, None]
-            is_certain = to_codes(value - radius) == to_codes(value + radius)
-            remaining[is_certain.all(axis=(0, 2))] = np.inf
-        max_error = np.where(total_error <= remaining, np.inf, remaining / area)
+        average_error = remaining / sum_by_index(index, weight, pixel.size)
+        max_error = np.where(total_error <= remaining, np.inf, average_error)
         max_error[np.bincount(index) >= _MAX_PENDING_CELLS] = np.inf
         return np.asarray((error <= max_error[index]) | (cells.width <= _MIN_WIDTH))
 
 
 @np.errstate(all="ignore")
 def certify(
-    scene: Scene,
-    error: float,
-    *,
-    codes: bool = False,
-    progress: Callable[[float], object] = lambda fraction: None,
+    scene: Scene, error: float, progress: Callable[[float], object] = lambda fraction: None
 ) -> Certificate:
     """Render a scene, and prove bounds on the mean radiance of every pixel.
 
@@ -643,8 +587,6 @@ def certify(
     error : float
         Permitted error of a pixel's mean, in linear radiance; more than 0.  Pixels in which edges
         touch each other may exceed it: see `Certificate.error`.
-    codes : bool
-        If True, a pixel is also finished as soon as only one 8-bit code per channel is possible.
     progress : callable
         Called repeatedly, with the fraction of the picture that is finished.
 
@@ -663,7 +605,7 @@ def certify(
     """
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
-    picture = _Picture(scene, _ERROR_FOR_CELLS * error, codes)
+    picture = _Picture(scene, _ERROR_FOR_CELLS * error)
     stack = [initial_cells(picture.faces, scene.width, scene.height)]
     total_area, finished_area = stack[0].area, 0.0
     while stack:

@@ -71,7 +71,7 @@ class Faces:
         Positions of the lights relative to the eye.
     center, radius : (3, spheres) and (spheres,) float arrays
         Centres, relative to the eye, and radii of the spheres.
-    power : (spheres,) float array
+    eye_power : (spheres,) float array
         Power of the eye, |center|^2 - radius^2, which is negative if the eye is inside the sphere.
     object_index : (f,) int array
         The object to which a face belongs.
@@ -82,18 +82,18 @@ class Faces:
     sheet_face : (n,) int array
         For a box without extent along one axis, its only face with area that may be visible; for
         other objects, -1.
-    plane : (2, f) float array
+    plane_id : (2, f) float array
         Two numbers that identify the plane of a face: only faces in the same plane have the same
         two.  If two of them overlap, the first in the scene file is visible.
-    k, w : (3, f) and (f,) float arrays
-        Coefficients of the inverse distance: see above.  For a side of a box, w = 0.
+    linear_coef, root_coef : (3, f) and (f,) float arrays
+        Coefficients k and w of the inverse distance, see above.  For a side of a box, w = 0.
     equation : (5, f) float array
         For a side of a box, the half-space beyond its plane.  For a sphere, the part of its
         equation that differs from the equations of other spheres, -2 c.x + p = 0 without x^2.
-    height : (5, m + 1, f) float array
+    height_half_space : (5, m + 1, f) float array
         For each light, and last for the eye: the half-space whose function n.d + b / t is the
         height above the tangent plane of the face, divided by t.
-    rim : (5, 4, f) float array
+    rim_half_spaces : (5, 4, f) float array
         Four half-spaces whose intersection with the plane of a side of a box is this side.
     bounding_box : (2, 3, f) float array
         Lower and upper corners of bounding boxes, in the scene's axes.
@@ -113,7 +113,7 @@ class Faces:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Prepare a scene with the tracer, and compute all attributes.
+        """Prepare a scene with the tracer, and describe its faces, lights and shadows.
 
         Parameters
         ----------
@@ -133,16 +133,16 @@ class Faces:
         self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
         self.light_position = lights.from_eye
         self.center = np.array(spheres.from_eye)
-        self.radius, self.power = spheres.radius, spheres.power
+        self.radius, self.eye_power = spheres.radius, spheres.power
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
         is_on_box = is_eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
-        if np.any(self.power == 0) or is_on_box.any():
+        if np.any(self.eye_power == 0) or is_on_box.any():
             raise ValueError("the eye is on a surface; move it off")
         sizes = np.append(spheres.radius, (boxes.max_pt - boxes.min_pt).ravel())
         max_distance = _MAX_LIGHT_DISTANCE * sizes[sizes > 0].min(initial=np.inf)
         if np.abs(self.light_position).max(initial=0) > max_distance:
-            message = f"a light is more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object"
-            raise ValueError(f"{message} is large; move it closer")
+            distance = f"more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object is large"
+            raise ValueError(f"a light is {distance}; move it closer")
         self._set_face_attributes(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._set_shadow_volumes(low, high)
@@ -154,10 +154,10 @@ class Faces:
         is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # It does not reach the box itself, whose sides are seen from within.
         is_unlit = is_enclosed | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
-        self.is_unlit = is_unlit | (self.is_planar & (self.height[3, :-1] <= 0))
+        self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
-        """Compute all attributes that have one item for each face (a sphere, or a side of a box).
+        """Set all attributes with one item per face (a sphere, or a side of a box).
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class Faces:
             Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
         prepared, axes, n = self.prepared, self.frame.axes, self.sphere_count
-        c, r, power, scene_center = self.center, self.radius, self.power, prepared.spheres.center
+        c, r, power = self.center, self.radius, self.eye_power
         # Lights, then the eye.
         points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
         points = points[:, :, None, None]
@@ -192,17 +192,17 @@ class Faces:
             bounding_box[:, axis, axis] = position[axis]
 
         def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
-            """Append an array of sides of boxes to one of spheres, along the last axis."""
+            """Append values of boxes' sides to those of spheres, as a new array (..., f)."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        sphere_box = np.array([scene_center - r, scene_center + r])
+        sphere_box = np.array([prepared.spheres.center - r, prepared.spheres.center + r])
         self.bounding_box = append_sides(sphere_box, bounding_box)
         self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), side)
-        self.k = append_sides(c / power, axes[:, :, None, None] / corner)
-        self.w = append_sides(1 / power, 0 * corner)
-        self.height = append_sides(sphere_height, side_height)
-        self.rim = append_sides(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
-        self.plane = append_sides(np.array([np.full(n, 3), np.arange(n)]), plane)
+        self.linear_coef = append_sides(c / power, axes[:, :, None, None] / corner)
+        self.root_coef = append_sides(1 / power, 0 * corner)
+        self.height_half_space = append_sides(sphere_height, side_height)
+        self.rim_half_spaces = append_sides(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
+        self.plane_id = append_sides(np.array([np.full(n, 3), np.arange(n)]), plane)
         box = np.broadcast_to(np.arange(n, self.object_count), corner.shape)
         self.object_index = append_sides(np.arange(n), box)
         self.is_planar = self.object_index >= n
@@ -214,7 +214,7 @@ class Faces:
         self.sheet_face[self.object_index[face]] = face
 
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
-        """Compute the attributes `shadow_volume` and `has_shadow_edge`, for each box and light.
+        """Set the attributes `shadow_volume` and `has_shadow_edge`, for each box and light.
 
         Each half-space n.x + b >= 0 touches its box: the minimum of n.x over the box's corners is
         -b.  The corners are relative to the eye, not to the light, so that nothing cancels in n.x,
@@ -244,8 +244,8 @@ class Faces:
     def find_occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
         """List the objects that may block light on its way to parts of faces.
 
-        A face is a sphere or a side of a box.  The tracer's light grid lists the objects near the
-        segments between a part of a face and a light.
+        A face is a sphere or a side of a box.  The tracer's light grid, which lists objects by
+        their directions from a light, finds those between a part of a face and the light.
 
         Parameters
         ----------
@@ -254,7 +254,7 @@ class Faces:
         face : (k,) int array
             The face of each part.
         active : (m, k) bool array
-            Whether to search for occluders between a light and a part.
+            The pairs of a light and a part for which to search.
 
         Returns
         -------
@@ -274,7 +274,7 @@ class Faces:
         return np.array(np.unravel_index(np.unique(np.concatenate(keys)), shape))
 
     def trace_samples(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
-        """Trace camera rays through positions in the picture, and find the faces that they hit.
+        """Find the faces that are visible at positions in the picture, by tracing camera rays.
 
         Parameters
         ----------
@@ -304,14 +304,14 @@ class Faces:
         return hits, order[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
 
     def is_lit(self, hits: Hits, active: Bools) -> Bools:
-        """Test which lights reach hits, by tracing shadow rays.
+        """Test which lights reach hits (points where camera rays meet objects), by shadow rays.
 
         Parameters
         ----------
         hits : Hits
             The h hits.
         active : (m, h) bool array
-            Whether to test a pair of a light and a hit.
+            The pairs of a light and a hit to test.
 
         Returns
         -------

@@ -5,16 +5,18 @@ the tracer but the scene's description, so that the two can be compared.  All fo
 are repeated here on purpose: a reference that shares code with what it validates would repeat its
 errors.
 
-The arithmetic can be chosen:
+The number type can be chosen:
 
-- In decimal numbers of 80 digits, it is the *oracle*.  Lengths that agree to 50 digits count as
-  equal, because the scene's own numbers have 16 digits.  So contact and ties are decided exactly.
-- In float32, or with the textbook's quadratic formula, or with an epsilon for shadows, it shows how
-  usual ray tracers fail (see `reference.stability`).
+- Decimal numbers of 80 digits make this renderer the *oracle*.  Lengths that agree to 50 digits are
+  treated as equal, because the scene's own numbers have 16 digits.  So contact and ties are decided
+  exactly.
+- Float32, the quadratic formula of textbooks, or shadow rays with an epsilon show how usual ray
+  tracers fail (see `reference.stability`).
 
-Visibility: the nearest intersection with t > 0 along the camera ray is visible.  Among equal ones,
-it is that of the first object in the file or, on one box, of the first axis.  If the eye
-is inside an object, or on its surface, the far intersection counts, and the normal points inwards.
+Visibility: the closest intersection with t > 0 along the camera ray is visible.  Among equally
+close ones, that of the first object in the file is visible and, on one box, that of the side along
+the first axis.  If the eye is inside an object, or on its surface, the far intersection is used,
+and the normal points inwards.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from __future__ import annotations
 import decimal
 from collections.abc import Callable, Sequence
 from decimal import Decimal
-from functools import partial
+from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -31,33 +33,29 @@ from numpy.typing import ArrayLike, NDArray
 from tracer import Phong, Scene, Sphere
 
 Array: TypeAlias = NDArray[Any]
-"""Numbers of any arithmetic: float32, float64, or Decimal objects.  Vectors are (3, n)."""
+"""Numbers of any type: float32, float64, or Decimal objects.  Vectors are (3, n)."""
 
 Roots: TypeAlias = tuple[Array, Array]
 """The smaller and the larger t of the points origin + t direction where rays meet a surface."""
 
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
-
-ARITHMETICS: dict[str, tuple[Callable[[ArrayLike], Any], float]] = {
-    "float64": (partial(np.asarray, dtype=np.float64), 0),
-    "float32": (partial(np.asarray, dtype=np.float32), 0),
-    "decimal": (
-        lambda values: np.frompyfunc(Decimal, 1, 1)(np.asarray(values, dtype=np.float64)),
-        1e-50,
-    ),
+ARITHMETICS: dict[str, tuple[Callable[[Any], Any], float]] = {
+    "float64": (np.float64, 0),
+    "float32": (np.float32, 0),
+    "decimal": (np.frompyfunc(Decimal, 1, 1), 1e-50),
 }
-"""For each arithmetic, the function that converts numbers to it, and the length, relative to the
-scene's largest coordinate, up to which lengths count as 0."""
+"""For each number type, the function that converts numbers to it, and the length, relative to the
+scene's largest coordinate, up to which lengths are treated as 0."""
 
 
 def _dot(a: Array, b: Array) -> Any:
-    """Compute the dot product of each pair of vectors (3, n) in numbers of any arithmetic."""
+    """Compute the dot product of each pair of vectors (3, n), in numbers of any type."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _norm(vectors: Array) -> Any:
-    """Compute the length of each vector (3, n) in numbers of any arithmetic."""
+    """Compute the length of each vector (3, n), in numbers of any type."""
     return np.sqrt(_dot(vectors, vectors))
 
 
@@ -67,7 +65,7 @@ def _normalise(vectors: Array) -> Any:
 
 
 def intersect_by_projection(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by projecting the sphere's centre onto them.
+    """Intersect rays with a sphere by projecting the sphere's centre onto each ray.
 
     The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
     Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable
@@ -86,16 +84,17 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
         t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
     to_center = center - origin
-    a, b = _dot(direction, direction), _dot(to_center, direction)
-    perpendicular = to_center - b / a * direction
-    root = np.sqrt(a * (radius * radius - _dot(perpendicular, perpendicular)))
-    q = np.where(b < 0, b - root, b + root)
-    t, other_t = q / a, (_dot(to_center, to_center) - radius * radius) / q
+    length2, along = _dot(direction, direction), _dot(to_center, direction)
+    perpendicular = to_center - along / length2 * direction
+    root = np.sqrt(length2 * (radius * radius - _dot(perpendicular, perpendicular)))
+    sum_without_cancellation = np.where(along < 0, along - root, along + root)
+    t = sum_without_cancellation / length2
+    other_t = (_dot(to_center, to_center) - radius * radius) / sum_without_cancellation
     return np.minimum(t, other_t), np.maximum(t, other_t)
 
 
 def intersect_by_textbook(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula of most textbooks.
+    """Intersect rays with a sphere by the quadratic formula, as most textbooks do.
 
     The error grows with the square of the distance from the origin to the sphere.
 
@@ -117,11 +116,11 @@ def intersect_by_textbook(origin: Array, direction: Array, center: Array, radius
 
 
 def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula with a square that is multiplied out.
+    """Intersect rays with a sphere by the quadratic formula, with one term multiplied out.
 
-    The square |origin - center|^2 becomes |origin|^2 - 2 origin.center + |center|^2.  The error
-    grows with the square of the distance from the origin to the sphere, and with the square of the
-    distance of both from the scene's zero point.
+    |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
+    with the square of the distance from the ray's origin to the sphere, and with the square of the
+    distance of both from the point (0, 0, 0).
 
     Parameters
     ----------
@@ -141,7 +140,7 @@ def intersect_by_expansion(origin: Array, direction: Array, center: Array, radiu
 
 
 def _quadratic_roots(a: Array, b: Array, c: Array) -> Roots:
-    """Solve quadratic equations a t^2 + b t + c = 0 by the textbook's formula.
+    """Solve quadratic equations a t^2 + b t + c = 0 by the usual formula.
 
     Parameters
     ----------
@@ -157,14 +156,14 @@ def _quadratic_roots(a: Array, b: Array, c: Array) -> Roots:
     return (-b - root) / (2 * a), (-b + root) / (2 * a)
 
 
-SPHERES = {
+SPHERE_METHODS = {
     "closest": intersect_by_projection,
     "textbook": intersect_by_textbook,
     "expanded": intersect_by_expansion,
 }
 """Methods to intersect rays with a sphere."""
 
-SHADOWS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
+SHADOW_METHODS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
     "exact": lambda point, normal: (point, 0),
     "t>0": lambda point, normal: (point, 0),
     "t>1e-4": lambda point, normal: (point, 1e-4),
@@ -185,7 +184,8 @@ The first method also skips the point's own object.  This is exact, because all 
 """
 
 
-_DEFAULTS = {"arithmetic": "float64", "spheres": "closest", "shadows": "exact", "ties": "first"}
+_DEFAULTS = {"arithmetic": "float64", "sphere_method": "closest"}
+_DEFAULTS |= {"shadow_method": "exact", "ties": "first"}
 
 
 class TracedRays(NamedTuple):
@@ -196,7 +196,7 @@ class TracedRays(NamedTuple):
     radiance : (n, 3) float array
         Linear RGB radiance that reaches the eye.
     surface : (n,) int array
-        The visible surface, as its number in the scene file from 0 on, or -1 for the background.
+        Index of the visible surface in `scene.surfaces`, or -1 for the background.
     is_lit : (lights, n) bool array
         Whether the light reaches the visible point; False for the background.
     """
@@ -207,22 +207,22 @@ class TracedRays(NamedTuple):
 
 
 class _PlainTracer:
-    """A scene in numbers of one arithmetic, and the methods to trace rays through it.
+    """A scene converted to one number type, with the methods to trace rays through it.
 
     Attributes
     ----------
     scene, surfaces : Scene, list of Surface
         The scene and its surfaces, in the order of the file.
-    cast : callable
-        Converts numbers, or arrays of them, to this arithmetic.
-    intersect_sphere, shadow_start : callables
-        The chosen items of `SPHERES` and `SHADOWS`.
-    is_exact, last_wins : bool
-        Whether the method for shadows is "exact"; whether the last of several nearest surfaces is
-        visible, instead of the first.
+    to_numbers : callable
+        Converts numbers, or arrays of them, to the number type.
+    intersect_sphere, start_shadow_rays : callables
+        The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
+    skips_own_object, last_wins : bool
+        Whether a surface never shades its own points by the usual test (method "exact"); whether
+        the last of several equally close surfaces is visible, instead of the first.
     eye : (3, 1) array
         Position of the eye.
-    lights : list of (3, 1) arrays
+    light_positions : list of (3, 1) arrays
         Positions of the lights.
     is_sphere : list of bool
         Whether each surface is a sphere; others are boxes.
@@ -231,50 +231,52 @@ class _PlainTracer:
         corner (3, 1) of a box.
     is_eye_inside : list of bool
         For each surface, whether the eye is inside of it, or on it.
-    scale : number
+    scene_size : number
         The largest absolute coordinate or radius in the scene.
-    contact : number
-        Lengths up to this, relative to another length, are treated as 0: 1e-50 in the decimal
-        arithmetic, otherwise 0.
-    tiny : number
-        Lengths up to this are treated as 0: `contact` times `scale`.
+    relative_tolerance : number
+        Lengths up to this, relative to another length, are treated as 0: 1e-50 in decimal numbers,
+        otherwise 0.
+    tolerance : number
+        Lengths up to this are treated as 0: `relative_tolerance` times `scene_size`.
     """
 
     def __init__(
-        self, scene: Scene, arithmetic: str, spheres: str, shadows: str, ties: str
+        self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to numbers of an arithmetic, and choose the methods to trace it.
+        """Convert a scene to a number type, and choose the methods to trace it.
 
         Parameters
         ----------
         scene : Scene
             The scene.
-        arithmetic, spheres, shadows : str
-            Keys of `ARITHMETICS`, `SPHERES` and `SHADOWS`.
+        arithmetic, sphere_method, shadow_method : str
+            Keys of `ARITHMETICS`, `SPHERE_METHODS` and `SHADOW_METHODS`.
         ties : str
-            Which of several nearest surfaces is visible: the "first" or the "last" in the file.
+            Which of several equally close surfaces is visible: the "first" or the "last" in the
+            file.
 
         Raises
         ------
         KeyError
             If a key does not exist.
         """
-        self.scene, self.surfaces, self.is_exact = scene, scene.surfaces[:], shadows == "exact"
-        self.last_wins = ties == "last"
-        self.cast, contact = ARITHMETICS[arithmetic]
-        self.intersect_sphere, self.shadow_start = SPHERES[spheres], SHADOWS[shadows]
-        self.eye = self.cast(scene.camera.view_point)[:, None]
-        self.lights = [self.cast(light.position)[:, None] for light in scene.lights]
+        to_numbers, relative_tolerance = ARITHMETICS[arithmetic]
+        self.scene, self.surfaces, self.to_numbers = scene, scene.surfaces[:], to_numbers
+        self.skips_own_object, self.last_wins = shadow_method == "exact", ties == "last"
+        self.intersect_sphere = SPHERE_METHODS[sphere_method]
+        self.start_shadow_rays = SHADOW_METHODS[shadow_method]
+        self.eye = to_numbers(scene.camera.view_point)[:, None]
+        self.light_positions = [to_numbers(light.position)[:, None] for light in scene.lights]
         self.is_sphere = [isinstance(surface, Sphere) for surface in self.surfaces]
         pairs = [
             (s.center, [s.radius]) if isinstance(s, Sphere) else (s.min_pt, s.max_pt)
             for s in self.surfaces
         ]
-        self.shapes = [(self.cast(a)[:, None], self.cast(b)[:, None]) for a, b in pairs]
-        lengths = [self.eye, *self.lights, *(length for pair in self.shapes for length in pair)]
-        self.contact = self.cast(contact)
-        self.scale = max(np.abs(length).max() for length in lengths)
-        self.tiny = self.contact * self.scale
+        self.shapes = [(to_numbers(a)[:, None], to_numbers(b)[:, None]) for a, b in pairs]
+        lengths = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
+        self.relative_tolerance = to_numbers(relative_tolerance)
+        self.scene_size = max(np.abs(length).max() for length in lengths)
+        self.tolerance = self.relative_tolerance * self.scene_size
         indices = range(len(self.shapes))
         self.is_eye_inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
 
@@ -284,22 +286,23 @@ class _PlainTracer:
         Parameters
         ----------
         values : array
-            Numbers of this arithmetic.
+            Numbers of the tracer's number type.
         scale : array that broadcasts to `values`
-            A value is tiny if its absolute value is at most 1e-50 times this.  In float32 and
-            float64, no value is tiny.
+            A decimal value is tiny if its absolute value is at most 1e-50 times this.  No value in
+            float32 or float64 is tiny.
 
         Returns
         -------
         snapped : array
             The values, or 0, in the shape of `values`.
         """
-        if not self.contact:
+        if not self.relative_tolerance:
             return values
-        return np.where(np.abs(values) <= self.contact * scale, self.cast(0), values)
+        is_tiny = np.abs(values) <= self.relative_tolerance * scale
+        return np.where(is_tiny, self.to_numbers(0), values)
 
     def signed_distance(self, surface: int, points: Array) -> Array:
-        """Compute the signed distances of points from a surface.
+        """Compute the signed distance of each point from a surface.
 
         Parameters
         ----------
@@ -319,7 +322,7 @@ class _PlainTracer:
             distance = _norm(points - center_or_low) - radius_or_high[0]
         else:
             distance = np.maximum(center_or_low - points, points - radius_or_high).max(axis=0)
-        return self.snap_to_zero(distance, self.scale)
+        return self.snap_to_zero(distance, self.scene_size)
 
     def ray_directions(self, x: Array, y: Array) -> Array:
         """Compute the directions of the camera rays through positions in the picture.
@@ -334,15 +337,16 @@ class _PlainTracer:
         direction : (3, n) array
             Vectors from the eye to the points of the camera's window.
         """
-        cast, camera = self.cast, self.scene.camera
+        to_numbers, camera = self.to_numbers, self.scene.camera
         width, height = self.scene.width, self.scene.height
-        ahead, w = _normalise(cast(camera.view_dir)), _normalise(cast(camera.normal))
-        w = -w if _dot(w, ahead) > 0 else w
-        u = _normalise(np.cross(cast(camera.view_up), w))
-        right = cast(2 * x - width) / (2 * width) * cast(camera.view_width)
-        up = cast(height - 2 * y) / (2 * height) * cast(camera.view_height)
-        window_center = ahead[:, None] * cast(camera.proj_distance)
-        direction = window_center + np.outer(u, right) + np.outer(np.cross(w, u), up)
+        ahead, normal = _normalise(to_numbers(camera.view_dir)), to_numbers(camera.normal)
+        backwards = _normalise(-normal if _dot(normal, ahead) > 0 else normal)
+        rightwards = _normalise(np.cross(to_numbers(camera.view_up), backwards))
+        upwards = np.cross(backwards, rightwards)
+        right = to_numbers(2 * x - width) / (2 * width) * to_numbers(camera.view_width)
+        up = to_numbers(height - 2 * y) / (2 * height) * to_numbers(camera.view_height)
+        window_center = ahead[:, None] * to_numbers(camera.proj_distance)
+        direction = window_center + np.outer(rightwards, right) + np.outer(upwards, up)
         # With exact zeros, a ray can be exactly parallel to the sides of a box.
         return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
@@ -358,7 +362,7 @@ class _PlainTracer:
         direction : (3, n) array
             Directions of the rays.
         is_closed : bool
-            Whether a ray in the plane of a side meets the slab of this side.
+            Whether a ray within the plane of a side meets the slab of this side.
 
         Returns
         -------
@@ -366,15 +370,16 @@ class _PlainTracer:
             t where each ray enters and leaves the slab along each axis; near > far if it misses
             the slab.
         """
-        low, high = (self.snap_to_zero(corner - origin, self.scale) for corner in self.shapes[box])
+        corners = (corner - origin for corner in self.shapes[box])
+        low, high = (self.snap_to_zero(corner, self.scene_size) for corner in corners)
         is_between = (low <= 0) & (high >= 0) if is_closed else (low < 0) & (high > 0)
-        far_if_parallel = np.where(is_between, self.cast(np.inf), self.cast(-np.inf))
+        far_if_parallel = np.where(is_between, self.to_numbers(np.inf), self.to_numbers(-np.inf))
         t_low, t_high = low / direction, high / direction
         near = np.where(direction == 0, -far_if_parallel, np.minimum(t_low, t_high))
         return near, np.where(direction == 0, far_if_parallel, np.maximum(t_low, t_high))
 
     def intersect(self, surface: int, origin: Array, direction: Array, is_closed: bool) -> Roots:
-        """Intersect rays with a surface.
+        """Intersect rays with a sphere or a box.
 
         Parameters
         ----------
@@ -385,7 +390,7 @@ class _PlainTracer:
         direction : (3, n) array
             Directions of the rays.
         is_closed : bool
-            Whether rays in the plane of a side of a box can meet the box.
+            Whether rays within the plane of a box's side can meet the box.
 
         Returns
         -------
@@ -412,17 +417,19 @@ class _PlainTracer:
             The result for each ray.
         """
         direction = self.ray_directions(x, y)
-        nearest_t, surface = self.find_nearest(direction)
+        closest_t, surface = self.find_closest(direction)
         visible = np.flatnonzero(surface >= 0)
         owner, direction = surface[visible], direction.take(visible, 1)
-        points = self.eye + nearest_t[visible] * direction
+        points = self.eye + closest_t[visible] * direction
         normals = np.zeros_like(points)
         for i in np.unique(owner).tolist():
             index = np.flatnonzero(owner == i)
             near_surface = points.take(index, 1), direction.take(index, 1)
             points[:, index], normals[:, index] = self.project_onto_surface(i, *near_surface)
-        radiance, is_lit = np.zeros((x.size, 3)), np.zeros((len(self.lights), x.size), dtype=bool)
-        for light, position, is_lit_by in zip(self.scene.lights, self.lights, is_lit, strict=True):
+        radiance = np.zeros((x.size, 3))
+        is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
+        lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
+        for light, position, is_lit_by in lights:
             is_lit_by[visible] = self.is_lit(owner, points, normals, position)
             to_light, to_eye = _normalise(position - points), -_normalise(direction)
             for i in np.unique(owner[is_lit_by[visible]]).tolist():
@@ -432,8 +439,8 @@ class _PlainTracer:
                 radiance[visible[index]] += reflected * light.intensity
         return TracedRays(radiance, surface, is_lit)
 
-    def find_nearest(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Find the nearest intersection of each camera ray with all surfaces.
+    def find_closest(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Find the closest intersection of each camera ray with all surfaces.
 
         Parameters
         ----------
@@ -442,26 +449,26 @@ class _PlainTracer:
 
         Returns
         -------
-        nearest_t : (n,) array
-            The nearest intersection is at eye + nearest_t direction; infinity if there is none.
+        closest_t : (n,) array
+            The closest intersection is at eye + closest_t direction; infinity if there is none.
         surface : (n,) int array
             Index of the surface that is intersected there, or -1.
         """
         ray_count, length = direction.shape[1], _norm(direction)
-        nearest_t, nearest = self.cast(np.full(ray_count, np.inf)), np.full(ray_count, -1)
+        closest_t, surface = self.to_numbers(np.full(ray_count, np.inf)), np.full(ray_count, -1)
         surfaces = [*enumerate(self.is_eye_inside)]
         for i, is_inside in reversed(surfaces) if self.last_wins else surfaces:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
             t = far if is_inside else near
-            is_ahead = (near <= far) & (t * length > self.tiny)
-            is_closer = is_ahead & (t < nearest_t * (1 - self.contact))
-            nearest_t, nearest = np.where(is_closer, t, nearest_t), np.where(is_closer, i, nearest)
-        return nearest_t, nearest
+            is_ahead = (near <= far) & (t * length > self.tolerance)
+            is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
+            closest_t, surface = np.where(is_closer, t, closest_t), np.where(is_closer, i, surface)
+        return closest_t, surface
 
     def project_onto_surface(
         self, surface: int, points: Array, direction: Array
     ) -> tuple[Array, Array]:
-        """Move points that are nearly on a surface exactly onto it, and compute its normals there.
+        """Move points near a surface exactly onto it, and compute the surface's normals there.
 
         Parameters
         ----------
@@ -484,19 +491,19 @@ class _PlainTracer:
             return center + radius * outward, -outward if is_inside else outward
         low, high = shape
         near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
-        # Through an edge or a corner, the side along the first axis is visible (or the last).
+        # At an edge or a corner, the side along the first axis is visible (or the last).
         t, visible_t = (far, far.min(axis=0)) if is_inside else (near, near.max(axis=0))
-        is_tied = np.asarray(np.abs(t - visible_t) * _norm(direction) <= self.tiny)
+        is_tied = np.asarray(np.abs(t - visible_t) * _norm(direction) <= self.tolerance)
         axis = 2 - is_tied[::-1].argmax(axis=0) if self.last_wins else is_tied.argmax(axis=0)
         ray = np.arange(direction.shape[1])
         is_forward = direction[axis, ray] > 0
         points[axis, ray] = np.where(is_forward == is_inside, high[axis, 0], low[axis, 0])
         normals = np.zeros_like(points)
-        normals[axis, ray] = self.cast(np.where(is_forward, -1, 1))
+        normals[axis, ray] = self.to_numbers(np.where(is_forward, -1, 1))
         return points, normals
 
     def is_lit(self, owner: Array, points: Array, normals: Array, light: Array) -> Array:
-        """Test whether a light reaches points on surfaces.
+        """Test which points on surfaces a light reaches.
 
         Parameters
         ----------
@@ -510,14 +517,16 @@ class _PlainTracer:
         Returns
         -------
         is_lit : (n,) bool array
-            Whether the light is above the surface, and no surface blocks the segment to it.
+            Whether the light is in front of the surface, and no surface blocks the segment from the
+            point to the light.
         """
-        is_lit = np.asarray(_dot(normals, light - points) > self.tiny)
+        is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
         for i, is_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
-            start, min_length = self.shadow_start(points.take(index, 1), normals.take(index, 1))
+            on_surface = points.take(index, 1), normals.take(index, 1)
+            start, min_length = self.start_shadow_rays(*on_surface)
             is_blocked = self.is_blocking(i, start, light, min_length)
-            if self.is_exact:
+            if self.skips_own_object:
                 # A surface around the eye blocks light from outside of it; any other does not
                 # block light from its own points.
                 blocks_own = is_inside and self.signed_distance(i, light)[0] >= 0
@@ -526,10 +535,11 @@ class _PlainTracer:
         return is_lit
 
     def is_blocking(self, surface: int, points: Array, light: Array, min_length: float) -> Array:
-        """Test whether a surface intersects the open segments between points and a light.
+        """Test which open segments between points and a light a surface intersects.
 
-        If the point or the light is on a sphere, one intersection is known exactly, and the other
-        one follows from the point closest to the sphere's centre, without a square root.
+        If the point or the light is on a sphere, one intersection is known exactly.  The other one
+        follows without a square root: both are at the same distance from the point of the segment
+        that is closest to the sphere's centre.
 
         Parameters
         ----------
@@ -545,19 +555,21 @@ class _PlainTracer:
         Returns
         -------
         is_blocking : (n,) bool array
-            Whether the surface blocks the light.
+            Whether the surface blocks the light from each point.
         """
         distance = _norm(light - points)
         direction = (light - points) / distance
         direction = self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
+        min_t, max_t = self.to_numbers(min_length) + self.tolerance, distance - self.tolerance
+
         def is_between(t: Array) -> Any:
-            """Test whether a distance t (n,) from each point lies strictly before the light."""
-            return (t > self.cast(min_length) + self.tiny) & (t < distance - self.tiny)
+            """Test whether the point at the distance t (n,) lies strictly before the light."""
+            return (t > min_t) & (t < max_t)
 
         near, far = self.intersect(surface, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
-        if self.contact and self.is_exact and self.is_sphere[surface]:
+        if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface]:
             # Both intersections are at the same distance from the closest point, at t = closest.
             closest = _dot(self.shapes[surface][0] - points, direction)
             if_light_is_on = is_between(2 * closest - distance)
@@ -565,8 +577,8 @@ class _PlainTracer:
             is_blocked = np.where(is_light_on, if_light_is_on, is_blocked)
             # From a point on the sphere, the segment is blocked if it leaves to the other side than
             # that of the eye, or returns to the sphere.
-            outwards = (closest < -self.tiny) | is_between(2 * closest)
-            if_point_is_on = outwards if self.is_eye_inside[surface] else closest > self.tiny
+            outwards = (closest < -self.tolerance) | is_between(2 * closest)
+            if_point_is_on = outwards if self.is_eye_inside[surface] else closest > self.tolerance
             is_point_on = self.signed_distance(surface, points) == 0
             is_blocked = np.where(is_point_on, if_point_is_on, is_blocked)
         return np.asarray(is_blocked)
@@ -574,7 +586,7 @@ class _PlainTracer:
     def reflected_radiance(
         self, surface: int, normals: Array, to_light: Array, to_eye: Array
     ) -> NDArray[np.float64]:
-        """Compute the radiance that points of a surface reflect from a light of intensity 1.
+        """Compute the radiance that points on a surface reflect under a light of intensity 1.
 
         Lambert's term is the diffuse colour times n.l, with the unit normal n and the unit vector l
         to the light.  The Blinn-Phong term is the specular colour times (n.h)^exponent, with h
@@ -596,9 +608,10 @@ class _PlainTracer:
         radiance = np.outer(_dot(normals, to_light).astype(float), shader.diffuse)
         if isinstance(shader, Phong) and any(shader.specular):
             cosine = _dot(normals, _normalise(to_light + to_eye))
-            base = np.where(cosine > 0, cosine, self.cast(0))
+            base = np.where(cosine > 0, cosine, self.to_numbers(0))
             # Decimal cannot raise 0 to the power of 0.
-            lobe = base ** self.cast(shader.exponent) if shader.exponent else np.ones(base.size)
+            exponent = self.to_numbers(shader.exponent)
+            lobe = base**exponent if exponent else np.ones(base.size)
             radiance += np.outer(lobe.astype(float), shader.specular)
         return radiance
 
@@ -614,11 +627,12 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
         Positions in pixels, to the right of the upper left corner and below it.  The centre of the
         first pixel is at (0.5, 0.5).
     **methods : str
-        `arithmetic` : a key of `ARITHMETICS`, by default "float64".
-        `spheres` : a key of `SPHERES`, by default "closest".
-        `shadows` : a key of `SHADOWS`, by default "exact".
-        `ties` : whether of several nearest surfaces the "first" in the scene file is visible (the
-        default), or the "last".
+        `arithmetic` : the number type, a key of `ARITHMETICS`; by default "float64".
+        `sphere_method` : how rays meet spheres, a key of `SPHERE_METHODS`; by default "closest".
+        `shadow_method` : how points are kept from shading themselves, a key of `SHADOW_METHODS`; by
+        default "exact".
+        `ties` : which of several equally close surfaces is visible, the "first" in the scene file
+        (the default) or the "last".
 
     Returns
     -------
@@ -628,7 +642,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
     Raises
     ------
     KeyError
-        If a method does not exist.
+        If a number type or method does not exist.
     """
     with decimal.localcontext(_DECIMALS), np.errstate(all="ignore"):
         return _PlainTracer(scene, **_DEFAULTS | methods).trace(np.asarray(x), np.asarray(y))
@@ -644,7 +658,7 @@ def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Ar
     offset : sequence of two floats
         Shift of all samples from the centres of their pixels, in pixels to the right and down.
     **methods : str
-        The arithmetic and the methods: see `trace`.
+        The number type and the methods, which are keyword arguments of `trace`.
 
     Returns
     -------

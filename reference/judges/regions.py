@@ -1,7 +1,7 @@
 """Locate edges in cells: enclose each edge in a strip, and divide the cell along the strips.
 
-An edge of the picture is the zero of an *edge function*, which a quadratic form encloses (see
-`forms`).  Two ideas make areas computable:
+An edge of the picture is the zero of an *edge function*, which a quadratic polynomial with an error
+bound encloses (see `enclosures`).  Two ideas make areas computable:
 
 strip
     The part of a cell between two parallel lines.  The edge certainly lies inside.
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reference.judges.arrays import Floats, Index, Ints, sum_by_index
-from reference.judges.forms import XX, XY, YY, C, Form, X, Y
+from reference.judges.enclosures import CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED, Enclosures, X, Y
 
 MIN_AREA = 1e-12
 """Minimum area of a region, as a fraction of its cell; smaller ones are mostly rounding errors."""
@@ -56,62 +56,63 @@ class Strips(NamedTuple):
     jump: Floats
 
     def take(self, index: Index) -> Strips:
-        """Select strips by indices (k,) or a mask (n,), and copy them."""
+        """Copy the strips that indices (k,) or a mask (n,) select."""
         return self._replace(**{name: values[index] for name, values in self._asdict().items()})
 
     @property
     def area(self) -> Floats:
-        """Upper bound (n,) on the fraction of the cell's area that each strip covers."""
+        """Upper bound (n,) on the fraction of its cell that each strip covers."""
         steepness = np.maximum(np.abs(self.a), np.abs(self.b))
         return np.asarray(np.fmin(self.half_width / steepness, 1))
 
 
 def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
-    """Find a point near the zero of each quadratic function in a cell.
+    """Find a point near the zero of each quadratic polynomial in a cell.
 
-    The function is expanded to second order along the gradient.  The zero of this expansion that is
-    closest to the centre is moved into the cell.  Any point is valid, but the closer it is to the
-    zero of the function, the narrower is the strip that `enclose_in_strips` computes from it.
+    The polynomial is expanded to second order along the gradient.  The zero of this expansion that
+    is closest to the centre is moved into the cell.  Any point is valid, but the closer it is to
+    the zero of the polynomial, the narrower is the strip that `enclose_in_strips` computes from it.
 
     Parameters
     ----------
     coef : (8, n) float array
-        Coefficients of the functions of X and Y, in the order of `Form.coef`.
+        Coefficients of the polynomials in X and Y, in the order of `Enclosures.coef`.
 
     Returns
     -------
     x, y : (n,) float arrays
         The points, from -1 to 1.
     """
-    steepness2 = coef[X] ** 2 + coef[Y] ** 2
-    curvature = coef[X] ** 2 * coef[XX] + coef[X] * coef[Y] * coef[XY] + coef[Y] ** 2 * coef[YY]
-    second_derivative = 2 * curvature / steepness2
-    root = np.sqrt(np.abs(steepness2 * (steepness2 - 2 * coef[C] * second_derivative)))
-    step = -2 * coef[C] / (steepness2 + root)
-    max_step = 1 / np.maximum(np.abs(coef[X]), np.abs(coef[Y]))
-    step = np.where(steepness2 > 0, np.clip(step, -max_step, max_step), 0)
-    return step * coef[X], step * coef[Y]
+    constant, x, y, x_squared, x_times_y, y_squared, *_ = coef
+    slope_squared = x**2 + y**2
+    curvature = x**2 * x_squared + x * y * x_times_y + y**2 * y_squared
+    second_derivative = 2 * curvature / slope_squared
+    discriminant = slope_squared * (slope_squared - 2 * constant * second_derivative)
+    step = -2 * constant / (slope_squared + np.sqrt(np.abs(discriminant)))
+    max_step = 1 / np.maximum(np.abs(x), np.abs(y))
+    step = np.where(slope_squared > 0, np.clip(step, -max_step, max_step), 0)
+    return step * x, step * y
 
 
-def enclose_in_strips(cell: Ints, form: Form, jump: Floats) -> Strips:
+def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips:
     """Enclose the zeros of edge functions in strips between two parallel lines.
 
     The picture may have an edge where an edge function is zero.  At a point near the zero
     (`_point_near_zero`), let n be the coordinate along the gradient of length g, and t the
-    coordinate perpendicular to it.  Without the form's radius, the function equals v + g n (1 + e)
-    + h t^2 / 2, where v is its value at that point and h its second derivative along t.  Here |e|
-    is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
+    coordinate perpendicular to it.  Without its error bound, the function equals
+    v + g n (1 + e) + h t^2 / 2, where v is its value at that point and h its second derivative
+    along t.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
 
     Let T be the maximum of |t|.  Then h t^2 / 2 differs from h T^2 / 6 by at most |h| T^2 / 3.  Let
-    d be this difference plus the form's radius, and w = v + h T^2 / 6.  Then the function is zero
+    d be this difference plus the error bound, and w = v + h T^2 / 6.  Then the function is zero
     only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
 
     Parameters
     ----------
     cell : (n,) int array
         The cell of each edge function.
-    form : Form
-        Enclosures (8, n) of the edge functions by polynomials in the cell's coordinates X and Y.
+    functions : Enclosures
+        The edge functions, enclosed by polynomials (8, n) in the cell's coordinates X and Y.
     jump : (n,) float array
         Upper bound on the change of radiance where the function is zero.
 
@@ -121,21 +122,23 @@ def enclose_in_strips(cell: Ints, form: Form, jump: Floats) -> Strips:
         Strips that contain all zeros, sorted by cell.  An edge function that certainly has no zero
         in its cell gets no strip.
     """
-    coef = form.coef
+    coef = functions.coef
+    constant, x_squared, x_times_y, y_squared = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
     x, y = _point_near_zero(coef)
-    v = coef[C] + coef[X] * x + coef[Y] * y
-    v = v + coef[XX] * x * x + coef[XY] * x * y + coef[YY] * y * y
-    a = coef[X] + 2 * coef[XX] * x + coef[XY] * y
-    b = coef[Y] + coef[XY] * x + 2 * coef[YY] * y
-    g = np.hypot(a, b)
-    p, q = a / g, b / g  # n is along (p, q), t along (-q, p)
-    f_tt = 2 * (coef[XX] * q * q - coef[XY] * p * q + coef[YY] * p * p)
-    f_tn = 2 * (coef[YY] - coef[XX]) * p * q + coef[XY] * (p * p - q * q)
-    f_nn = 2 * (coef[XX] * p * p + coef[XY] * p * q + coef[YY] * q * q)
-    side = np.abs(p) + np.abs(q)
-    t, n = side + np.abs(p * y - q * x), side + np.abs(p * x + q * y)  # their maxima in the cell
-    k = (np.abs(f_tn) * t + 0.5 * np.abs(f_nn) * n) / g
-    w, d = v + f_tt * t * t / 6, np.abs(f_tt) * t * t / 3 + form.radius
+    value = constant + coef[X] * x + coef[Y] * y
+    value = value + x_squared * x * x + x_times_y * x * y + y_squared * y * y
+    a = coef[X] + 2 * x_squared * x + x_times_y * y
+    b = coef[Y] + x_times_y * x + 2 * y_squared * y
+    slope = np.hypot(a, b)
+    p, q = a / slope, b / slope  # n is along (p, q), t along (-q, p)
+    f_tt = 2 * (x_squared * q * q - x_times_y * p * q + y_squared * p * p)
+    f_tn = 2 * (y_squared - x_squared) * p * q + x_times_y * (p * p - q * q)
+    f_nn = 2 * (x_squared * p * p + x_times_y * p * q + y_squared * q * q)
+    max_distance = np.abs(p) + np.abs(q)
+    max_t, max_n = max_distance + np.abs(p * y - q * x), max_distance + np.abs(p * x + q * y)
+    k = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
+    w = value + f_tt * max_t * max_t / 6
+    d = np.abs(f_tt) * max_t * max_t / 3 + functions.radius
     half_width = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
     line = np.array([a, b, w - a * x - b * y]) * scale
@@ -208,9 +211,10 @@ def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
         is_alone_above, triangle = above_count[cut] == 1, triangle[cut]
         alone = np.argmax(is_above[:, cut] == is_alone_above, axis=0)
         rotated = (alone + np.arange(3)[:, None]) % 3
-        (a, b, c), (h_a, h_b, h_c) = corners[rotated, triangle], height[rotated, cut]
+        (a, b, c), (height_a, height_b, height_c) = corners[rotated, triangle], height[rotated, cut]
         # The line meets the triangle's sides at p and q.
-        p, q = a + h_a / (h_a - h_b) * (b - a), a + h_a / (h_a - h_c) * (c - a)
+        p = a + height_a / (height_a - height_b) * (b - a)
+        q = a + height_a / (height_a - height_c) * (c - a)
         corners[:, triangle] = a, p, q
         corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
         signs_below = signs[triangle]
@@ -219,16 +223,16 @@ def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
     area, mean = _triangle_moments(corners)
     key, region = np.unique(cell << max_line_count | signs, return_inverse=True)
-    area_of_region = sum_by_index(region, area, key.size)
-    weight = area / np.maximum(area_of_region, MIN_AREA)[region]
-    means = [sum_by_index(region, weight * moment, key.size) for moment in mean]
-    mean_of_region = np.array([np.ones(key.size), *means])
+    region_area = sum_by_index(region, area, key.size)
+    weight = area / np.maximum(region_area, MIN_AREA)[region]
+    region_mean = np.array([sum_by_index(region, weight * moment, key.size) for moment in mean])
+    region_mean[0] = 1
     cell, signs = key >> max_line_count, key & ((1 << max_line_count) - 1)
-    return Regions(cell, signs, area_of_region, mean_of_region)
+    return Regions(cell, signs, region_area, region_mean)
 
 
-def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Floats]]:
-    """Compute the areas of triangles, and means over them of coordinates and their products.
+def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
+    """Compute the areas of triangles, and the means of coordinates and their products over them.
 
     Parameters
     ----------
@@ -239,13 +243,13 @@ def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, list[Flo
     -------
     area : (n,) float array
         Areas, as fractions of the cell's area of 4.
-    mean : list of five (n,) float arrays
-        Means of X, Y, X^2, X Y and Y^2 over each triangle.
+    mean : (6, n) float array
+        Means of 1, X, Y, X^2, X Y and Y^2 over each triangle.
     """
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
-    mean = [coordinate.sum(axis=0) / 3 for coordinate in (x, y)]
+    mean = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
     # The mean of p q is (the sum of p_i q_i, plus the sum of p_i times the sum of q_i) / 12.
     for p, q in ((x, x), (x, y), (y, y)):
         mean.append(((p * q).sum(axis=0) + p.sum(axis=0) * q.sum(axis=0)) / 12)
-    return area, mean
+    return area, np.array(mean)

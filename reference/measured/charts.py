@@ -48,24 +48,23 @@ def run_chart_command(
     draw: Callable[[Sequence[Sequence[str]]], Any],
     texts: tuple[str, str],
 ) -> None:
-    """Run `python -m reference.NAME`: measure a table, store it as a CSV file, and draw its chart.
+    """Run a chart command: measure a table, store it as a CSV file, and draw its chart.
 
-    The option `--quick` measures fewer points and writes to the build folder.  The option
-    `--redraw` draws the stored table again without measuring.
+    The command is `python -m reference.NAME`.  With the option `--quick`, it measures fewer points
+    and writes to the build folder.  With `--redraw`, it draws the stored table without measuring.
 
     Parameters
     ----------
     name : str
         NAME of the module.  The table and the chart are written to NAME.csv and NAME.svg.
-    doc : str or None
-        The module's docstring, which describes the command in its help.
     columns : sequence of str
         Titles of the table's columns.
     measure : callable
-        Function that measures the rows of the table.  Its argument is True for a quick measurement.
+        Function that measures and yields the rows of the table.  Its argument is True for a quick
+        measurement.
     draw : callable
-        Function that draws the chart as a matplotlib Figure.  Its argument are the rows as they are
-        read from the CSV file.  They are rounded there, so `--redraw` draws the same chart.
+        Function that draws the chart as a matplotlib Figure.  Its argument is the list of rows as
+        read from the CSV file, where numbers are rounded, so that `--redraw` draws the same chart.
     texts : (str, str)
         The chart's title, and a note below the title.
     """

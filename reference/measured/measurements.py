@@ -1,4 +1,4 @@
-"""Measure times of tasks alternately, and store tables as CSV files with their origin."""
+"""Time tasks alternately, and store tables of results as CSV files with their origin."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MAX_WARM_UP_SECONDS = 0.1
 
 
 class Timing(NamedTuple):
-    """Seconds that a task took, in several rounds.
+    """The time that a task took, measured in several rounds.
 
     Attributes
     ----------
@@ -57,16 +57,16 @@ class Timing(NamedTuple):
         return middle if self.low == self.high else f"{middle} ({low}–{high})"
 
     def divided_by(self, count: int) -> Timing:
-        """Divide the times by the number of items of a task, to get seconds per item."""
+        """Divide the times by the number of items that the task processed: seconds per item."""
         return Timing(*(seconds / count for seconds in self))
 
 
 def time_interleaved(
     tasks: Mapping[_Name, Task], rounds: int, *, min_seconds: float = _MIN_TOTAL_SECONDS
 ) -> dict[_Name, Timing]:
-    """Time tasks alternately: a round runs each task once.
+    """Time tasks alternately: each round runs every task once.
 
-    If the machine is slower for a while, it is slower for all tasks alike.
+    If the machine is slower for a while, this affects all tasks alike.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def time_interleaved(
     rounds : int
         Minimum number of rounds.
     min_seconds : float
-        A task whose rounds have taken less than this together runs in more rounds: at most five
+        A task runs in more rounds until they have taken this long together, but in at most five
         times `rounds`.
 
     Returns
     -------
     timings : dict of names to Timing
-        Median, minimum and maximum of the times of each task.
+        Median, minimum and maximum of each task's times.
     """
     warm_up_seconds = {}
     for name, task in tasks.items():
@@ -104,11 +104,11 @@ def time_interleaved(
     return {name: Timing(median(t), min(t), max(t)) for name, t in times.items()}
 
 
-def command_task(command: Sequence[str]) -> Task:
-    """Make a task (a function to be timed) that runs a command in a new process, without output.
+def make_command_task(command: Sequence[str]) -> Task:
+    """Return a function that runs a command in a new process and discards its output, for timing.
 
-    In the process, Python may store compiled modules even if PYTHONDONTWRITEBYTECODE is set here.
-    So only the first run compiles the modules.
+    In the new process, Python may store compiled modules even if PYTHONDONTWRITEBYTECODE is set
+    here.  So only the first run compiles the modules.
 
     Parameters
     ----------
@@ -128,14 +128,14 @@ def command_task(command: Sequence[str]) -> Task:
 def write_csv(
     path: Path, origin: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write a table as a CSV file, with the origin of the numbers as a comment on the first line.
+    """Write a table as a CSV file, with its origin in a comment on the first line.
 
     Parameters
     ----------
     path : Path
         The file to write.
     origin : str
-        Where and when the table was measured.
+        When and where the table was measured, for example from `describe_origin`.
     columns : sequence of str
         Titles of the columns.
     rows : iterable of sequences
@@ -150,7 +150,7 @@ def write_csv(
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
-    """Read a table that `write_csv` has written.
+    """Read a CSV file written by `write_csv`.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
     Returns
     -------
     origin : str
-        Where and when the table was measured.
+        When and where the table was measured.
     rows : list of lists of str
         The rows, without the titles of the columns.
     """
@@ -170,20 +170,20 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 
 def describe_origin() -> str:
-    """Describe on one line the date, the commit, the processor, the system and the versions."""
+    """Describe when and where something is measured: date, commit, processor, system, versions."""
     povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
     system = [platform.system(), f"Python {platform.python_version()}", *versions]
-    machine = f"{_processor_name()} ({count_processors()} cores)"
+    machine = f"{_describe_processor()} ({count_processors()} cores)"
     today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     povray_version = povray[0] if povray else "no POV-Ray"
     return ", ".join([today, _describe_commit(), machine, *system, povray_version])
 
 
 def _describe_commit() -> str:
-    """Return "commit" and the hash of the current commit, with a "+" if a module was changed since.
+    """Return "commit" and the hash of the current commit, and a "+" if modules were changed since.
 
-    Return "no commit" if this folder is not in a Git repository.
+    Outside of a Git repository, return "no commit".
     """
     git = f"git -C {shlex.quote(str(HERE))}"
     status, commit = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
@@ -191,8 +191,8 @@ def _describe_commit() -> str:
     return "no commit" if status else f"commit {commit}{'+' * bool(changed_files)}"
 
 
-def _processor_name() -> str:
-    """Return the processor's model on Linux, and its architecture on other systems."""
+def _describe_processor() -> str:
+    """Return the model of the processor on Linux, or its architecture on other systems."""
     path = Path("/proc/cpuinfo")
     model = re.search(r"^model name\s*: (.*)", path.read_text() if path.exists() else "", re.M)
     return model[1] if model else platform.processor() or platform.machine()

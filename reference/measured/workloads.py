@@ -18,10 +18,10 @@ _SHADERS = (
 
 
 def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
-    """Make a scene of a floor and small objects that hover in front of the camera.
+    """Build a scene of a floor and small objects that hover in front of the camera.
 
-    Half of the objects are spheres and half are boxes; two lights shine on them.  Together they
-    cover about the same part of the picture for any number of objects.  The scene depends only on
+    Half of the objects are spheres and half are boxes, lit by two lights.  Together they cover
+    about the same part of the picture for any number of objects.  The scene depends only on
     `count`.
 
     Parameters
@@ -58,7 +58,7 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
 
 
 def field_scene(count: int) -> Scene:
-    """Make a scene of small objects above a floor, half of them spheres and half boxes.
+    """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast
     shadows on each other and on the floor.  The scene depends only on `count`.
@@ -93,15 +93,15 @@ def field_scene(count: int) -> Scene:
 
 
 def _lights(*positions: tuple[float, float, float]) -> list[PointLight]:
-    """Make one light of medium intensity at each position, a point (x, y, z)."""
+    """Make one light of medium intensity at each position (x, y, z)."""
     return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 
 
 def resize_picture(scene: Scene, width: int, height: int) -> Scene:
-    """Return a copy of a scene whose picture has another size and square pixels.
+    """Return a copy of a scene with another picture size and square pixels.
 
-    The height of the camera's window stays the same, so the picture shows more or less at its
-    sides.
+    The height of the camera's window stays the same.  Its width is adapted, so the picture shows
+    more or less at its left and right sides.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def resize_picture(scene: Scene, width: int, height: int) -> Scene:
     Returns
     -------
     resized : Scene
-        The scene with the new size.
+        The copy with the new size.
     """
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
     return replace(scene, width=width, height=height, camera=camera)

@@ -17,7 +17,9 @@ from random_scenes import random_scene
 from scene_files import NAMES, hard_scenes, scene_parameters
 
 from reference.command import SCENES
-from reference.judges.true_picture import render_supersampled, rmse, true_picture
+from reference.judges.certificate import certify
+from reference.judges.sampling import render_supersampled
+from reference.judges.sampling import root_mean_square_error as rmse
 from reference.measured.workloads import crowd
 from tracer import (
     Box,
@@ -59,7 +61,7 @@ def uniform_grid(scene: Scene, per_side: int) -> Floats:
 def reference_picture(scene: Scene) -> Floats:
     """Compute the mean radiance of pixels (height, width, 3): certified, or by a fine grid."""
     try:
-        certified = true_picture(scene, CERTIFIED_ERROR)
+        certified = certify(scene, CERTIFIED_ERROR)
     except ValueError:  # for example if the eye is on a surface
         return uniform_grid(scene, REFERENCE_SIDE)
     # If the window is extremely far from the eye, the certificate's bounds stay wide.
@@ -210,7 +212,7 @@ def test_every_pixel_that_a_terminator_crosses_is_found(slope, monkeypatch):
 def test_silhouettes_and_terminators_are_nearly_exact(name, improvement):
     # Both are computed in closed form, and so is the decrease of light towards them.
     scene = load_small(name)
-    truth = true_picture(scene, CERTIFIED_ERROR).image
+    truth = certify(scene, CERTIFIED_ERROR).image
     assert rmse(render(scene, 16), truth) <= rmse(uniform_grid(scene, 4), truth) / improvement
 
 
@@ -306,7 +308,7 @@ def test_hard_scenes_are_no_worse_than_the_uniform_grid(hard):
 @pytest.mark.parametrize("hard", hard_scenes("largest error"))
 def test_nearly_exact(hard):
     scene, largest_error = hard.scene, float(hard.fields["largest error"])
-    truth = true_picture(scene, 1 / 16384)
+    truth = certify(scene, 1 / 16384)
     assert truth.image.max() > 50 * largest_error
     assert truth.error.max() <= largest_error
     for samples in hard.samples:

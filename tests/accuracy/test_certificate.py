@@ -7,8 +7,7 @@ the bounds on means.
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import chain, product
-from pathlib import Path
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -16,17 +15,14 @@ from probe import Vector, scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import small_scene
 
-import reference.judges
-from reference import command
-from reference.judges import cell_forms, certificate, forms
-from reference.judges import true_picture as truth
+from reference.judges import certificate, enclosed_cells
 from reference.judges.arrays import Floats, Ints, find_sorted
-from reference.judges.cell_forms import CellForms, Contributions
-from reference.judges.certificate import MAX_AREA_BEYOND, Enclosure, certify
+from reference.judges.certificate import CellEstimates, certify
+from reference.judges.enclosed_cells import Contributions, EnclosedCells
+from reference.judges.enclosures import CONSTANT, RADIUS, UNKNOWN, Enclosures
 from reference.judges.faces import Faces
-from reference.judges.forms import Form, R, Z
 from reference.judges.regions import Strips, divide_into_regions
-from reference.judges.true_picture import render_supersampled, true_picture
+from reference.judges.sampling import render_supersampled, root_mean_square_error
 from reference.measured.workloads import crowd, resize_picture
 from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import radiance_at
@@ -43,7 +39,7 @@ class SampledPoints:
     Attributes
     ----------
     max_excess : float
-        Maximum excess of a sample over its bound.  The bound is the sum of the form's radius, the
+        Maximum excess of a sample over its bound.  The bound is the sum of the radius, the
         region's doubt, and the jumps of all strips that contain the point.
     count : int
         Number of samples.
@@ -51,49 +47,51 @@ class SampledPoints:
 
     def __init__(self, monkeypatch: Patch) -> None:
         self.max_excess, self.count, self.rng = -np.inf, 0, np.random.default_rng(0)
-        shade, enclose = CellForms.shade, certificate.enclose
+        shade, estimate_means = EnclosedCells.shade, certificate.estimate_means
 
-        def checked_shade(forms: CellForms, *args: object) -> Contributions:
-            contributions, cells = shade(forms, *args), forms.cells
+        def checked_shade(enclosed: EnclosedCells, *args: object) -> Contributions:
+            contributions, cells = shade(enclosed, *args), enclosed.cells
             is_alone = np.bincount(cells.pair_cell, minlength=cells.x.size)[cells.pair_cell] == 1
             pair = np.flatnonzero(is_alone & cells.covers_cell & cells.is_settled.all(axis=1))
             for _ in range(4):
-                self.compare(cells.radiance[pair], *self.sample(forms, cells.pair_cell[pair]))
+                self.compare(cells.radiance[pair], *self.sample(enclosed, cells.pair_cell[pair]))
             return contributions
 
-        def checked_enclose(forms: CellForms, *args: object) -> Enclosure:
-            result = enclose(forms, *args)
+        def checked_estimate(enclosed: EnclosedCells, *args: object) -> CellEstimates:
+            result = estimate_means(enclosed, *args)
             for _ in range(4):
-                self.check(forms, result)
+                self.check(enclosed, result)
             return result
 
-        monkeypatch.setattr(CellForms, "shade", checked_shade)
-        monkeypatch.setattr(certificate, "enclose", checked_enclose)
+        monkeypatch.setattr(EnclosedCells, "shade", checked_shade)
+        monkeypatch.setattr(certificate, "estimate_means", checked_estimate)
 
-    def sample(self, forms: CellForms, cell: Ints) -> tuple[Floats, Floats, Floats]:
+    def sample(self, enclosed: EnclosedCells, cell: Ints) -> tuple[Floats, Floats, Floats]:
         """Return the radiance (3, n) at random points of cells, and their X and Y in the cells."""
         x, y = self.rng.uniform(-1, 1, (2, cell.size))
-        half, radiance = forms.cells.width / 2, np.empty((3, cell.size))
+        half, radiance = enclosed.cells.width / 2, np.empty((3, cell.size))
         samples, order = Scattered.from_positions(
-            forms.cells.x[cell] + half * x, forms.cells.y[cell] + half * y
+            enclosed.cells.x[cell] + half * x, enclosed.cells.y[cell] + half * y
         )
-        radiance[:, order] = radiance_at(forms.faces.prepared, samples)
+        radiance[:, order] = radiance_at(enclosed.faces.prepared, samples)
         self.count += cell.size
         return radiance, x, y
 
-    def compare(self, form: Form, radiance: Floats, x: Floats, y: Floats, more: float = 0) -> None:
-        """Compare samples with forms, which may be exceeded by `more`."""
+    def compare(
+        self, enclosures: Enclosures, radiance: Floats, x: Floats, y: Floats, more: float = 0
+    ) -> None:
+        """Compare samples with enclosures, which may be exceeded by `more`."""
         powers = np.array([np.ones(x.size), x, y, x * x, x * y, y * y])
-        value = (form.coef[:Z] * powers[:, None]).sum(axis=0)
-        excess = np.abs(radiance - value) - form.radius - more
+        value = (enclosures.coef[:UNKNOWN] * powers[:, None]).sum(axis=0)
+        excess = np.abs(radiance - value) - enclosures.radius - more
         self.max_excess = excess.max(initial=self.max_excess)
 
-    def check(self, forms: CellForms, result: Enclosure) -> None:
+    def check(self, enclosed: EnclosedCells, result: CellEstimates) -> None:
         """Compare one sample of each cell with the enclosure of its region."""
-        lines, regions, n = result.lines, result.regions, forms.cells.x.size
-        radiance, x, y = self.sample(forms, np.arange(n))
+        lines, regions, n = result.lines, result.regions, enclosed.cells.x.size
+        radiance, x, y = self.sample(enclosed, np.arange(n))
         first_line = lines.cell.searchsorted(np.arange(n + 1))
-        signs, allowed = np.zeros(n, dtype=int), result.loose_jump.copy()
+        signs, allowed = np.zeros(n, dtype=int), np.zeros(n)
         for bit in range(int(np.diff(first_line).max(initial=0))):
             cell = np.flatnonzero(first_line[:-1] + bit < first_line[1:])
             line = first_line[cell] + bit
@@ -103,8 +101,8 @@ class SampledPoints:
         # Regions are sorted by cell and signs; very small ones may be missing.
         region = find_sorted(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
         cell = np.flatnonzero(region >= 0)
-        form, more = result.radiance[region[cell]], result.doubt[region[cell]] + allowed[cell]
-        self.compare(form, radiance[:, cell], x[cell], y[cell], more)
+        enclosures, more = result.radiance[region[cell]], result.doubt[region[cell]] + allowed[cell]
+        self.compare(enclosures, radiance[:, cell], x[cell], y[cell], more)
         self.max_excess = (radiance - result.max_radiance).max(initial=self.max_excess)
         # The error of a cell includes the worst case in its strips.
         strip_error = np.bincount(lines.cell, lines.area * lines.jump, n)
@@ -168,17 +166,17 @@ def scaled(name: str, factor: float) -> Callable[..., Strips]:
     return lambda strips, *_: strips._replace(**{name: getattr(strips, name) * factor})
 
 
-def narrower(form: Form, *_: object) -> Form:
-    form.coef[R] *= 0.7
-    return form
+def narrower(enclosures: Enclosures, *_: object) -> Enclosures:
+    enclosures.coef[RADIUS] *= 0.7
+    return enclosures
 
 
-def with_narrower_cones(result: tuple[Form, Floats], *_: object) -> tuple[Form, Floats]:
-    result[0].coef[forms.C] -= 1e-4 * np.abs(result[0].coef[forms.C])
+def with_narrower_cones(result: tuple[Enclosures, Floats], *_: object) -> tuple[Enclosures, Floats]:
+    result[0].coef[CONSTANT] -= 1e-4 * np.abs(result[0].coef[CONSTANT])
     return result
 
 
-def without_last_edges(_: object, self: CellForms) -> None:
+def without_last_edges(_: object, self: EnclosedCells) -> None:
     del self._edges[-1]
 
 
@@ -190,21 +188,21 @@ def without_third_occluders(triples: Ints, *_: object) -> Ints:
     return triples[:, np.arange(triples.shape[1]) % 3 > 0]
 
 
-def lower(form: Form, *_: object) -> Form:
-    return Form(form.coef - 0.3 * np.abs(form.coef[:1]))
+def lower(enclosures: Enclosures, *_: object) -> Enclosures:
+    return Enclosures(enclosures.coef - 0.3 * np.abs(enclosures.coef[:1]))
 
 
 BROKEN: dict[str, tuple[object, str, Callable[..., object]]] = {
-    "narrow powers": (Form, "power", narrower),
-    "narrow products": (Form, "__mul__", narrower),
+    "narrow powers": (Enclosures, "power", narrower),
+    "narrow products": (Enclosures, "__mul__", narrower),
     "narrow strips": (certificate, "enclose_in_strips", scaled("half_width", 0.5)),
     "small jumps": (certificate, "enclose_in_strips", scaled("jump", 0.7)),
-    "narrow cones": (cell_forms, "_cone_function", with_narrower_cones),
+    "narrow cones": (enclosed_cells, "_cone_function", with_narrower_cones),
     "planes of shadows missing": (Faces, "_set_shadow_volumes", without_cone_planes),
-    "no terminators": (CellForms, "_find_terminators", without_last_edges),
-    "no intersections": (CellForms, "_find_intersections", without_last_edges),
+    "no terminators": (EnclosedCells, "_find_terminators", without_last_edges),
+    "no intersections": (EnclosedCells, "_find_intersections", without_last_edges),
     "occluders missing": (Faces, "find_occluders", without_third_occluders),
-    "faces hidden too early": (cell_forms, "difference_form", lower),
+    "faces hidden too early": (Enclosures, "subtract_independent", lower),
 }
 """Functions of the certificate, each with a change to its results that makes bounds unsound."""
 
@@ -217,23 +215,6 @@ def test_unsound_bounds_are_detected(name: str, monkeypatch: Patch) -> None:
     own = (small_scene(name) for name in ("room", "highlights", "touching", "sticks-perspective"))
     with pytest.raises((AssertionError, RuntimeError), match=r"contradicts|<= 1e-09"):
         check_points(monkeypatch, chain(own, scenes(HARD, range(40))), 1 / 128)
-
-
-def test_the_area_that_a_line_cuts_off_beyond_the_centroid() -> None:
-    """No line exceeds the bound of Winternitz's theorem, and a line through a triangle attains it.
-
-    A first line divides a cell into two convex regions, which may be triangles.  A second line goes
-    through the centroid of one of them.
-    """
-    worst = 0.0
-    for slope, angle in product((-1.0, 0.0, 0.7), np.linspace(0, np.pi, 64)):
-        first, a, b = np.array([slope, 1, slope]), np.cos(angle), np.sin(angle)
-        regions = divide_into_regions(strips_of(first), 1)
-        for sign, x, y in zip(regions.signs, *regions.mean[1:3], strict=True):
-            parts = divide_into_regions(strips_of(first, np.array([a, b, -a * x - b * y])), 1)
-            areas = parts.area[parts.signs & 1 == sign]
-            worst = max(worst, areas.max() / areas.sum())
-    assert MAX_AREA_BEYOND - 1e-3 < worst <= MAX_AREA_BEYOND + 1e-9
 
 
 def test_a_region_is_doubtful_if_its_centroid_is_in_a_strip() -> None:
@@ -250,27 +231,6 @@ def strips_of(*lines: Floats) -> Strips:
     return Strips(np.zeros(a.size, dtype=np.intp), a, b, c, 0 * a, 0 * a)
 
 
-def test_means_of_cells_with_loose_edges(monkeypatch: Patch) -> None:
-    side, excess, enclose = 32, [], certificate.enclose
-    y, x = ((m.ravel() + 0.5) / side * 2 - 1 for m in np.indices((side, side)))
-
-    def checked(forms: CellForms, *args: object) -> Enclosure:
-        result, half = enclose(forms, *args), forms.cells.width / 2
-        for cell in np.flatnonzero(result.loose_jump)[:20]:
-            center_x, center_y = forms.cells.x[cell], forms.cells.y[cell]
-            samples, _ = Scattered.from_positions(center_x + half * x, center_y + half * y)
-            mean = radiance_at(forms.faces.prepared, samples).mean(axis=1)
-            excess.append(np.abs(mean - result.mean[:, cell]).max() - result.error[cell])
-        return result
-
-    monkeypatch.setattr(certificate, "enclose", checked)
-    monkeypatch.setattr(certificate, "_MAX_LINES", 0)
-    for name in ("room", "sticks-perspective", "touching"):
-        certify(small_scene(name), 1 / 4)
-    assert len(excess) > 100
-    assert max(excess) <= 1 / side
-
-
 @pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
 def test_means(name: str) -> None:
     scene = small_scene(name, 24, 14)
@@ -279,7 +239,7 @@ def test_means(name: str) -> None:
     assert (certified.low <= certified.image).all()
     assert (certified.image <= certified.high).all()
     assert np.abs(certified.image - sampled).max() < 0.01
-    assert truth.rmse(certified.image, sampled) < 1e-3
+    assert root_mean_square_error(certified.image, sampled) < 1e-3
 
 
 @np.errstate(all="ignore")
@@ -335,15 +295,6 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
         assert finer_difference < difference[row, column] / 5
 
 
-def test_codes() -> None:
-    scene = small_scene("room")
-    codes_only, accurate = certify(scene, 1 / 8192, codes=True), certify(scene, 1 / 65536)
-    assert codes_only.cell_count < accurate.cell_count
-    assert codes_only.is_certain.mean() > 0.9
-    both = codes_only.is_certain & accurate.is_certain
-    np.testing.assert_array_equal(codes_only.codes[both], accurate.codes[both])
-
-
 def test_scenes_and_errors_that_cannot_be_certified() -> None:
     scene = scene_of(Sphere(center=(0, 0, -1), radius=1), size=(4, 4), lights=(1, 2, 3))
     distant = scene_of(Sphere(center=(0, 0, -5)), size=(4, 4), lights=(1e15, 0, 0))
@@ -357,38 +308,8 @@ def test_scenes_and_errors_that_cannot_be_certified() -> None:
             certify(scene, error)
 
 
-def test_supersampling_in_strips_gives_the_same_picture(monkeypatch: Patch) -> None:
+def test_supersampling_averages_pictures_with_shifted_samples() -> None:
     scene, offsets = small_scene("sticks-perspective", 16, 9), np.arange(-3, 4, 2) / 8
     expected = np.mean([render(scene, offset=(x, y)) for x in offsets for y in offsets], axis=0)
-    for samples in (truth._SAMPLES_PER_STRIP, 4 * 4 * 16 * 2):
-        monkeypatch.setattr(truth, "_SAMPLES_PER_STRIP", samples)
-        # The same rays, except for the last bit, which changes no visible surface here.
-        np.testing.assert_allclose(render_supersampled(scene, 4), expected, rtol=0, atol=1e-12)
-
-
-def test_true_pictures_are_stored_by_scene_error_and_code(
-    monkeypatch: Patch, tmp_path: Path
-) -> None:
-    scene = small_scene("sticks-perspective", 16, 9)
-    monkeypatch.setattr(command, "BUILD", tmp_path / "build")
-    first = true_picture(scene, 1 / 64)
-    monkeypatch.setattr(truth, "certify", None)
-    stored = true_picture(scene, 1 / 64)
-    for name in ("low", "high", "image", "cell_count"):
-        np.testing.assert_array_equal(getattr(stored, name), getattr(first, name))
-    for other in ((scene, 1 / 128), (small_scene("room", 16, 9), 1 / 64)):
-        with pytest.raises(TypeError):
-            true_picture(*other)
-    # A change to any module of the reference makes stored certificates obsolete.
-    module = tmp_path / "judges" / "deep" / "module.py"
-    module.parent.mkdir(parents=True)
-    monkeypatch.setattr(reference.judges, "__path__", [str(tmp_path / "judges")])
-    hashes = []
-    for text in ("a = 1", "a = 2"):
-        module.write_text(text)
-        truth._code_hash.cache_clear()
-        hashes.append(truth._code_hash())
-        with pytest.raises(TypeError):
-            true_picture(scene, 1 / 64)
-    assert hashes[0] != hashes[1]
-    truth._code_hash.cache_clear()
+    # The same rays, except for the last bit, which changes no visible surface here.
+    np.testing.assert_allclose(render_supersampled(scene, 4), expected, rtol=0, atol=1e-12)

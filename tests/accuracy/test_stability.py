@@ -12,7 +12,7 @@ from tracer import render
 
 
 @pytest.mark.parametrize(
-    ("spheres", "arithmetic", "distances", "power"),
+    ("sphere_method", "arithmetic", "distances", "power"),
     [
         ("textbook", "float64", 10.0 ** np.arange(2, 6.6, 0.5), 2),
         ("closest", "float64", 10.0 ** np.arange(2, 6.6, 0.5), 1),
@@ -20,11 +20,13 @@ from tracer import render
         ("closest", "float32", 10.0 ** np.arange(1, 5.1, 0.5), 1),
     ],
 )
-def test_error_grows_with_distance_as_eps_times_its_power(spheres, arithmetic, distances, power):
+def test_error_grows_with_distance_as_eps_times_its_power(
+    sphere_method, arithmetic, distances, power
+):
     errors = []
     for distance in distances.tolist():
         scene = stability.distant_sphere(distance)
-        image = plain.render(scene, arithmetic=arithmetic, spheres=spheres)
+        image = plain.render(scene, arithmetic=arithmetic, sphere_method=sphere_method)
         errors.append(stability.largest_error(image, plain.render(scene, arithmetic="decimal")))
     slope = np.polyfit(np.log(distances), np.log(errors), 1)[0]
     # Rounding errors are almost random, so a fit over a few decades is accurate to one third.

@@ -38,7 +38,7 @@ def test_a_picture_is_written_and_described(capsys):
     assert certain == f"{count} of 576 pixels have certain codes, {count / 576:.2%}"
     assert last.startswith(f"room.xml.certified.png: {certificate.cell_count} cells in ")
     with Image.open("room.xml.certified.png") as picture:
-        np.testing.assert_array_equal(np.asarray(picture), certificate.codes)
+        np.testing.assert_array_equal(np.asarray(picture), to_codes(certificate.image))
 
 
 @pytest.mark.usefixtures("room")
@@ -58,26 +58,23 @@ def test_codes_that_are_certainly_wrong_are_counted(capsys):
 
 
 @pytest.mark.usefixtures("room")
-def test_certain_codes_may_replace_the_permitted_error(capsys, monkeypatch):
+def test_pixels_that_exceed_the_permitted_error_are_counted(capsys, monkeypatch):
     # Both pixels have wide bounds, and the codes of the first are certain nevertheless.
     low, high = (np.array([[[first] * 3, [second] * 3]]) for first, second in BOUNDS)
-    calls = list[tuple[float, bool]]()
+    errors = list[float]()
 
-    def certify(_scene: object, error: float, *, codes: bool, **_: object) -> Certificate:
-        calls.append((error, codes))
+    def certify(_scene: object, error: float, _progress: object) -> Certificate:
+        errors.append(error)
         return Certificate(low, high, low, 7)
 
     monkeypatch.setattr("reference.certify.certify", certify)
-    for options, call, exceeding in (
-        ((), (1 / 128, False), 1),
-        (("--error", "1/65536"), (1 / 65536, False), 2),
-        (("--codes",), (1 / 65536, True), 1),
-    ):
+    for options, error, count in (((), 1 / 128, 1), (("--error", "1/65536"), 1 / 65536, 2)):
         _, lines = run(capsys, "room.xml", *options)
-        assert calls[-1] == call
+        assert errors[-1] == error
         assert lines[1] == "1 of 2 pixels have certain codes, 50.00%"
-        count = f"{exceeding} pixels exceed the permitted error"
-        assert lines[2] == f"{count}: edges touch each other there"
+        assert (
+            lines[2] == f"{count} pixels exceed the permitted error: edges touch each other there"
+        )
 
 
 def test_codes_within_the_bounds_are_not_wrong():

@@ -203,7 +203,7 @@ def test_lights_that_are_lacking_are_named() -> None:
 def test_speckles_and_single_precision() -> None:
     """Shadow rays without an epsilon give dots; rows that are not written are no dots."""
     for arithmetic in ("float64", "float32"):
-        speckled = to_codes(plain.render(scene("room"), shadows="t>0", arithmetic=arithmetic))
+        speckled = to_codes(plain.render(scene("room"), shadow_method="t>0", arithmetic=arithmetic))
         assert solution("room").diagnose(Picture(speckled)).kind == "shadow-speckles"
     for name, dark in (("room", np.s_[:, ::7]), ("highlights", np.s_[:70, :80])):
         codes = solution(name).codes.copy()

@@ -10,7 +10,8 @@ from scene_files import small_scene
 
 from converters.variant import LLVM, use_variant
 from reference import benchmark, command, speed_accuracy
-from reference.judges.true_picture import rmse, true_picture
+from reference.judges.certificate import certify
+from reference.judges.sampling import root_mean_square_error
 from reference.measured import measurements
 from reference.measured.measurements import Task, Timing
 from tracer import render
@@ -99,7 +100,7 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "BUILD", tmp_path)
     monkeypatch.setattr(measurements, "_MAX_ROUNDS_FACTOR", 1)
     scene = small_scene("four-spheres", 32, 18)
-    monkeypatch.setattr(speed_accuracy, "_scenes_to_measure", lambda quick: {"small": scene})
+    monkeypatch.setattr(speed_accuracy, "_load_scenes", lambda quick: {"small": scene})
     monkeypatch.setattr(sys, "argv", ["speed_accuracy", "--quick"])
     if use_variant().variant != LLVM:
         with pytest.raises(ImportError, match=LLVM):
@@ -111,8 +112,9 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     # With 144 samples, the error may be smaller than that of the reference picture.
     assert sorted(ours)[:5] == [1, 4, 9, 16, 36]
     assert ours[1] > ours[4] > ours[9] >= ours[16] >= ours[36]
-    reference_image = true_picture(scene, 1 / 1024).image
-    assert ours[9] == pytest.approx(rmse(render(scene, 9), reference_image), rel=1e-5)
+    reference_image = certify(scene, 1 / 1024).image
+    error = root_mean_square_error(render(scene, 9), reference_image)
+    assert ours[9] == pytest.approx(error, rel=1e-5)
     certified = {int(row[2]): float(row[3]) for row in rows if row[1].endswith("certified")}
     assert sorted(certified) == [8, 32, 128]
     assert certified[8] > certified[32] > certified[128]

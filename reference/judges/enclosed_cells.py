@@ -8,9 +8,9 @@ all of a cell decides a question for this cell.  Otherwise the cell contains an 
 
 On a face, every edge function has the form u + v s.  Here u and v are polynomials of degree two, or
 less, in the ray's direction, and s is the root in the inverse distance (see `faces`; s = 0 on
-rectangles).  Forms (see `forms`) enclose u, v and s, and so the function.  Near a silhouette, where
-s has an infinite slope, the polynomial u^2 - v^2 s^2 is a better edge function: it contains s^2
-only, and is zero wherever u + v s is.
+rectangles).  Polynomials with error bounds (see `enclosures`) enclose u, v and s, and so the
+function.  Near a silhouette, where s has an infinite slope, the polynomial u^2 - v^2 s^2 is a
+better edge function: it contains s^2 only, and is zero wherever u + v s is.
 
 Why the result is right: a question counts as decided only if the enclosure of its function has one
 sign, and every other function is listed as an edge.
@@ -31,11 +31,12 @@ import numpy as np
 
 from reference.judges.arrays import Bools, Floats, Ints, add_at_sorted_index, list_segment_elements
 from reference.judges.cells import MAX_WIDTH, Cells
+from reference.judges.enclosures import CONSTANT, RADIUS, ROUNDING, UNKNOWN, X_SQUARED, Enclosures
 from reference.judges.faces import Faces
-from reference.judges.forms import ROUNDING, XX, C, Form, R, X, Y, Z, constant_form, difference_form
+from reference.judges.vectors import cross_product, squared_length
 
-# |l + v|^2 of two unit vectors, and squared distances, are positive.  Their enclosures are cut off
-# here before they are raised to a negative power.
+# Squared distances and |l + v|^2 of two unit vectors are positive.  Lower bounds on them are raised
+# to this number, before a negative power is computed.
 _MIN_SQUARE = 1e-300
 
 
@@ -48,17 +49,17 @@ class Contributions(NamedTuple):
     ----------
     pair, light : (n,) int arrays
         Indices of the pair and of the light of each contribution.
-    radiance : Form
+    radiance : Enclosures
         Enclosures (8, 3, n) of the radiance that the face reflects to the eye at points that the
-        light reaches.  The first axis holds the eight coefficients of a form (a polynomial with an
-        error bound), the second the three channels.
+        light reaches.  The first axis holds the coefficients of a polynomial and its error bound,
+        the second axis holds the three channels.
     """
 
     pair: Ints
     light: Ints
-    radiance: Form
+    radiance: Enclosures
 
-    def take(self, kept: Bools) -> Contributions:
+    def select(self, kept: Bools) -> Contributions:
         """Copy the contributions that a mask (n,) selects."""
         return Contributions(self.pair[kept], self.light[kept], self.radiance[kept])
 
@@ -74,137 +75,69 @@ class _Condition(NamedTuple):
     ----------
     question : (n,) int array
         Indices of the questions.
-    u, v : Form, and Form or (n,) float array
-        The coefficients u and v of each function.  A Form encloses them by polynomials; an array
-        holds values that are constant in the cell.
+    u, v : Enclosures, and Enclosures or (n,) float array
+        The coefficients u and v of each function.  An array holds values of v that are constant in
+        the cell.
     is_edge : bool, or (n,) bool array
         Whether the picture may have an edge where the function is zero.
     """
 
     question: Ints
-    u: Form
-    v: Form | Floats
+    u: Enclosures
+    v: Enclosures | Floats
     is_edge: Bools | bool
 
 
-class _Edges(NamedTuple):
-    """n edge functions u + v s: the picture may have an edge where one of them is zero.
-
-    Each function belongs to a pair (one face in one cell).  A camera ray with direction d meets the
-    face at the distance t, where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for
-    planes.
-
-    Attributes
-    ----------
-    pair : (n,) int array
-        Index of each function's pair.
-    light : (n,) int array
-        Index of the light whose radiance changes at the edge, or -1 if all radiance changes.
-    u, v : Form
-        Enclosures (8, n) of the coefficients u and v.
-    """
-
-    pair: Ints
-    light: Ints
-    u: Form
-    v: Form
-
-    def take(self, index: Ints) -> _Edges:
-        """Copy the edge functions that have the given indices (k,)."""
-        return _Edges(self.pair[index], self.light[index], self.u[index], self.v[index])
-
-
-def _squared_length(vector: Floats) -> Floats:
-    """Compute the squared lengths of n vectors that depend linearly on the coordinates X and Y.
-
-    Parameters
-    ----------
-    vector : (3, 3, n) float array
-        The first axis holds the vector's components, the second each component's coefficients of
-        1, X and Y.
-
-    Returns
-    -------
-    square : (6, n) float array
-        The squared length as a polynomial: coefficients of 1, X, Y, X^2, X Y and Y^2.
-    """
-    constant, x, y = vector.swapaxes(0, 1)
-    products = ((constant, constant), (constant, x), (constant, y), (x, x), (x, y), (y, y))
-    return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in products])
-
-
-def _cross_product(c: Floats, vector: Floats) -> Floats:
-    """Compute n cross products c x q, where q is a linear function of coordinates, or constant.
-
-    Parameters
-    ----------
-    c : (3, n) float array
-        The constant vectors c.
-    vector : (3, k, n) float array
-        The vectors q.  The first axis holds the components, the second the k coefficients of each
-        component, for example those of 1, X and Y.
-
-    Returns
-    -------
-    product : (3, k, n) float array
-        The cross products, with the axes of `vector`.
-    """
-    return np.array([c[i - 2] * vector[i - 1] - c[i - 1] * vector[i - 2] for i in range(3)])
-
-
 def _cone_function(
-    c: Floats, r: Floats, q: Floats, q_size: Floats, w: Floats, w_size: Floats
-) -> tuple[Form, Floats]:
+    center: Floats, radius: Floats, vectors: tuple[Floats, Floats], shifted: tuple[Floats, Floats]
+) -> tuple[Enclosures, Floats]:
     """Enclose r^2 |q|^2 - |c x q|^2, which is positive at points inside the cone of a sphere.
 
-    The (double) cone consists of all lines through an apex that meet the sphere.  The vectors q
-    and w depend linearly on the position (X, Y) in a cell of the picture.
+    The (double) cone consists of all lines through an apex that meet the sphere.  Here r is the
+    sphere's radius, and c and q are the vectors from the apex to the sphere's centre and to the
+    tested point.  The vectors q depend linearly on the position (X, Y) in a cell of the picture.
 
     Parameters
     ----------
-    c, r : (3, n) and (n,) float arrays
-        c: vectors from the apex to the sphere's centre.  r: the sphere's radius.
-    q : (3, 3, n) float array
-        Vectors from the apex to the tested point.  The first axis holds the components, the second
-        each component's coefficients of 1, X and Y.
-    q_size : (n,) float array
-        Upper bound on the absolute values of the terms whose sum is q.  It bounds the rounding
-        error of q.
-    w : (3, 3, n) float array
-        The vectors q plus multiples of c, so that c x w = c x q.  The cross product is computed
-        from w.  The caller chooses the multiples such that the rounding error is small.
-    w_size : (n,) float array
-        For w, the same bound as `q_size` for q.
+    center, radius : (3, n) and (n,) float arrays
+        The vectors c and the radii r.
+    vectors : (3, 3, n) and (n,) float arrays
+        The vectors q, and upper bounds on the absolute values of the terms whose sum is q, for
+        rounding errors.  The first axis of q holds the components, the second each component's
+        coefficients of 1, X and Y.
+    shifted : (3, 3, n) and (n,) float arrays
+        The vectors q plus multiples of c, which have the same cross product with c, and the same
+        bounds for them.  The caller chooses the multiples such that the rounding error of the cross
+        product is small.
 
     Returns
     -------
-    cone : Form
-        Enclosures (8, n) of the function: in rows 0 to 5 the coefficients of 1, X, Y, X^2, X Y and
-        Y^2, in row 6 zeros, in row 7 (R) a bound on the rounding errors.
+    cone : Enclosures
+        Enclosures (8, n) of the function.
     cross_product : (3, 3, n) float array
-        c x w, with the axes of w.
+        c x q.  The axes are those of q.
     """
-    cross_product, coef = _cross_product(c, w), np.zeros((8, c.shape[1]))
-    coef[:Z] = r * r * _squared_length(q) - _squared_length(cross_product)
-    c_squared = (c * c).sum(axis=0)
-    q_error = r * r * q_size * np.abs(q).sum(axis=(0, 1))
-    coef[R] = q_error + c_squared * w_size * np.abs(w).sum(axis=(0, 1))
-    coef[R] *= 8 * ROUNDING
-    return Form(coef), cross_product
+    (q, q_size), (w, w_size) = vectors, shifted
+    product, coef = cross_product(center, w), np.zeros((8, center.shape[1]))
+    coef[:UNKNOWN] = radius * radius * squared_length(q) - squared_length(product)
+    error = radius * radius * q_size * np.abs(q).sum(axis=(0, 1))
+    error += (center * center).sum(axis=0) * w_size * np.abs(w).sum(axis=(0, 1))
+    coef[RADIUS] = 8 * ROUNDING * error
+    return Enclosures(coef), product
 
 
-class CellForms:
-    """Inverse distances, edge functions, and radiance in cells of the picture, enclosed by forms.
+class EnclosedCells:
+    """Inverse distances, edge functions, and radiance in cells of the picture, with error bounds.
 
     A pair is one face (a sphere, or a side of a box) that may be visible in one cell (a square part
     of the picture).  A camera ray with direction d meets the face at the distance t, where
     1 / t = k.d + s.  Here k is a constant vector of the face, and s is the square-root term, which
     is 0 for planes.
 
-    A form encloses a quantity everywhere in a cell by a quadratic polynomial in the coordinates X
-    and Y, which run from -1 to 1 in the cell.  Its array (8, n) holds in rows 0 to 5 the
-    coefficients of 1, X, Y, X^2, X Y and Y^2, in row 6 the coefficient of an unknown Z from -1 to
-    1, and in row 7 (the radius R) an error bound.
+    A quantity is enclosed everywhere in a cell by a quadratic polynomial in the coordinates X and
+    Y, which run from -1 to 1 in the cell.  Its array (8, n) holds in rows 0 to 5 the coefficients
+    of 1, X, Y, X^2, X Y and Y^2, in row 6 the coefficient of an unknown Z from -1 to 1, and in row
+    7 (RADIUS) an error bound.
 
     Attributes
     ----------
@@ -212,11 +145,11 @@ class CellForms:
         The spheres and the sides of boxes in the scene.
     cells : Cells
         The cells, without pairs and triples that proved to be irrelevant.
-    square : Form
+    squared_direction : Enclosures
         Enclosures (8, c) of d^2, the squared length of the ray directions, one for each cell.
-    inverse : Form
-        Enclosures (8, p) of the inverse distance 1 / t, one for each pair.
-    root2, root : Form
+    inverse_distance : Enclosures
+        Enclosures (8, p) of 1 / t, one for each pair.
+    squared_root_term, root_term : Enclosures
         Enclosures (8, p) of s^2 and of s, one for each pair.  The unknown Z of s is the same as
         that of 1 / t.
     """
@@ -237,64 +170,48 @@ class CellForms:
             pairs and triples are removed, and in which more lights are settled.
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
-        # Coordinates of the cells' centres in the window, and half of their sizes.
-        self._right, self._down = frame.ray_right(cells.x), frame.ray_down(cells.y)
-        self._half_right = 0.5 * cells.width * frame.pixel_width
-        self._half_down = 0.5 * cells.width * frame.pixel_height
+        # Directions of camera rays as functions of the position in each cell.  The first axis holds
+        # the components (to the right, down, ahead), the second the coefficients of 1, X and Y.
+        self._rays = rays = np.zeros((3, 3, cells.x.size))
+        rays[:2, 0], rays[2, 0] = (frame.ray_right(cells.x), frame.ray_down(cells.y)), frame.depth
+        pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
+        rays[0, 1], rays[1, 2] = self._half_size = cells.width / 2 * pixel_size
         coef = np.zeros((8, cells.x.size))
-        coef[:Z] = _squared_length(self._ray_directions(np.arange(cells.x.size)))
-        coef[R] = ROUNDING * coef[C]
-        self.square, self._edges = Form(coef), list[_Edges]()
+        coef[:UNKNOWN] = squared_length(rays)
+        coef[RADIUS] = ROUNDING * coef[CONSTANT]
+        self.squared_direction = Enclosures(coef)
+        # Pairs, lights (or -1) and enclosures of edge functions.
+        self._edges: list[tuple[Ints, Ints, Enclosures]] = []
         self._find_surfaces()
         self._find_terminators()
         self._find_shadows()
         if cells.width <= 1:
             self._find_intersections()
 
-    def _ray_directions(self, cell: Ints) -> Floats:
-        """Express the directions of camera rays as linear functions of the position in a cell.
+    def _dot_with_rays(self, vectors: Floats, cell: Ints) -> Enclosures:
+        """Enclose the dot products of constant vectors with the directions of rays through cells.
 
         Parameters
         ----------
-        cell : (n,) int array
-            Indices of cells.  The coordinates X and Y run from -1 to 1 in each cell.
-
-        Returns
-        -------
-        rays : (3, 3, n) float array
-            The first axis holds the components of the direction (to the right, down, ahead), the
-            second each component's coefficients of 1, X and Y.
-        """
-        rays = np.zeros((3, 3, cell.size))
-        rays[:, 0] = self._right[cell], self._down[cell], np.full(cell.size, self.faces.frame.depth)
-        rays[0, 1], rays[1, 2] = self._half_right, self._half_down
-        return rays
-
-    def _dot_with_rays(self, k: Floats, cell: Ints) -> Form:
-        """Enclose k.d, where k is a constant vector and d the direction of any ray through a cell.
-
-        Parameters
-        ----------
-        k : (3, n) float array
-            The vectors k, in the camera's axes (to the right, down, ahead).
+        vectors : (3, n) float array
+            The constant vectors, in the camera's axes (to the right, down, ahead).
         cell : (n,) int array
             For each vector, the index of the cell.
 
         Returns
         -------
-        product : Form
+        product : Enclosures
             Enclosures (8, n) of the dot products, which are linear in the position (X, Y) in the
-            cell.  Rows 0 to 2 (C, X, Y) hold the coefficients of 1, X and Y, and row 7 (R) bounds
-            the rounding errors.  The other rows are zero.
+            cell.  Only the rows 0 to 2 (coefficients of 1, X and Y) and RADIUS are not zero.
         """
-        coef, (right, down, ahead), frame = np.zeros((8, cell.size)), k, self.faces.frame
-        coef[C] = right * self._right[cell] + down * self._down[cell] + ahead * frame.depth
-        coef[X], coef[Y] = right * self._half_right, down * self._half_down
-        coef[R] = ROUNDING * frame.max_ray_size * np.abs(k).sum(axis=0)
-        return Form(coef)
+        coef, max_ray_size = np.zeros((8, cell.size)), self.faces.frame.max_ray_size
+        coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell, axis=1)).sum(axis=0)
+        coef[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_size
+        coef[RADIUS] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
+        return Enclosures(coef)
 
-    def _side_function(self, pair: Ints, half_space: Floats) -> tuple[Form, Floats]:
-        """Return a function u + v s that is positive if the visible point is in a half-space.
+    def _side_function(self, pair: Ints, half_space: Floats) -> tuple[Enclosures, Floats]:
+        """Return the function u + v s that is positive where the visible point is in a half-space.
 
         Let n.x + b >= 0 be the half-space.  The ray with direction d meets the face at x = t d,
         where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.  The point is
@@ -310,19 +227,19 @@ class CellForms:
 
         Returns
         -------
-        u : Form
+        u : Enclosures
             Enclosures (8, n) of u = n.d + b k.d in the cells of the pairs.
         v : (n,) float array
             The coefficients v = b.
         """
-        *normal, b, b_size = half_space
+        *normal, offset, offset_size = half_space
         u = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
-        u += self._linear_inverse[pair] * b
-        u.coef[R] += ROUNDING * b_size * self._inverse_max_abs[pair]
-        return u, b
+        u += self._linear_term[pair] * offset
+        u.coef[RADIUS] += ROUNDING * offset_size * self._max_inverse_distance[pair]
+        return u, offset
 
-    def _enclose(self, pair: Ints, u: Form, v: Form | Floats) -> Form:
-        """Enclose n functions u + v s, where s is the square-root term of a face's distance.
+    def _enclose(self, pair: Ints, u: Enclosures, v: Enclosures | Floats) -> Enclosures:
+        """Enclose functions u + v s, where s is the square-root term of a face's inverse distance.
 
         The ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  For
         planes, s is 0.
@@ -331,31 +248,31 @@ class CellForms:
         ----------
         pair : (n,) int array
             For each function, the index of its pair.  A pair is one face in one cell.
-        u, v : Form, and Form or (n,) float array
+        u, v : Enclosures, and Enclosures or (n,) float array
             The coefficients u and v.  If the face is a side of a box, v is ignored.
 
         Returns
         -------
-        function : Form
+        functions : Enclosures
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
         coef = u.coef.copy()
         # Indices of the functions whose face is a sphere.
         on_sphere = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
-        coef[:, on_sphere] += (self.root[pair[on_sphere]] * v[on_sphere]).coef
-        return Form(coef)
+        coef[:, on_sphere] += (self.root_term[pair[on_sphere]] * v[on_sphere]).coef
+        return Enclosures(coef)
 
     def _decide(
         self, pair: Ints, light: Ints | int, is_never: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Decide n questions: are all conditions true everywhere in the cell, or is one nowhere?
+        """Decide whether all conditions of a question hold everywhere in a cell, or one nowhere.
 
-        A question is about one pair (one face in one cell), and has several conditions.  A
-        condition is true where its function u + v s is positive.  Here s is the square-root term of
+        Each of n questions is about one pair (one face in one cell), and has several conditions.
+        A condition holds where its function u + v s is positive.  Here s is the square-root term of
         1 / t = k.d + s, where t is the distance of the face along the ray with direction d.
 
         If a question stays undecided, each of its functions that may have both signs in the cell is
-        added to `self._edges`, unless its condition says that it is no edge.
+        listed as an edge, unless its condition says that it is no edge.
 
         Parameters
         ----------
@@ -377,19 +294,52 @@ class CellForms:
             Whether all conditions of each question are true everywhere in the cell.
         """
         is_always, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
-        edges = []
+        candidates = []
         for question, u, v, is_edge in conditions:
-            low, high = self._enclose(pair[question], u, v).bounds()
+            functions = self._enclose(pair[question], u, v)
+            low, high = functions.bounds()
             is_never[question[high <= 0]] = True
             is_always[question[~(low > 0)]] = False
             index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
-            edges.append((question[index], u[index], v[index]))
-        for question, u, v in edges:
+            candidates.append((question[index], functions[index], u[index], v[index]))
+        for question, functions, u, v in candidates:
             index = np.flatnonzero(~is_never[question])
-            question, v = question[index], v[index]
-            v = v if isinstance(v, Form) else constant_form(v)
-            self._edges.append(_Edges(pair[question], light[question], u[index], v))
+            edge_pair, edge_light = pair[question[index]], light[question[index]]
+            edges = self._narrow(edge_pair, functions[index], u[index], v[index])
+            self._edges.append((edge_pair, edge_light, edges))
         return is_always & ~is_never
+
+    def _narrow(
+        self, pair: Ints, functions: Enclosures, u: Enclosures, v: Enclosures | Floats
+    ) -> Enclosures:
+        """Replace edge functions u + v s by u^2 - v^2 s^2 where this is enclosed more narrowly.
+
+        The picture may have an edge where such a function is zero.  Here s is the square-root term
+        of 1 / t = k.d + s, where t is the distance of a face along the ray with direction d.  Near
+        a silhouette, s is steep, and its enclosure is wide.  The second function is zero wherever
+        the first one is.
+
+        Parameters
+        ----------
+        pair : (n,) int array
+            For each function, the index of its pair.  A pair is one face in one cell.
+        functions : Enclosures
+            Enclosures (8, n) of u + v s in the cells of the pairs, which are changed in place.
+        u, v : Enclosures, and Enclosures or (n,) float array
+            The coefficients u and v.
+
+        Returns
+        -------
+        narrowed : Enclosures
+            For each function, the enclosure that is narrower in proportion to its slope.
+        """
+        index = np.flatnonzero(functions.coef[UNKNOWN])
+        if index.size:
+            u, v = u[index], v[index]
+            squares = u * u - self.squared_root_term[pair[index]] * v * v
+            is_better = squares.relative_width < functions[index].relative_width
+            functions.coef[:, index[is_better]] = squares.coef[:, is_better]
+        return functions
 
     def _find_surfaces(self) -> None:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
@@ -398,45 +348,49 @@ class CellForms:
         distance t, where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.
 
         A pair is removed if its face is outside the cell, or hidden by another face everywhere in
-        the cell.  For each other pair, the outline of the face is added to `self._edges` if it may
-        cross the cell.
+        the cell.  For each other pair, the outline of the face is listed as an edge if it may cross
+        the cell.
 
-        The attributes `inverse` (1 / t), `root` (s) and `root2` (s^2) are set.  In `cells`,
-        `covers_cell` is updated.
+        The attributes `inverse_distance` (1 / t), `root_term` (s) and `squared_root_term` (s^2) are
+        set.  In `cells`, `covers_cell` is updated.
         """
-        faces, cells, frame = self.faces, self.cells, self.faces.frame
+        faces, cells = self.faces, self.cells
         face, cell, is_planar = cells.pair_face, cells.pair_cell, faces.is_planar[cells.pair_face]
         # Indices of the pairs with a sphere; coefficients of r^2 d^2 - |c x d|^2, and of s.
-        curved, cones, root_coef = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
-        rays, size = self._ray_directions(cell[curved]), np.full(curved.size, frame.max_ray_size)
-        center, radius = faces.center[:, face[curved]], faces.radius[face[curved]]
-        cones[:, curved] = _cone_function(center, radius, rays, size, rays, size)[0].coef
+        on_sphere, cones, root_coef = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
+        rays = self._rays[:, :, cell[on_sphere]], np.array([faces.frame.max_ray_size])
+        center, radius = faces.center[:, face[on_sphere]], faces.radius[face[on_sphere]]
+        cones[:, on_sphere] = _cone_function(center, radius, rays, rays)[0].coef
         # For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x d|^2).
-        self.root2, self.root = Form(cones * faces.w[face] ** 2), Form(root_coef)
-        self._linear_inverse = self.inverse = self._dot_with_rays(faces.k[:, face], cell)
-        self._inverse_max_abs = self.inverse.max_abs
+        self.squared_root_term = Enclosures(cones * faces.root_coef[face] ** 2)
+        self.root_term = Enclosures(root_coef)
+        self._linear_term = self._dot_with_rays(faces.linear_coef[:, face], cell)
+        self._max_inverse_distance = self._linear_term.max_abs
         is_outside = np.zeros(face.size, np.bool_)
-        covers_cell = self._decide(
-            np.arange(face.size), -1, is_outside, self._visibility_conditions(curved, Form(cones))
-        )
-        # `seen` holds the spheres that may be visible in their cell.
-        self.inverse, seen = Form(self._linear_inverse.coef.copy()), curved[~is_outside[curved]]
-        coef, rounding = self.root2[seen].power(0.5).coef, self.inverse.coef[R, seen]
-        # The error bound (row R) of s becomes the coefficient of the unknown Z, which s shares with
-        # 1 / t.  Only rounding errors remain in row R.
-        coef[Z], coef[R] = coef[R] + rounding, rounding
-        root_coef[:, seen] = coef
-        self.inverse.coef[:, seen] += coef
-        self.inverse.coef[R, seen] = 0
-        kept = ~(is_outside | self._is_hidden(covers_cell))
+        conditions = self._visibility_conditions(on_sphere, Enclosures(cones))
+        covers_cell = self._decide(np.arange(face.size), -1, is_outside, conditions)
+        self.inverse_distance = Enclosures(self._linear_term.coef.copy())
+        # Indices of the pairs with a sphere that may be visible.
+        visible = on_sphere[~is_outside[on_sphere]]
+        coef = self.squared_root_term[visible].power(0.5).coef
+        rounding = self.inverse_distance.coef[RADIUS, visible]
+        # The error bound of s becomes the coefficient of the unknown Z, which s shares with 1 / t.
+        # Only rounding errors remain in the error bound.
+        coef[UNKNOWN], coef[RADIUS] = coef[RADIUS] + rounding, rounding
+        root_coef[:, visible] = coef
+        self.inverse_distance.coef[:, visible] += coef
+        self.inverse_distance.coef[RADIUS, visible] = 0
+        kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
         self.cells, new_index = cells._replace(covers_cell=covers_cell).select_pairs(kept)
-        remaining = [edges.take(np.flatnonzero(kept[edges.pair])) for edges in self._edges]
-        self._edges = [edges._replace(pair=new_index[edges.pair]) for edges in remaining]
-        self.inverse, self.root2, self.root = self.inverse[kept], self.root2[kept], self.root[kept]
-        self._linear_inverse = self._linear_inverse[kept]
-        self._inverse_max_abs = self.inverse.max_abs
+        for k, (pair, light, functions) in enumerate(self._edges):
+            index = np.flatnonzero(kept[pair])
+            self._edges[k] = new_index[pair[index]], light[index], functions[index]
+        self.inverse_distance, self.root_term = self.inverse_distance[kept], self.root_term[kept]
+        self.squared_root_term = self.squared_root_term[kept]
+        self._linear_term = self._linear_term[kept]
+        self._max_inverse_distance = self.inverse_distance.max_abs
 
-    def _visibility_conditions(self, curved: Ints, cone: Form) -> Iterator[_Condition]:
+    def _visibility_conditions(self, on_sphere: Ints, cones: Enclosures) -> Iterator[_Condition]:
         """Yield, for each pair, the conditions under which a camera ray meets the pair's face.
 
         A pair is one face in one cell.  A condition is true where its function u + v s is positive.
@@ -444,9 +398,9 @@ class CellForms:
 
         Parameters
         ----------
-        curved : (n,) int array
+        on_sphere : (n,) int array
             Indices of the pairs whose face is a sphere.
-        cone : Form
+        cones : Enclosures
             Enclosures (8, p), one for each pair.  If the pair's face is a sphere with centre c
             (relative to the eye) and radius r, the enclosed function is r^2 d^2 - |c x d|^2, where
             d is the direction of a ray.  It is at least 0 if the line along the ray meets the
@@ -455,25 +409,26 @@ class CellForms:
         Yields
         ------
         condition : _Condition
-            Its `question` holds indices of pairs.  The first four conditions are about sides of
+            Its `question` holds indices of pairs.  The first four conditions concern sides of
             boxes: the visible point is in each of the four half-spaces that bound the side.  The
-            last two are about spheres that do not contain the eye: the centre is ahead, and the
-            line along the ray meets the sphere.
+            last two concern spheres that do not contain the eye: the centre is ahead, and the line
+            along the ray meets the sphere.
         """
         faces, cells = self.faces, self.cells
         pair = np.flatnonzero(~cells.covers_cell & faces.is_planar[cells.pair_face])
-        for half_spaces in faces.rim.swapaxes(0, 1):
+        for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
             yield _Condition(pair, *self._side_function(pair, half_space), is_edge=True)
         # A sphere that contains the eye is in every direction.
-        pair = curved[~cells.covers_cell[curved] & (faces.power[cells.pair_face[curved]] > 0)]
+        is_eye_outside = faces.eye_power[cells.pair_face[on_sphere]] > 0
+        pair = on_sphere[~cells.covers_cell[on_sphere] & is_eye_outside]
         center, zeros = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
         # The cone extends in the opposite direction as well, where c.d is negative.
         ahead = self._dot_with_rays(center, cells.pair_cell[pair])
         yield _Condition(pair, ahead, zeros, is_edge=False)
-        yield _Condition(pair, cone[pair], zeros, is_edge=True)
+        yield _Condition(pair, cones[pair], zeros, is_edge=True)
 
-    def _is_hidden(self, covers_cell: Bools) -> Bools:
+    def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
         """Find the pairs whose face is certainly hidden everywhere in the cell.
 
         A pair is one face in one cell.  Only one occluder is tried in each cell: among the faces
@@ -490,26 +445,27 @@ class CellForms:
             For each pair, whether its face is certainly behind the occluder.  If both are in the
             same plane, the object that comes first in the scene file hides the other one.
         """
-        faces, inverse = self.faces, self.inverse
+        faces, inverse = self.faces, self.inverse_distance
         cell, face = self.cells.pair_cell, self.cells.pair_face
         file_index = faces.prepared.surfaces.file_index[faces.object_index[face]]
         covering = np.flatnonzero(covers_cell)
-        min_inverse = inverse[covering].bounds()[0]
-        covering = covering[np.lexsort((-file_index[covering], min_inverse, cell[covering]))]
+        lower_bound = inverse[covering].bounds()[0]
+        covering = covering[np.lexsort((-file_index[covering], lower_bound, cell[covering]))]
         occluder_of_cell = np.full(self.cells.x.size, -1)
         occluder_of_cell[cell[covering]] = covering  # the last one in each cell
         occluder = occluder_of_cell[cell]
         pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
         occluder = occluder[pair]
-        in_same_plane = (faces.plane[:, face[pair]] == faces.plane[:, face[occluder]]).all(axis=0)
-        is_behind = difference_form(inverse[pair], inverse[occluder]).bounds()[1] < 0
+        plane_id = faces.plane_id[:, face]
+        in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
+        is_behind = inverse[pair].subtract_independent(inverse[occluder]).bounds()[1] < 0
         is_later = file_index[pair] > file_index[occluder]
         is_hidden = np.zeros(cell.size, np.bool_)
         is_hidden[pair] = np.where(in_same_plane, is_later, is_behind)
         return is_hidden
 
-    def _height_function(self, pair: Ints, light: Ints) -> tuple[Form, Floats]:
-        """Express the height of a light above a face as a function u + v s of the ray's direction.
+    def _height_function(self, pair: Ints, light: Ints) -> tuple[Enclosures, Floats]:
+        """Express a light's height above a face as a function u + v s of the ray's direction.
 
         A ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  Here s is
         the square-root term, which is 0 for planes.  The function is h / t, where h is the height
@@ -525,24 +481,25 @@ class CellForms:
 
         Returns
         -------
-        u : Form
+        u : Enclosures
             Enclosures (8, n) of u in the cells of the pairs.
         v : (n,) float array
             The coefficients v.
         """
-        return self._side_function(pair, self.faces.height[:, light, self.cells.pair_face[pair]])
+        face = self.cells.pair_face[pair]
+        return self._side_function(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
-        """Find which lights are below the horizon at the points of a sphere that a cell shows.
+        """Settle the lights that are below the horizon in all of a cell, and list terminators.
 
-        All pairs of a cell and a sphere are examined.  A light that is below the horizon everywhere
+        A terminator is the curve between the lit and the dark side of a sphere.  All pairs of a
+        cell and a sphere are examined.  A light that is below the horizon of the sphere everywhere
         in the cell is marked in `cells.is_settled`, and adds no radiance.  If it may be below the
-        horizon in a part of the cell only, the terminator (the curve between the lit and the dark
-        side) is added to `self._edges`.
+        horizon in a part of the cell only, the terminator is listed as an edge.
         """
         # Lights behind the plane of a rectangle are settled from the start.
-        is_curved = ~self.faces.is_planar[self.cells.pair_face]
-        pair, light = np.nonzero(~self.cells.is_settled & is_curved[:, None])
+        is_on_sphere = ~self.faces.is_planar[self.cells.pair_face]
+        pair, light = np.nonzero(~self.cells.is_settled & is_on_sphere[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
         height = self._height_function(pair, light)
         is_above = _Condition(np.arange(pair.size), *height, is_edge=True)
@@ -550,7 +507,7 @@ class CellForms:
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Compute bounding boxes of the visible part of each pair's face.
+        """Compute a bounding box of the part of each pair's face that may be visible.
 
         A pair is one face in one cell.
 
@@ -561,20 +518,20 @@ class CellForms:
             contains all points of the face that may be visible in the cell, and is widened by the
             rounding errors of such points.
         """
-        faces, cells, frame = self.faces, self.cells, self.faces.frame
-        center = frame.axes.T @ self._ray_directions(cells.pair_cell)[:, 0]
-        half = np.abs(frame.axes[:2].T) @ np.array([self._half_right, self._half_down])
-        low_ray, high_ray, eye = center - half[:, None], center + half[:, None], frame.eye[:, None]
-        min_inverse, max_inverse = self.inverse.bounds()
+        faces, axes = self.faces, self.faces.frame.axes.T
+        eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
+        center, half_size = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
+        low_ray, high_ray = center - half_size, center + half_size
+        min_inverse, max_inverse = self.inverse_distance.bounds()
         near, far = 1 / max_inverse, np.where(min_inverse > 0, 1 / min_inverse, np.inf)
-        low, high = faces.bounding_box[:, :, cells.pair_face]
+        low, high = faces.bounding_box[:, :, self.cells.pair_face]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
         high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
-        error = faces.prepared.position_error[faces.object_index[cells.pair_face]]
+        error = faces.prepared.position_error[faces.object_index[self.cells.pair_face]]
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + error
 
     def _find_shadows(self) -> None:
-        """Find which occluders shade all or nothing of a face in a cell, and add shadow edges.
+        """Settle the lights that objects block in all of a cell, and list the edges of shadows.
 
         A pair is one face in one cell.  A triple is a pair, a light, and an occluder (an object
         that may shade the face from the light).  If the occluder shades all of the face in the
@@ -582,7 +539,7 @@ class CellForms:
 
         A triple is removed if (1) its occluder shades nothing of the face in the cell, or (2) its
         light is settled for the pair.  For each remaining triple, the edges of the shadow that may
-        cross the cell are added to `self._edges`.
+        cross the cell are listed.
 
         If the cells have the width `MAX_WIDTH`, the list of triples is created first.
         """
@@ -631,36 +588,38 @@ class CellForms:
         condition : _Condition
             First condition 1 for all triples, then condition 2.  `question` is `triple`.
         """
-        faces, cells, (pair, light, sphere) = self.faces, self.cells, self.cells.triples[:, triple]
-        c, r2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
-        # The light L and the sphere's centre C.
-        position, center = faces.light_position[light].T, faces.center[:, sphere]
-        rays = self._ray_directions(cells.pair_cell[pair])
-        inverse = self._linear_inverse.coef[:XX, pair]
-        q, w = (rays - end[:, None] * inverse for end in (position, center))
-        position2, center2, c2 = ((end * end).sum(axis=0) for end in (position, center, c))
-        k_size = np.abs(faces.k[:, cells.pair_face[pair]]).sum(axis=0)
+        faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple]
+        cell, face = self.cells.pair_cell[pair], self.cells.pair_face[pair]
+        to_center, radius2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
+        position, center = faces.light_position[light].T, faces.center[:, sphere]  # L and C
+        position2, center2, to_center2 = (
+            (vector * vector).sum(axis=0) for vector in (position, center, to_center)
+        )
+        rays, linear_term = self._rays[:, :, cell], self._linear_term.coef[:X_SQUARED, pair]
+        linear_size = 2 * np.abs(faces.linear_coef[:, face]).sum(axis=0)
+        q, w = (rays - point[:, None] * linear_term for point in (position, center))
         q_size, w_size = (
-            faces.frame.max_ray_size * (1 + np.sqrt(square) * k_size * 2)
+            faces.frame.max_ray_size * (1 + np.sqrt(square) * linear_size)
             for square in (position2, center2)
         )
-        u, across = _cone_function(c, faces.radius[sphere], q, q_size, w, w_size)
-        c_center, v = _cross_product(c, center[:, None]), np.zeros((8, triple.size))
-        dot = (c_center * across).sum(axis=0)
-        v[:XX] = 2 * (dot - r2 * (position[:, None] * q).sum(axis=0))
-        v_size = c2 * np.sqrt(center2) * w_size + r2 * np.sqrt(position2) * q_size
-        v[R] = 16 * ROUNDING * v_size
-        root2 = self.root2.coef[:, pair]
-        u += Form(root2) * (r2 * position2 - (c_center * c_center).sum(axis=(0, 1)))
-        root2_size = np.abs(root2).sum(axis=0)
-        u.coef[R] += 16 * ROUNDING * (c2 * center2 + r2 * position2) * root2_size
-        yield _Condition(triple, u, Form(v), is_edge=True)
-        products = c * center
-        behind_plane = np.array([*c, r2 - products.sum(axis=0), r2 + np.abs(products).sum(axis=0)])
-        yield _Condition(triple, *self._side_function(pair, behind_plane), is_edge=False)
+        u, product = _cone_function(to_center, faces.radius[sphere], (q, q_size), (w, w_size))
+        center_product, v = cross_product(to_center, center[:, None]), np.zeros((8, triple.size))
+        dot_product = (center_product * product).sum(axis=0)
+        v[:X_SQUARED] = 2 * (dot_product - radius2 * (position[:, None] * q).sum(axis=0))
+        v_size = to_center2 * np.sqrt(center2) * w_size + radius2 * np.sqrt(position2) * q_size
+        v[RADIUS] = 16 * ROUNDING * v_size
+        root2 = self.squared_root_term[pair]
+        u += root2 * (radius2 * position2 - (center_product * center_product).sum(axis=(0, 1)))
+        factor_size = to_center2 * center2 + radius2 * position2
+        u.coef[RADIUS] += 16 * ROUNDING * factor_size * root2.max_abs
+        yield _Condition(triple, u, Enclosures(v), is_edge=True)
+        products = to_center * center
+        offset, size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
+        function = self._side_function(pair, np.array([*to_center, offset, size]))
+        yield _Condition(triple, *function, is_edge=False)
 
     def _box_shadow_conditions(self, triple: Ints, is_lit: Bools) -> Iterator[_Condition]:
-        """Yield the conditions under which the visible point of a face is in the shadow of a box.
+        """Yield the conditions under which the visible point of a face is in a box's shadow.
 
         The shadow is the intersection of at most nine half-spaces.
 
@@ -670,8 +629,8 @@ class CellForms:
             Indices of the triples whose occluder is a box.  A triple is a pair (one face in one
             cell), a light and an occluder.
         is_lit : (q,) bool array
-            For each triple of the cells, whether an earlier condition is false everywhere in the
-            cell.  Such triples are skipped.  The caller may change this array after each condition.
+            For each of the cells' triples, whether an earlier condition is false everywhere in the
+            cell.  Such triples are skipped.  The caller can change this array after each condition.
 
         Yields
         ------
@@ -692,7 +651,7 @@ class CellForms:
             yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
 
     def _find_intersections(self) -> None:
-        """Add an edge to `self._edges` wherever two faces of a cell may intersect.
+        """List an edge wherever two faces of a cell may intersect.
 
         A plane has a linear equation n.p + b = 0 for its points p.  A sphere with centre c has the
         equation p^2 - 2 c.p + b = 0.  If both faces are spheres, the difference of their equations
@@ -709,24 +668,19 @@ class CellForms:
         pair, other = np.where(is_planar, (other, pair), (pair, other))  # a sphere comes first
         face, other_face = cells.pair_face[pair], cells.pair_face[other]
         differs_in_object = faces.object_index[face] != faces.object_index[other_face]
-        differs_in_plane = (faces.plane[:, face] != faces.plane[:, other_face]).any(axis=0)
-        index = np.flatnonzero(differs_in_object & differs_in_plane)
-        pair, face, other_face = pair[index], face[index], other_face[index]
-        # `spheres` holds the indices at which both faces are spheres.
-        plane, spheres = faces.equation[:, other_face], np.flatnonzero(~faces.is_planar[other_face])
-        plane[:, spheres] += faces.equation[:, face[spheres]] * [[-1], [-1], [-1], [-1], [1]]
-        function = self._side_function(pair, plane)
-        crossing = _Condition(np.arange(pair.size), *function, is_edge=True)
+        differs_in_plane = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
+        kept = np.flatnonzero(differs_in_object & differs_in_plane)
+        pair, face, other_face = pair[kept], face[kept], other_face[kept]
+        plane, both_spheres = faces.equation[:, other_face], ~faces.is_planar[other_face]
+        sphere_equation = faces.equation[:, face[both_spheres]]
+        plane[:, both_spheres] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
+        crossing = _Condition(np.arange(pair.size), *self._side_function(pair, plane), is_edge=True)
         self._decide(pair, -1, np.zeros(pair.size, np.bool_), [crossing])
 
-    def edge_functions(self) -> tuple[Ints, Ints, Form]:
+    def edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
         """Return all edge functions: the picture may have an edge only where one of them is zero.
 
-        Each function is u + v s and belongs to a pair (one face in one cell).  Here s is the
-        square-root term of 1 / t = k.d + s, where t is the distance of the face along the ray with
-        direction d.  Near a silhouette, s is steep, and its enclosure is wide.  The function
-        u^2 - v^2 s^2 is zero wherever u + v s is.  It replaces u + v s if its enclosure is narrower
-        in proportion to its slope.
+        Each function belongs to a pair (one face in one cell).
 
         Returns
         -------
@@ -735,25 +689,13 @@ class CellForms:
         light : (n,) int array
             For each function, the light whose radiance changes at the edge, or -1 if all radiance
             changes.
-        form : Form
+        functions : Enclosures
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
-        pair, light = (np.concatenate([edges[i] for edges in self._edges]) for i in (0, 1))
-        u = Form(np.concatenate([edges.u.coef for edges in self._edges], axis=1))
-        v = Form(np.concatenate([edges.v.coef for edges in self._edges], axis=1))
-        form = self._enclose(pair, u, v)
-
-        def relative_width(form: Form) -> Floats:
-            """Estimate for each function (8, n) how wide the strip around its zero is."""
-            size = np.abs(form.coef)
-            return np.asarray(size[XX:].sum(axis=0) / np.maximum(size[X], size[Y]))
-
-        index = np.flatnonzero(form.coef[Z])
-        u, v = u[index], v[index]
-        squares = u * u - self.root2[pair[index]] * v * v
-        is_better = relative_width(squares) < relative_width(form[index])
-        form.coef[:, index[is_better]] = squares.coef[:, is_better]
-        return pair, light, form
+        pair = np.concatenate([pair for pair, _, _ in self._edges])
+        light = np.concatenate([light for _, light, _ in self._edges])
+        coef = np.concatenate([functions.coef for _, _, functions in self._edges], axis=1)
+        return pair, light, Enclosures(coef)
 
     def shade(self, is_requested: Bools, error: float) -> Contributions:
         """Compute the radiance of unsettled lights, and settle those that have no edge in a cell.
@@ -781,15 +723,15 @@ class CellForms:
         contributions, cells = self._enclose_contributions(is_requested), self.cells
         has_edge = np.zeros_like(cells.is_settled)
         has_edge[cells.triples[0], cells.triples[1]] = True
-        for pair, light, *_ in self._edges:
+        for pair, light, _ in self._edges:
             has_edge[pair[light >= 0], light[light >= 0]] = True
+        max_error = error / cells.is_settled.shape[1]
         is_certain = ~has_edge[contributions.pair, contributions.light]
-        light_count = cells.is_settled.shape[1]
-        is_certain &= contributions.radiance.radius.max(axis=0) <= error / light_count
-        settled = contributions.take(is_certain)
+        is_certain &= contributions.radiance.radius.max(axis=0) <= max_error
+        settled = contributions.select(is_certain)
         add_at_sorted_index(cells.radiance.coef, settled.pair, settled.radiance.coef)
         cells.is_settled[settled.pair, settled.light] = True
-        return contributions.take(~is_certain)
+        return contributions.select(~is_certain)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
         """Enclose the radiance that a face reflects at lit points, for each unsettled light.
@@ -819,29 +761,30 @@ class CellForms:
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
-        height = self._enclose(pair, *self._height_function(pair, light))
         cell, obj = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
-        q = faces.light_position[light].T
-        # d^2 and q.d / t.
-        d_square, dot_over_t = self.square[cell], self.inverse[pair] * self._dot_with_rays(q, cell)
-        inverse_squared = (self.inverse * self.inverse)[pair]
-        distance2 = d_square - dot_over_t * 2.0 + inverse_squared * (q * q).sum(axis=0)
-        inverse_distance = distance2.power(-0.5, _MIN_SQUARE)
-        n_dot_l = (height * inverse_distance).clamp_to_unit_interval()
+        position = faces.light_position[light].T
+        squared_direction = self.squared_direction[cell]
+        dot_over_t = self.inverse_distance[pair] * self._dot_with_rays(position, cell)  # q.d / t
+        inverse_squared = (self.inverse_distance * self.inverse_distance)[pair]
+        distance2 = squared_direction - dot_over_t * 2.0
+        distance2 += inverse_squared * (position * position).sum(axis=0)
+        inverse_length = distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
+        height = self._enclose(pair, *self._height_function(pair, light))
+        n_dot_l = (height * inverse_length).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
         radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, obj])
         glossy = np.flatnonzero(prepared.is_glossy[obj])
         glossy_pair, unique_index = np.unique(pair[glossy], return_inverse=True)
-        inverse_length = self.square.power(-0.5)
+        inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
         eye_function = self._height_function(glossy_pair, 0 * glossy_pair - 1)
         eye_height = self._enclose(glossy_pair, *eye_function)
-        n_dot_v = eye_height * inverse_length[cells.pair_cell[glossy_pair]]
-        l_dot_v = (d_square[glossy] - dot_over_t[glossy]) * (
-            inverse_distance[glossy] * inverse_length[cell[glossy]]
+        n_dot_v = eye_height * inverse_direction[cells.pair_cell[glossy_pair]]
+        l_dot_v = (squared_direction[glossy] - dot_over_t[glossy]) * (
+            inverse_length[glossy] * inverse_direction[cell[glossy]]
         )
-        inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)
+        inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
         n_dot_h = ((n_dot_l[glossy] + n_dot_v[unique_index]) * inverse_sum).clamp_to_unit_interval()
         lobe = n_dot_h.power(prepared.exponent[obj[glossy]], 0.0, 1.0).clamp_to_unit_interval()
         specular = intensity[:, glossy] * prepared.specular[:, obj[glossy]]
         radiance[..., glossy] += lobe.coef[:, None] * specular
-        return Contributions(pair, light, Form(radiance))
+        return Contributions(pair, light, Enclosures(radiance))

@@ -1,0 +1,358 @@
+"""Enclose functions on a cell of the picture by quadratic polynomials with an error bound.
+
+The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell of
+the picture.  Interval arithmetic (Moore, 1966) encloses a quantity by two numbers.  But it forgets
+that two quantities depend on the same position, so its bounds soon become useless.  Affine
+arithmetic (Comba and Stolfi, 1993) keeps the linear dependence.  This module keeps the quadratic
+dependence as well.
+
+A cell has coordinates X and Y from -1 to 1.  An *enclosure* describes a quantity by eight
+coefficients: for some Z between -1 and 1, the quantity differs by at most coef[RADIUS] from
+
+    coef[CONSTANT] + coef[X] X + coef[Y] Y
+        + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
+
+Z stands for the unknown part of the inverse distance of a surface.  All enclosures about one
+surface share the same Z, so unknown parts that are linear in the distance cancel.  Enclosures about
+different surfaces have different Z: see `Enclosures.subtract_independent`.
+
+Why the result is right: each operation moves what it cannot represent (terms of degree three or
+four, products with Z, rounding errors) to the radius, with its largest absolute value.
+
+Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  A product of
+enclosures adds at most three products to each coefficient, and at most twenty to the radius.  So
+its rounding error is less than 30 e times the sum of all |a_i b_j|.  Its radius is widened by
+`ROUNDING`, which is 900 e, times this sum.  Sums of enclosures, and products of an enclosure with a
+number, err by e of each coefficient and widen nothing: at most four of them follow a product, whose
+widening of 900 e covers them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reference.judges.arrays import Floats, Index
+
+CONSTANT, X, Y, X_SQUARED, X_TIMES_Y, Y_SQUARED, UNKNOWN, RADIUS = range(8)
+"""Rows of the array of an enclosure: coefficients of 1, X, Y, X^2, X Y, Y^2 and of the unknown Z,
+then the error bound."""
+
+ROUNDING = 1e-13
+"""Bound on the rounding error of each term, relative to the term: about 900 roundings."""
+
+# A power is enclosed by a line along its chord, instead of Taylor's polynomial, if the polynomial's
+# remainder is more than this fraction of the power's range.
+_MAX_REMAINDER_RATIO = 1 / 16
+
+# In intervals with a smaller ratio of half width to centre, the slope of the chord is lost in
+# rounding errors, and Taylor's polynomial is always accurate enough.
+_MIN_CHORD_WIDTH = 1e-6
+
+
+class Enclosures:
+    """n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
+
+    X and Y are the coordinates in the cell, from -1 to 1.  Z is an unknown between -1 and 1, which
+    is the same in all enclosures about one surface.  A quantity differs by at most coef[RADIUS]
+    from
+
+        coef[CONSTANT] + coef[X] X + coef[Y] Y
+            + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
+
+    Attributes
+    ----------
+    coef : (8, n) float array, or (8, 3, n) for the three channels of radiance
+        Rows 0 to 6 hold the coefficients of 1, X, Y, X^2, X Y, Y^2 and Z.  Row 7 (RADIUS) holds the
+        error bound, which is at least 0.
+    """
+
+    __slots__ = ("coef",)
+
+    def __init__(self, coef: Floats) -> None:
+        """Store the array of coefficients (8, ..., n), without copying it."""
+        self.coef = coef
+
+    def __getitem__(self, index: Index) -> Enclosures:
+        """Copy the enclosures that indices (k,) or a mask (n,) select along the last axis."""
+        # `take` needs half the time of indexing.
+        index = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return Enclosures(self.coef.take(index, axis=-1))
+
+    @property
+    def radius(self) -> Floats:
+        """Upper bound (..., n) on the difference between a quantity and its polynomial in X, Y."""
+        return np.asarray(np.abs(self.coef[UNKNOWN]) + self.coef[RADIUS])
+
+    @property
+    def max_abs(self) -> Floats:
+        """Upper bound (..., n) on the absolute value of each quantity."""
+        return np.asarray(np.abs(self.coef).sum(axis=0))
+
+    @property
+    def relative_width(self) -> Floats:
+        """Estimated width (n,) of the strip of the cell in which each quantity may be zero."""
+        size = np.abs(self.coef)
+        return np.asarray(size[X_SQUARED:].sum(axis=0) / np.maximum(size[X], size[Y]))
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Bound each quantity by two numbers that are valid everywhere in its cell.
+
+        Returns
+        -------
+        low, high : (..., n) float arrays
+            A lower and an upper bound on each quantity.
+        """
+        coef, x2, y2 = self.coef, self.coef[X_SQUARED], self.coef[Y_SQUARED]
+        # Terms with X^2 and Y^2 have the sign of their coefficient, all others may have either.
+        either_sign = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN]]).sum(axis=0) + coef[RADIUS]
+        low = coef[CONSTANT] - either_sign + np.minimum(x2, 0) + np.minimum(y2, 0)
+        high = coef[CONSTANT] + either_sign + np.maximum(x2, 0) + np.maximum(y2, 0)
+        return low, high
+
+    def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
+        """Add quantities that belong to the same surfaces, or numbers.
+
+        Each enclosure contains an unknown Z from -1 to 1, which is the same for all quantities of
+        one surface.  So the coefficients of Z are added.  The unknowns of different surfaces are
+        independent: see `subtract_independent`.
+
+        Parameters
+        ----------
+        other : Enclosures, or float array that broadcasts to (..., n)
+            The quantities or numbers to add.
+
+        Returns
+        -------
+        sum : Enclosures
+            Enclosures (8, ..., n) of the sums.
+        """
+        if isinstance(other, Enclosures):
+            return Enclosures(self.coef + other.coef)
+        coef = self.coef.copy()
+        coef[CONSTANT] += other
+        coef[RADIUS] += ROUNDING * np.abs(other)
+        return Enclosures(coef)
+
+    def __sub__(self, other: Enclosures) -> Enclosures:
+        """Subtract quantities that belong to the same surfaces, and so share the unknown Z."""
+        return self + other * -1.0
+
+    def subtract_independent(self, other: Enclosures) -> Enclosures:
+        """Subtract quantities that belong to other surfaces.
+
+        Each enclosure contains an unknown Z from -1 to 1.  The unknowns of different surfaces are
+        independent and do not cancel.  So the absolute coefficients of both are added to the error
+        bound (row RADIUS) of the difference.
+
+        Parameters
+        ----------
+        other : Enclosures
+            Enclosures (8, n) of the quantities to subtract.
+
+        Returns
+        -------
+        difference : Enclosures
+            Enclosures (8, n) of the differences, in which the coefficient of Z is 0.
+        """
+        coef = self.coef - other.coef
+        coef[RADIUS], coef[UNKNOWN] = self.radius + other.radius, 0
+        return Enclosures(coef)
+
+    def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
+        """Multiply by quantities that belong to the same surfaces, or by numbers.
+
+        The product of two polynomials also has terms of degree three and four in X and Y, and
+        products with the unknown Z, which an enclosure cannot represent.  The largest absolute
+        value of each such term is added to the error bound (row RADIUS).  A bound on the rounding
+        errors is added, too.
+
+        Parameters
+        ----------
+        other : Enclosures, or float array that broadcasts to (..., n)
+            The second factors.
+
+        Returns
+        -------
+        product : Enclosures
+            Enclosures (8, ..., n) of the products.
+        """
+        if not isinstance(other, Enclosures):
+            coef = self.coef * other
+            coef[RADIUS] = np.abs(coef[RADIUS])
+            return Enclosures(coef)
+        a, b = self.coef, other.coef
+        coef = b * a[CONSTANT]
+        coef += a * b[CONSTANT]
+        coef[CONSTANT] = a[CONSTANT] * b[CONSTANT]
+        coef[X_SQUARED] += a[X] * b[X]
+        coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
+        coef[Y_SQUARED] += a[Y] * b[Y]
+        # The error bound covers all other products: of degree three or four, or with a Z.
+        a, b = np.abs(a), np.abs(b)
+        a_linear, a_quadratic, a_unknown = a[X] + a[Y], a[X_SQUARED:UNKNOWN].sum(axis=0), a[UNKNOWN]
+        b_linear, b_quadratic, b_unknown = b[X] + b[Y], b[X_SQUARED:UNKNOWN].sum(axis=0), b[UNKNOWN]
+        coef[RADIUS] = a_linear * b_quadratic + a_quadratic * (b_linear + b_quadratic)
+        coef[RADIUS] += a_unknown * (b_linear + b_quadratic + b_unknown)
+        coef[RADIUS] += b_unknown * (a_linear + a_quadratic)
+        a_size = a[CONSTANT] + a_linear + a_quadratic + a_unknown
+        b_size = b[CONSTANT] + b_linear + b_quadratic + b_unknown
+        coef[RADIUS] += a[RADIUS] * (b_size + b[RADIUS]) + b[RADIUS] * a_size
+        coef[RADIUS] += ROUNDING * a_size * b_size
+        return Enclosures(coef)
+
+    def power(
+        self, exponent: Floats | float, minimum: float = 0.0, maximum: float = np.inf
+    ) -> Enclosures:
+        """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
+
+        Two enclosures are computed, and the one with the smaller radius is returned:
+
+        1.  Taylor's polynomial of degree 2 around the centre c of the interval [c - w, c + w] of z.
+           Its remainder is at most |f'''| w^3 / 6.  The maximum of |f'''| is at one end of the
+           interval, because f''' is monotonic.
+        2.  If the remainder is large: a line parallel to the chord of f.  As f is convex or
+           concave, it lies between the chord and the parallel tangent.  The line is at two thirds
+           of the way from the chord to the tangent, where a parabola has its mean.
+
+        Rounding: with e = 2^-53, the power and each coefficient have a relative error of a few e.
+        They are multiplied by at most |f'| w, f'' w^2 < |f'| w, or f.
+
+        Parameters
+        ----------
+        exponent : float, or (n,) float array
+            The exponents, of either sign.
+        minimum, maximum : float
+            Bounds on z that are known independently of the enclosures; minimum is at least 0.  The
+            interval of z is clipped to them.
+
+        Returns
+        -------
+        power : Enclosures
+            Enclosures (8, n) of the powers.
+        """
+        low, high = (np.clip(end, minimum, maximum) for end in self.bounds())
+        center, half_width = 0.5 * (low + high), 0.5 * (high - low)
+        f_low, f_high, f = (_raise_to_power(z, exponent) for z in (low, high, center))
+        # The coefficients of Taylor's polynomial, and of the remainder relative to z^exponent.
+        first = exponent * f / center
+        second = 0.5 * (exponent - 1) * first / center
+        third = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
+        remainder = third * np.maximum(f_low / low**3, f_high / high**3) * half_width**3
+        offset = self + -center
+        result = offset * offset * second + offset * first + f
+        rounding = ROUNDING * (np.maximum(f_low, f_high) + np.abs(first) * high)
+        result.coef[RADIUS] += remainder + rounding
+        is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
+        is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
+        index = np.flatnonzero(is_coarse)
+        low, high, f_low, f_high = (values[index] for values in (low, high, f_low, f_high))
+        exponents = np.broadcast_to(exponent, half_width.shape)[index]
+        line = self[index]._power_by_line(exponents, low, high, f_low, f_high)
+        is_better = ~(result.coef[RADIUS, index] < line.coef[RADIUS])
+        result.coef[:, index[is_better]] = line.coef[:, is_better]
+        return result
+
+    def _power_by_line(
+        self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
+    ) -> Enclosures:
+        """Enclose powers z^exponent by a line parallel to the chord of the power function.
+
+        The chord joins the powers at both ends of the interval [low, high] of z.  The line lies
+        between the chord and the tangent with the same slope, at two thirds of the way from the
+        chord.
+
+        Parameters
+        ----------
+        exponent : (n,) float array
+            The exponents.
+        low, high : (n,) float arrays
+            Lower and upper bounds on the quantities z.
+        f_low, f_high : (n,) float arrays
+            The powers of `low` and `high`.
+
+        Returns
+        -------
+        line : Enclosures
+            Enclosures (8, n) of the powers, which are linear functions of the enclosures of z.
+        """
+        slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
+        touching = (slope / exponent) ** (1 / (exponent - 1))  # here the tangent has this slope
+        touching = np.where(np.isfinite(touching), touching, 0.5 * (low + high)).clip(low, high)
+        chord, tangent = f_low - slope * low, touching**exponent - slope * touching  # at z = 0
+        line = self * slope
+        line.coef[CONSTANT] += (chord + 2 * tangent) / 3
+        line.coef[RADIUS] += np.abs(chord - tangent) * (2 / 3)
+        line.coef[RADIUS] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
+        return line
+
+    def clamp_to_unit_interval(self) -> Enclosures:
+        """Replace enclosures much wider than the interval [0, 1] by this interval.
+
+        Use this only for quantities that are certainly from 0 to 1, such as the cosines of angles
+        below 90 degrees.
+
+        Returns
+        -------
+        clamped : Enclosures
+            Each enclosure unchanged if the sum of its absolute coefficients is below 2.  Otherwise,
+            or if the sum is NaN, the constant 0.5 with an error bound of 0.5.
+        """
+        is_too_wide = ~(self.max_abs < 2)
+        coef = np.where(is_too_wide, 0, self.coef)
+        coef[CONSTANT, is_too_wide] = coef[RADIUS, is_too_wide] = 0.5
+        return Enclosures(coef)
+
+    def split_into_quarters(self) -> Enclosures:
+        """Convert the enclosures of cells to enclosures of the four quarters of each cell.
+
+        In each quarter, the coordinates X and Y run from -1 to 1.  The absolute coefficient of the
+        unknown Z is added to the error bound (row RADIUS).  Each new coefficient is a sum of at
+        most six terms, so its rounding error is at most 6 * 2^-53 times the sum of their absolute
+        values.  The error bound includes this error.
+
+        Returns
+        -------
+        quarters : Enclosures
+            Enclosures (8, ..., 4 n).  Each enclosure is replaced by those of its four quarters in
+            the order upper left, upper right, lower left, lower right.
+        """
+        constant, x, y, xx, xy, yy, _, _ = self.coef.repeat(4, axis=-1)
+        quarter = np.arange(constant.shape[-1]) % 4
+        # X and Y of the quarter's centre in the cell.
+        center_x, center_y = (quarter & 1) - 0.5, (quarter >> 1) - 0.5
+        radius = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
+        at_center = constant + center_x * (x + center_x * xx + center_y * xy)
+        at_center = at_center + center_y * (y + center_y * yy)
+        new_x = x / 2 + center_x * xx + center_y * xy / 2
+        new_y = y / 2 + center_y * yy + center_x * xy / 2
+        unknown = np.zeros_like(constant)
+        coef = [at_center, new_x, new_y, xx / 4, xy / 4, yy / 4, unknown, radius]
+        return Enclosures(np.array(coef))
+
+
+def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
+    """Compute z^exponent for positive z (n,), by a fast square root if the exponent is -0.5."""
+    if isinstance(exponent, float) and exponent == -0.5:
+        return np.asarray(1 / np.sqrt(z))
+    return np.asarray(z**exponent)
+
+
+def constant_enclosures(constants: Floats, radius: Floats | float = 0.0) -> Enclosures:
+    """Enclose quantities that are nearly constant in their cell.
+
+    Parameters
+    ----------
+    constants : (..., n) float array
+        The constants.
+    radius : float, or array that broadcasts to (..., n)
+        Upper bound on the difference between each quantity and its constant.
+
+    Returns
+    -------
+    enclosures : Enclosures
+        Arrays (8, ..., n) with the constants in row 0 (CONSTANT), the radius in row 7 (RADIUS), and
+        zeros elsewhere.
+    """
+    coef = np.zeros((8, *constants.shape))
+    coef[CONSTANT], coef[RADIUS] = constants, radius
+    return Enclosures(coef)
