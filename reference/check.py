@@ -53,9 +53,25 @@ from converters.to_mitsuba import (
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
-from reference.figures import Bools, Figures, measure_differences, write_comparison
+from reference.figures import (
+    Bools,
+    Figures,
+    measure_differences,
+    signed_difference,
+    write_comparison,
+)
 from reference.judges import plain
-from tracer import Lambertian, PointLight, Scene, SceneWarning, Sphere, Surfaces, load_scene, render
+from tracer import (
+    Lambertian,
+    PointLight,
+    Scene,
+    SceneWarning,
+    Sphere,
+    Surfaces,
+    load_scene,
+    render,
+    to_codes,
+)
 from tracer.command.arguments import OTHER_NAME, choose_output_paths, make_output_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
@@ -635,9 +651,11 @@ def _check_to_file(path: Path, comparison_path: Path, options: argparse.Namespac
         If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
     result = check(path, options.variant, options.flavour)
-    labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
+    pictures = result.tracer, result.mitsuba.image
+    tracer_codes, mitsuba_codes = map(to_codes, pictures)
+    labels, signed = ("tracer", f"Mitsuba {result.mitsuba.variant}"), signed_difference(*pictures)
     with errors_as_failure(comparison_path, "written", OTHER_NAME):
-        write_comparison(comparison_path, result.tracer, result.mitsuba.image, labels)
+        write_comparison(comparison_path, tracer_codes, mitsuba_codes, signed, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {comparison_path}"))
     return result

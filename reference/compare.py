@@ -31,7 +31,14 @@ from pathlib import Path
 import numpy as np
 
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
-from reference.figures import SSIM_WINDOW, decode_to_linear, measure_differences, write_comparison
+from reference.figures import (
+    SSIM_WINDOW,
+    Floats,
+    decode_to_linear,
+    measure_differences,
+    signed_difference,
+    write_comparison,
+)
 from reference.handins.class_page import make_pair, render_class_page
 from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
@@ -323,7 +330,8 @@ def _compare(
     result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
     if picture.codes.shape != solution.codes.shape:
         return result, None
-    ssim, rmse, maximum = _linear_figures(picture.codes, solution.codes)
+    ssim, rmse, signed = _compare_in_linear_light(picture.codes, solution.codes)
+    maximum = float(np.abs(signed).max())
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or maximum <= options.max) and (
@@ -334,20 +342,19 @@ def _compare(
         differing=int((picture.codes != solution.codes).any(axis=2).sum()),
         worst=worst_pixel(picture.codes, solution.codes),
     )  # fmt: skip
-    pair = make_pair(result, picture.codes, solution.codes) if options.html else None
+    pair = make_pair(result, picture.codes, solution.codes, signed) if options.html else None
     if options.output and not (options.is_class and agrees):
         output = _output_path(options, picture_path)
-        picture_light, reference_light = map(decode_to_linear, (picture.codes, solution.codes))
         labels = printable(picture_path.name), printable(reference_path.name)
         with errors_as_failure(output, "written", OTHER_NAME, error_types=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, picture_light, reference_light, labels)
+            write_comparison(output, picture.codes, solution.codes, signed, labels)
         result = result._replace(comparison=str(output))
     return result, pair
 
 
-def _linear_figures(first: Codes, second: Codes) -> tuple[float, float, float]:
-    """Measure the difference between two pictures in linear light.
+def _compare_in_linear_light(first: Codes, second: Codes) -> tuple[float, float, Floats]:
+    """Compute the difference between two pictures in linear light, and measure it.
 
     The pictures are divided into bands of rows, because the arrays of a band take about 100 bytes
     per pixel.
@@ -361,21 +368,24 @@ def _linear_figures(first: Codes, second: Codes) -> tuple[float, float, float]:
     -------
     ssim : float
         Structural similarity of the pictures; 1 if they are equal.
-    rmse, maximum : float
-        Root mean square and maximum of the absolute difference, over all pixels and channels.
+    rmse : float
+        Root mean square of the difference, over all pixels and channels.
+    signed : (h, w) float array
+        The difference of each pixel in the channel that differs most; positive if the first picture
+        is brighter.
     """
     (height, width, _), margin = first.shape, SSIM_WINDOW - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
     # Number of rows in which a window can begin.
     window_rows = max(1, height - margin)
-    ssim, sum_of_squares, maximum = 0.0, 0.0, 0.0
+    ssim, sum_of_squares, signed_bands = 0.0, 0.0, []
     for start in range(0, height, band_height):
         # Structural-similarity windows that begin in this band extend below it, by the margin.
         rows = slice(start, start + band_height + margin)
         first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
         weight = max(0, min(band_height, window_rows - start)) / window_rows
         ssim += weight * measure_differences(first_light, second_light).ssim
-        difference = (first_light - second_light)[:band_height]
-        sum_of_squares += float((difference**2).sum())
-        maximum = max(maximum, float(np.abs(difference).max()))
-    return ssim, float(np.sqrt(sum_of_squares / first.size)), maximum
+        first_light, second_light = first_light[:band_height], second_light[:band_height]
+        sum_of_squares += float(((first_light - second_light) ** 2).sum())
+        signed_bands.append(signed_difference(first_light, second_light))
+    return ssim, float(np.sqrt(sum_of_squares / first.size)), np.concatenate(signed_bands)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from skimage.metrics import structural_similarity
 
-from tracer import to_codes
+from reference.pictures import Codes
 from tracer.files import atomic_file
 
 Bools: TypeAlias = NDArray[np.bool_]
@@ -130,7 +130,9 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
     )
 
 
-def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, str]) -> None:
+def write_comparison(
+    path: str | Path, left_codes: Codes, right_codes: Codes, signed: Floats, labels: tuple[str, str]
+) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
     Small pictures are enlarged, each pixel to a square.
@@ -139,26 +141,28 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
     ----------
     path : str or Path
         The file to write.  Only an existing PNG file is replaced.
-    a, b : (height, width, 3) float arrays
-        The left and the central picture, in linear radiance.
+    left_codes, right_codes : (height, width, 3) uint8 arrays
+        8-bit codes of the two pictures.
+    signed : (height, width) float array
+        The difference between the pictures in linear light, as `signed_difference` returns it.
     labels : (str, str)
-        Titles of the left and the central picture.  Long titles are cut off.
+        Titles of the two pictures.  Long titles are cut off.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    difference_codes, gain = amplify_difference(a, b)
+    difference_codes, gain = amplify_difference(signed)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
     legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
-    height, width = a.shape[:2]
+    height, width = signed.shape
     zoom = -(-_MIN_PANEL // max(width, height))
     panel_width = max(zoom * width, _MIN_PANEL)  # wide enough for a title
     panel_height = zoom * height + 2 * _LABEL_HEIGHT
     size = 3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
-    pictures = (to_codes(a), to_codes(b), difference_codes)
+    pictures = (left_codes, right_codes, difference_codes)
     for k, (codes, title, legend) in enumerate(zip(pictures, titles, legends, strict=True)):
         panel = Image.new("RGB", (panel_width, panel_height), _PAPER_COLOR)
         draw = ImageDraw.Draw(panel)
@@ -171,8 +175,8 @@ def write_comparison(path: str | Path, a: Floats, b: Floats, labels: tuple[str, 
         sheet.save(file, format="PNG")
 
 
-def amplify_difference(a: Floats, b: Floats) -> tuple[NDArray[np.uint8], float]:
-    """Draw the difference between two pictures, amplified so that it is visible.
+def signed_difference(a: Floats, b: Floats) -> Floats:
+    """Subtract one picture from another, and keep the channel that differs most in each pixel.
 
     Parameters
     ----------
@@ -181,25 +185,40 @@ def amplify_difference(a: Floats, b: Floats) -> tuple[NDArray[np.uint8], float]:
 
     Returns
     -------
-    codes : (height, width, 3) uint8 array
-        A picture that is orange where `a` is brighter, and blue where `a` is darker.  Its
-        brightness is the amplified difference of the channel that differs most.
-    gain : float
-        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, chosen such
-        that 99.9 % of the pixels' amplified differences are at most 1.  0 if the pictures are
-        equal.
+    signed : (height, width) float array
+        For each pixel, the difference a - b of the channel in which its absolute value is largest.
     """
     difference = a - b
     lowest, highest = difference.min(axis=2), difference.max(axis=2)
-    signed = np.where(highest >= -lowest, highest, lowest)
-    absolute = np.abs(signed)
+    signed: Floats = np.where(highest >= -lowest, highest, lowest)
+    return signed
+
+
+def amplify_difference(signed: Floats) -> tuple[Codes, float]:
+    """Draw the difference between two pictures, amplified so that it is visible.
+
+    Parameters
+    ----------
+    signed : (height, width) float array
+        For each pixel, by how much the first picture is brighter than the second, in linear
+        radiance; negative if it is darker.
+
+    Returns
+    -------
+    codes : (height, width, 3) uint8 array
+        A picture that is orange where the first picture is brighter, and blue where it is darker.
+    gain : float
+        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, chosen such
+        that 99.9 % of the amplified differences are at most 1.  0 if the pictures are equal.
+    """
+    absolute, codes = np.abs(signed), np.zeros((*signed.shape, 3), dtype=np.uint8)
     shown_maximum = float(np.percentile(absolute, _PERCENTILE)) or float(absolute.max())
     if shown_maximum == 0:
-        return np.zeros(a.shape, dtype=np.uint8), 0.0
+        return codes, 0.0
     power = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
-    amplified, codes = np.clip(gain * signed, -1, 1), np.empty(a.shape, dtype=np.uint8)
+    amplified = np.clip(gain * signed, -1, 1)
     for channel in range(3):  # all channels together would take much memory
-        color = np.where(amplified > 0, _BRIGHTER_COLOR[channel], -_DARKER_COLOR[channel])
+        color = np.where(signed > 0, _BRIGHTER_COLOR[channel], -_DARKER_COLOR[channel])
         codes[:, :, channel] = np.round(255 * (color * amplified))
     return codes, gain

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from reference.figures import amplify_difference, decode_to_linear
+from reference.figures import Floats, amplify_difference
 from reference.handins.results import Result, list_mistake_counts, summarize_counts
 from reference.page import Cell, Pair, encode_png, prepare_pair, render_page
 from reference.pictures import Codes
@@ -21,7 +21,7 @@ _LEGEND = (
 )
 
 
-def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes) -> Pair:
+def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes, signed: Floats) -> Pair:
     """Prepare a hand-in, its reference picture and their difference for an HTML page.
 
     Parameters
@@ -30,17 +30,19 @@ def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes) -> Pa
         The result of comparing the two pictures.
     handin_codes, reference_codes : (h, w, 3) uint8 arrays
         8-bit codes of the picture that a student handed in, and of the reference picture.
+    signed : (h, w) float array
+        For each pixel, the difference in linear light; positive if the hand-in is brighter.
 
     Returns
     -------
     Pair
         What the page shows: the three pictures, a thumbnail, the diagnosis and the figures.
     """
-    diagnosis, linear = result.diagnosis, map(decode_to_linear, (handin_codes, reference_codes))
+    diagnosis = result.diagnosis
     return prepare_pair(
         handin_codes,
         reference_codes,
-        *amplify_difference(*linear),
+        *amplify_difference(signed),
         name=str(result.picture),
         good=result.agrees,
         word=result.verdict,
