@@ -116,8 +116,9 @@ def test_all_digits_are_saved(tmp_path):
         assert same == scene
         assert repr(same) == repr(scene)
         assert list(map(repr, same.surfaces)) == list(map(repr, scene.surfaces))
-    # A shader that several surfaces share is written once.
-    assert path.read_text().count("Phong") == 2
+    # Each shader is written once, but not the reader's default shader, which no surface uses.
+    tracer.save_scene(same, path)
+    assert path.read_text().count("<shader name") == 3
     assert len(same.surfaces.shaders) <= 4
 
 
@@ -134,7 +135,11 @@ def test_only_scenes_are_replaced(tmp_path):
         path.write_bytes(there)
         tracer.save_scene(scene, path)
         assert load_scene(path) == scene
-    for there in ('<scene version="3.0.0">', "<scenes>", "my notes", "<!-- <scene> --> text"):
+    unreadable = [
+        f'<?xml version="1.0" encoding="{name}"?><scene/>' for name in ("no", "shift-jis")
+    ]
+    others = '<scene version="3.0.0">', "<scenes>", "my notes", "<!-- <scene> --> text", *unreadable
+    for there in others:
         path.write_text(there)
         with pytest.raises(FileExistsError):
             tracer.save_scene(scene, path)
