@@ -135,7 +135,7 @@ def write_scene_and_command(
 def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return a command that renders a linear picture.
 
-    The picture has 16 bits per channel, and its radiance is clipped at `WHITE`.  Read it with
+    The picture has 16 bits per channel, and its radiance is clipped at 4 (`WHITE`).  Read it with
     `read_linear_picture`.
 
     Parameters
@@ -158,7 +158,9 @@ def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) ->
 
 
 def read_linear_picture(target: Path) -> NDArray[np.float64]:
-    """Read a picture rendered by a command from `write_linear_scene_and_command`.
+    """Read a linear picture with 16 bits per channel, rendered by POV-Ray.
+
+    The command that renders it comes from `write_linear_scene_and_command`.
 
     Parameters
     ----------
@@ -168,7 +170,7 @@ def read_linear_picture(target: Path) -> NDArray[np.float64]:
     Returns
     -------
     image : (height, width, 3) float array
-        Linear RGB radiance, clipped at `WHITE`.
+        Linear RGB radiance, clipped at 4 (`WHITE`).
 
     Raises
     ------

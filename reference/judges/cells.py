@@ -197,9 +197,7 @@ def initial_cells(faces: Faces, width: int, height: int) -> Cells:
         to reach no visible point of a face are settled.  There are no triples (of a cell with a
         face, a light, and an object that may shade the face).
     """
-    cell_width = 2.0 * MAX_WIDTH
-    while cell_width < min(width, height):
-        cell_width *= 2
+    cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     rows, columns = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
     y, x = (np.indices((rows, columns)).reshape(2, -1) + 0.5) * cell_width
     visible = np.flatnonzero(faces.may_be_visible)

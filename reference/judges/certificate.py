@@ -61,8 +61,8 @@ from reference.judges.arrays import (
     list_segment_elements,
     sum_by_index,
 )
+from reference.judges.cell_analysis import CellAnalysis, Contributions
 from reference.judges.cells import MAX_WIDTH, Cells, initial_cells
-from reference.judges.enclosed_cells import Contributions, EnclosedCells
 from reference.judges.enclosures import UNKNOWN, Enclosures, constant_enclosures
 from reference.judges.faces import Faces
 from reference.judges.regions import (
@@ -163,7 +163,7 @@ class CellEstimates(NamedTuple):
 
 
 def estimate_means(
-    enclosed: EnclosedCells, contributions: Contributions, is_skipped: Bools
+    analysis: CellAnalysis, contributions: Contributions, is_skipped: Bools
 ) -> CellEstimates:
     """Estimate the mean radiance of each cell, and bound the error of the estimate.
 
@@ -172,7 +172,7 @@ def estimate_means(
 
     Parameters
     ----------
-    enclosed : EnclosedCells
+    analysis : CellAnalysis
         The c cells, with their pairs and edge functions.
     contributions : Contributions
         For each pair, the radiance of all lights that are not settled.  A light is settled if it is
@@ -192,9 +192,9 @@ def estimate_means(
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    cells, cell_count = enclosed.cells, enclosed.cells.x.size
+    cells, cell_count = analysis.cells, analysis.cells.x.size
     max_radiance = _bound_radiance(cells, contributions)
-    edges = _enclose_edges(enclosed, contributions, max_radiance, is_skipped)
+    edges = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
     is_too_wide = np.bincount(edges.cell, edges.area > _MAX_STRIP_AREA, cell_count) > 0
     has_many_edges = np.bincount(edges.cell, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
@@ -204,7 +204,7 @@ def estimate_means(
     regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), sampled.size)
     regions = regions._replace(cell=sampled[regions.cell])
     doubt = _bound_doubt(lines, regions, cell_count)
-    radiance = _enclose_regions(enclosed, contributions, regions)
+    radiance = _enclose_regions(analysis, contributions, regions)
     region_mean = (radiance.coef[:UNKNOWN] * regions.mean[:, None]).sum(axis=0)
     max_difference = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
     region_error = np.minimum(radiance.radius + doubt, max_difference).max(axis=0)
@@ -244,7 +244,7 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
 
 
 def _enclose_edges(
-    enclosed: EnclosedCells, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
+    analysis: CellAnalysis, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump (change of radiance) across the edge.
 
@@ -253,7 +253,7 @@ def _enclose_edges(
 
     Parameters
     ----------
-    enclosed : EnclosedCells
+    analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
         Radiance of all lights that are not settled (not known to reach all or nothing of a face in
@@ -268,8 +268,8 @@ def _enclose_edges(
     strips : Strips
         The strips, sorted by cell.  Edges without a jump are omitted.
     """
-    cells, light_count = enclosed.cells, enclosed.cells.is_settled.shape[1]
-    pair, light, functions = enclosed.edge_functions()
+    cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
+    pair, light, functions = analysis.edge_functions()
     keys = contributions.pair * light_count + contributions.light
     position, cell = find_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
     # The last element is for lights without a contribution.
@@ -313,7 +313,7 @@ def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
 
 
 def _enclose_regions(
-    enclosed: EnclosedCells, contributions: Contributions, regions: Regions
+    analysis: CellAnalysis, contributions: Contributions, regions: Regions
 ) -> Enclosures:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
@@ -322,7 +322,7 @@ def _enclose_regions(
 
     Parameters
     ----------
-    enclosed : EnclosedCells
+    analysis : CellAnalysis
         The cells, with the radiance of settled lights.
     contributions : Contributions
         Radiance of all lights that are not settled.
@@ -341,10 +341,10 @@ def _enclose_regions(
         If a sample shows a face that the cell rules out.
     """
     _, x, y, *_ = regions.mean
-    pair, is_lit = _trace_centroids(enclosed, regions.cell, x, y)
-    radiance = enclosed.cells.radiance[pair].coef
+    pair, is_lit = _trace_centroids(analysis, regions.cell, x, y)
+    radiance = analysis.cells.radiance[pair].coef
     radiance[..., pair < 0] = 0
-    light_count = enclosed.cells.is_settled.shape[1]
+    light_count = analysis.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
     keys = contributions.pair * light_count + contributions.light
     position = find_sorted(keys, pair[region] * light_count + light)
@@ -353,7 +353,7 @@ def _enclose_regions(
 
 
 def _trace_centroids(
-    enclosed: EnclosedCells, cell: Ints, x: Floats, y: Floats
+    analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats
 ) -> tuple[Ints, Bools]:
     """Trace samples in cells: find the face that each one shows, and the lights that reach it.
 
@@ -362,7 +362,7 @@ def _trace_centroids(
 
     Parameters
     ----------
-    enclosed : EnclosedCells
+    analysis : CellAnalysis
         The cells and their pairs.
     cell : (n,) int array
         The cell of each sample.
@@ -382,7 +382,7 @@ def _trace_centroids(
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    cells, faces, half = enclosed.cells, enclosed.faces, enclosed.cells.width / 2
+    cells, faces, half = analysis.cells, analysis.faces, analysis.cells.width / 2
     hits, sample, face = faces.trace_samples(cells.x[cell] + half * x, cells.y[cell] + half * y)
     keys = cells.pair_cell * faces.object_index.size + cells.pair_face
     order, pair = keys.argsort(), np.full(cell.size, -1)
@@ -516,18 +516,18 @@ class _Picture:
             If a sample shows a face that its cell rules out.
         """
         self.cell_count += cells.x.size
-        enclosed = EnclosedCells(self.faces, cells)
-        cells = enclosed.cells
+        analysis = CellAnalysis(self.faces, cells)
+        cells = analysis.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # other cells are black
         is_alone = pair_count[cells.pair_cell] == 1
         fills_cell = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
-        contributions = enclosed.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
+        contributions = analysis.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
         smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[smooth]] = False
         self.add(cells, cells.pair_cell[smooth], cells.radiance[smooth])
         if cells.width <= 1:
-            estimates = estimate_means(enclosed, contributions, ~is_pending)
+            estimates = estimate_means(analysis, contributions, ~is_pending)
             is_accurate = self.is_accurate(cells, estimates.error, is_pending)
             finished = np.flatnonzero(is_pending & is_accurate)
             mean, error = estimates.mean[:, finished], estimates.error[finished]

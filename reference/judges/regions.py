@@ -98,14 +98,14 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     """Enclose the zeros of edge functions in strips between two parallel lines.
 
     The picture may have an edge where an edge function is zero.  At a point near the zero
-    (`_point_near_zero`), let n be the coordinate along the gradient of length g, and t the
-    coordinate perpendicular to it.  Without its error bound, the function equals
-    v + g n (1 + e) + h t^2 / 2, where v is its value at that point and h its second derivative
-    along t.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
+    (`_point_near_zero`), let n be the coordinate along the gradient, whose length is the slope g,
+    and t the coordinate perpendicular to it.  Let f_tt, f_tn and f_nn be the second derivatives.
+    Without its error bound, the function equals v + g n (1 + e) + f_tt t^2 / 2, where v is its
+    value at that point.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
 
-    Let T be the maximum of |t|.  Then h t^2 / 2 differs from h T^2 / 6 by at most |h| T^2 / 3.  Let
-    d be this difference plus the error bound, and w = v + h T^2 / 6.  Then the function is zero
-    only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
+    Let T be the maximum of |t|.  Then f_tt t^2 / 2 differs from f_tt T^2 / 6 by at most
+    |f_tt| T^2 / 3.  Let d be this difference plus the error bound, and w = v + f_tt T^2 / 6.  Then
+    the function is zero only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
 
     Parameters
     ----------

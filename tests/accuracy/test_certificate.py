@@ -15,10 +15,10 @@ from probe import Vector, scene_of
 from random_scenes import KINDS, random_scene
 from scene_files import small_scene
 
-from reference.judges import certificate, enclosed_cells
+from reference.judges import cell_analysis, certificate
 from reference.judges.arrays import Floats, Ints, find_sorted
+from reference.judges.cell_analysis import CellAnalysis, Contributions
 from reference.judges.certificate import CellEstimates, certify
-from reference.judges.enclosed_cells import Contributions, EnclosedCells
 from reference.judges.enclosures import CONSTANT, RADIUS, UNKNOWN, Enclosures
 from reference.judges.faces import Faces
 from reference.judges.regions import Strips, divide_into_regions
@@ -47,33 +47,33 @@ class SampledPoints:
 
     def __init__(self, monkeypatch: Patch) -> None:
         self.max_excess, self.count, self.rng = -np.inf, 0, np.random.default_rng(0)
-        shade, estimate_means = EnclosedCells.shade, certificate.estimate_means
+        shade, estimate_means = CellAnalysis.shade, certificate.estimate_means
 
-        def checked_shade(enclosed: EnclosedCells, *args: object) -> Contributions:
-            contributions, cells = shade(enclosed, *args), enclosed.cells
+        def checked_shade(analysis: CellAnalysis, *args: object) -> Contributions:
+            contributions, cells = shade(analysis, *args), analysis.cells
             is_alone = np.bincount(cells.pair_cell, minlength=cells.x.size)[cells.pair_cell] == 1
             pair = np.flatnonzero(is_alone & cells.covers_cell & cells.is_settled.all(axis=1))
             for _ in range(4):
-                self.compare(cells.radiance[pair], *self.sample(enclosed, cells.pair_cell[pair]))
+                self.compare(cells.radiance[pair], *self.sample(analysis, cells.pair_cell[pair]))
             return contributions
 
-        def checked_estimate(enclosed: EnclosedCells, *args: object) -> CellEstimates:
-            result = estimate_means(enclosed, *args)
+        def checked_estimate(analysis: CellAnalysis, *args: object) -> CellEstimates:
+            result = estimate_means(analysis, *args)
             for _ in range(4):
-                self.check(enclosed, result)
+                self.check(analysis, result)
             return result
 
-        monkeypatch.setattr(EnclosedCells, "shade", checked_shade)
+        monkeypatch.setattr(CellAnalysis, "shade", checked_shade)
         monkeypatch.setattr(certificate, "estimate_means", checked_estimate)
 
-    def sample(self, enclosed: EnclosedCells, cell: Ints) -> tuple[Floats, Floats, Floats]:
+    def sample(self, analysis: CellAnalysis, cell: Ints) -> tuple[Floats, Floats, Floats]:
         """Return the radiance (3, n) at random points of cells, and their X and Y in the cells."""
         x, y = self.rng.uniform(-1, 1, (2, cell.size))
-        half, radiance = enclosed.cells.width / 2, np.empty((3, cell.size))
+        half, radiance = analysis.cells.width / 2, np.empty((3, cell.size))
         samples, order = Scattered.from_positions(
-            enclosed.cells.x[cell] + half * x, enclosed.cells.y[cell] + half * y
+            analysis.cells.x[cell] + half * x, analysis.cells.y[cell] + half * y
         )
-        radiance[:, order] = radiance_at(enclosed.faces.prepared, samples)
+        radiance[:, order] = radiance_at(analysis.faces.prepared, samples)
         self.count += cell.size
         return radiance, x, y
 
@@ -86,10 +86,10 @@ class SampledPoints:
         excess = np.abs(radiance - value) - enclosures.radius - more
         self.max_excess = excess.max(initial=self.max_excess)
 
-    def check(self, enclosed: EnclosedCells, result: CellEstimates) -> None:
+    def check(self, analysis: CellAnalysis, result: CellEstimates) -> None:
         """Compare one sample of each cell with the enclosure of its region."""
-        lines, regions, n = result.lines, result.regions, enclosed.cells.x.size
-        radiance, x, y = self.sample(enclosed, np.arange(n))
+        lines, regions, n = result.lines, result.regions, analysis.cells.x.size
+        radiance, x, y = self.sample(analysis, np.arange(n))
         first_line = lines.cell.searchsorted(np.arange(n + 1))
         signs, allowed = np.zeros(n, dtype=int), np.zeros(n)
         for bit in range(int(np.diff(first_line).max(initial=0))):
@@ -176,7 +176,7 @@ def with_narrower_cones(result: tuple[Enclosures, Floats], *_: object) -> tuple[
     return result
 
 
-def without_last_edges(_: object, self: EnclosedCells) -> None:
+def without_last_edges(_: object, self: CellAnalysis) -> None:
     del self._edges[-1]
 
 
@@ -197,10 +197,10 @@ BROKEN: dict[str, tuple[object, str, Callable[..., object]]] = {
     "narrow products": (Enclosures, "__mul__", narrower),
     "narrow strips": (certificate, "enclose_in_strips", scaled("half_width", 0.5)),
     "small jumps": (certificate, "enclose_in_strips", scaled("jump", 0.7)),
-    "narrow cones": (enclosed_cells, "_cone_function", with_narrower_cones),
+    "narrow cones": (cell_analysis, "_cone_function", with_narrower_cones),
     "planes of shadows missing": (Faces, "_set_shadow_volumes", without_cone_planes),
-    "no terminators": (EnclosedCells, "_find_terminators", without_last_edges),
-    "no intersections": (EnclosedCells, "_find_intersections", without_last_edges),
+    "no terminators": (CellAnalysis, "_find_terminators", without_last_edges),
+    "no intersections": (CellAnalysis, "_find_intersections", without_last_edges),
     "occluders missing": (Faces, "find_occluders", without_third_occluders),
     "faces hidden too early": (Enclosures, "subtract_independent", lower),
 }

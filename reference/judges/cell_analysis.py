@@ -126,8 +126,8 @@ def _cone_function(
     return Enclosures(coef), product
 
 
-class EnclosedCells:
-    """Inverse distances, edge functions, and radiance in cells of the picture, with error bounds.
+class CellAnalysis:
+    """Inverse distances, edge functions and radiance in cells of the picture, with error bounds.
 
     A pair is one face (a sphere, or a side of a box) that may be visible in one cell (a square part
     of the picture).  A camera ray with direction d meets the face at the distance t, where
@@ -761,7 +761,7 @@ class EnclosedCells:
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
-        cell, obj = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
+        cell, owner = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         position = faces.light_position[light].T
         squared_direction = self.squared_direction[cell]
         dot_over_t = self.inverse_distance[pair] * self._dot_with_rays(position, cell)  # q.d / t
@@ -772,8 +772,8 @@ class EnclosedCells:
         height = self._enclose(pair, *self._height_function(pair, light))
         n_dot_l = (height * inverse_length).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
-        radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, obj])
-        glossy = np.flatnonzero(prepared.is_glossy[obj])
+        radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, owner])
+        glossy = np.flatnonzero(prepared.is_glossy[owner])
         glossy_pair, unique_index = np.unique(pair[glossy], return_inverse=True)
         inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
         eye_function = self._height_function(glossy_pair, 0 * glossy_pair - 1)
@@ -784,7 +784,7 @@ class EnclosedCells:
         )
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
         n_dot_h = ((n_dot_l[glossy] + n_dot_v[unique_index]) * inverse_sum).clamp_to_unit_interval()
-        lobe = n_dot_h.power(prepared.exponent[obj[glossy]], 0.0, 1.0).clamp_to_unit_interval()
-        specular = intensity[:, glossy] * prepared.specular[:, obj[glossy]]
+        lobe = n_dot_h.power(prepared.exponent[owner[glossy]], 0.0, 1.0).clamp_to_unit_interval()
+        specular = intensity[:, glossy] * prepared.specular[:, owner[glossy]]
         radiance[..., glossy] += lobe.coef[:, None] * specular
         return Contributions(pair, light, Enclosures(radiance))
