@@ -25,6 +25,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -56,11 +57,13 @@ from tracer import load_scene
 from tracer.command.arguments import OTHER_NAME, is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_result
-from tracer.command.progress import track
+from tracer.command.progress import Progress, track
 from tracer.messages import printable
 
 # Number of pixels in a band of rows: figures are computed band by band.
 _PIXELS_PER_BAND = 500_000
+# Time between updates of the progress bar of a single comparison.
+_REFRESH_SECONDS = 0.5
 # Why a hand-in is not compared if its worker dies.
 _LOST = "cannot be compared: its process was ended; is there enough memory?"
 
@@ -185,9 +188,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options, hand_ins = _parse(arguments)
     # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
     jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
-    compare = partial(compare_hand_in, options)
-    compared = map_in_workers(compare, jobs, lambda hand_in: compare(hand_in._replace(error=_LOST)))
-    results_and_pairs = sorted(track(compared, len(jobs), "pictures"), key=_sort_key)
+    if len(jobs) == 1:
+        results_and_pairs = [_compare_with_progress_bar(options, jobs[0])]
+    else:
+        compare = partial(compare_hand_in, options)
+        compared = map_in_workers(compare, jobs, lambda job: compare(job._replace(error=_LOST)))
+        results_and_pairs = sorted(track(compared, len(jobs), "pictures"), key=_sort_key)
     results = with_common_causes_first([result for result, _ in results_and_pairs])
     if options.html:
         pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
@@ -201,6 +207,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if any(result.verdict == "unread" for result in results):
         return FAILED_STATUS
     return int(not all(result.agrees for result in results))
+
+
+def _compare_with_progress_bar(
+    options: argparse.Namespace, hand_in: HandIn
+) -> tuple[Result, Pair | None]:
+    """Compare one picture, and show the elapsed time in a progress bar after the first second.
+
+    Parameters
+    ----------
+    options : Namespace
+        The command-line options.
+    hand_in : HandIn
+        The paths of the picture and of its reference.
+
+    Returns
+    -------
+    result : Result
+        The diagnosis and the figures, or an error, as `compare_hand_in` returns it.
+    pair : dict or None
+        Both pictures, as the HTML page needs them; None without a page.
+    """
+    with Progress(1, "pictures") as bar, ThreadPoolExecutor(1) as executor:
+        future = executor.submit(compare_hand_in, options, hand_in)
+        while not wait([future], _REFRESH_SECONDS).done:
+            bar.update(0)
+        return future.result()
 
 
 def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:

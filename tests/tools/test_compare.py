@@ -22,7 +22,7 @@ from running import run, start_process
 from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
-from reference.compare import main
+from reference.compare import compare_hand_in, main
 from reference.figures import measure_differences, signed_difference, write_comparison
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
@@ -149,6 +149,19 @@ def test_tolerances(tmp_path: Path, compare: Compare) -> None:
     statuses = {"--max 0.2": 0, "--max 1e-4": 1, "--ssim 0.9": 0, "--ssim 0.9 --max 1e-4": 1}
     for tolerances, status in (statuses | {"": 1, "--max -1": 2}).items():
         assert compare(a, SCENE, *tolerances.split())[0] == status, tolerances
+
+
+def test_a_single_comparison_shows_a_progress_bar(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
+) -> None:
+    def compare_slowly(*arguments: object) -> object:
+        time.sleep(1.6)
+        return compare_hand_in(*arguments)
+
+    monkeypatch.setattr("reference.compare.compare_hand_in", compare_slowly)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    status, _, error = compare(save(tmp_path / "a.png", CODES), SCENE)
+    assert (status, "0 of 1 pictures [00:01" in error) == (0, True)
 
 
 def test_one_picture(tmp_path: Path, compare: Compare) -> None:
