@@ -22,6 +22,7 @@ HARD_SCENES = Path(__file__).with_name("scenes")
 FIELDS = {
     "error factor": "the largest error is at most this many times that of a uniform grid",
     "largest error": "the largest error of a pixel, in linear radiance, is at most this",
+    "certificate": "agrees: the certified picture is nearly that of many samples per pixel",
     "samples": "the numbers of samples per pixel for which one of the above holds",
     "brightest value": "Mitsuba's picture agrees, and the tracer's largest value is above this",
     "culling": "exact: the picture is that of every ray against every object, to the last bit",

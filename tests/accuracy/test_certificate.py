@@ -11,9 +11,9 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from probe import Vector, scene_of
+from probe import scene_of
 from random_scenes import KINDS, random_scene
-from scene_files import small_scene
+from scene_files import HardScene, hard_scenes, small_scene
 
 from reference.judges import cell_analysis, certificate
 from reference.judges.arrays import Floats, Ints, find_sorted
@@ -231,15 +231,25 @@ def strips_of(*lines: Floats) -> Strips:
     return Strips(np.zeros(a.size, dtype=np.intp), a, b, c, 0 * a, 0 * a)
 
 
-@pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
-def test_means(name: str) -> None:
-    scene = small_scene(name, 24, 14)
-    certified, sampled = certify(scene, 1 / 256), render(scene, 256)
+def assert_means_are_certified(scene: Scene, samples: int) -> None:
+    """Assert that the means of many samples agree with those that are certified."""
+    certified, sampled = certify(scene, 1 / 256), render(scene, samples)
     assert certified.error.max() <= 1 / 256
     assert (certified.low <= certified.image).all()
     assert (certified.image <= certified.high).all()
+    assert sampled.max() > 0.3
     assert np.abs(certified.image - sampled).max() < 0.01
     assert root_mean_square_error(certified.image, sampled) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])
+def test_means(name: str) -> None:
+    assert_means_are_certified(small_scene(name, 24, 14), 256)
+
+
+@pytest.mark.parametrize("hard", hard_scenes("certificate"))
+def test_means_of_hard_scenes(hard: HardScene) -> None:
+    assert_means_are_certified(hard.scene, *hard.samples)
 
 
 @np.errstate(all="ignore")
@@ -250,29 +260,6 @@ def test_the_rim_of_a_sheet_shows_its_face() -> None:
     _, sample, face = faces.trace_samples(np.array([4.0, 6.0, 2.0]), np.array([4.0, 4.0, 6.0]))
     assert sorted(sample) == [0, 1, 2]
     assert faces.may_be_visible[face].all()
-
-
-FLOOR = Box(min_pt=(-9, -2, -9), max_pt=(9, -1, 9))
-
-
-@pytest.mark.parametrize(
-    ("box", "light"),
-    [
-        # The light is in the lower side of the ceiling, and reaches the floor.
-        (Box(min_pt=(-9, 2, -9), max_pt=(9, 3, 9)), (0, 2, -4)),
-        # The eye is in a room, and the light in its ceiling.
-        (Box(min_pt=(-9, -3, -9), max_pt=(9, 2, 9)), (0, 2, -4)),
-        # The light is in the plane of a sheet, which has no shadow.
-        (Box(min_pt=(0.5, -1, -5), max_pt=(0.5, 0, -3)), (0.5, 2, -4)),
-        # The light is above the sheet, which has a shadow.
-        (Box(min_pt=(-1, 0, -5), max_pt=(1, 0, -3)), (0.5, 2, -4)),
-    ],
-)
-def test_means_with_lights_on_sides_and_in_planes_of_boxes(box: Box, light: Vector) -> None:
-    scene = scene_of(box, FLOOR, size=(8, 6), lights=light)
-    certified, sampled = certify(scene, 1 / 256), render(scene, 256)
-    assert sampled.max() > 0.5
-    assert np.abs(certified.image - sampled).max() < 0.01
 
 
 @pytest.mark.slow
