@@ -305,14 +305,14 @@ class CellAnalysis:
         for question, functions, u, v in candidates:
             index = np.flatnonzero(~is_never[question])
             edge_pair, edge_light = pair[question[index]], light[question[index]]
-            edges = self._narrow(edge_pair, functions[index], u[index], v[index])
+            edges = self._narrow_edge_functions(edge_pair, functions[index], u[index], v[index])
             self._edges.append((edge_pair, edge_light, edges))
         return is_always & ~is_never
 
-    def _narrow(
+    def _narrow_edge_functions(
         self, pair: Ints, functions: Enclosures, u: Enclosures, v: Enclosures | Floats
     ) -> Enclosures:
-        """Replace edge functions u + v s by u^2 - v^2 s^2 where this is enclosed more narrowly.
+        """Replace edge functions u + v s by u^2 - v^2 s^2 where the enclosure is narrower.
 
         The picture may have an edge where such a function is zero.  Here s is the square-root term
         of 1 / t = k.d + s, where t is the distance of a face along the ray with direction d.  Near
