@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Progress(1, "pictures") as bar,
     ):
         certificate = certify(scene, float(arguments.error), bar.update)
-    lines, wrong_count = _summarise(certificate, arguments.error), 0
+    lines, wrong_count = _summarise_certificate(certificate, arguments.error), 0
     seconds = perf_counter() - start
     if judged_codes is not None:
         wrong_count, verdict = count_wrong_codes(certificate, judged_codes)
@@ -97,7 +97,7 @@ def _make_command_parser() -> CommandParser:
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
-    options: Any = {"type": _positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
+    options: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
     help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
     add_argument("--error", help=help_text, **options)
     help_text = "the picture to write (SCENE.xml.certified.png)"
@@ -107,7 +107,7 @@ def _make_command_parser() -> CommandParser:
     return command_parser
 
 
-def _positive_fraction(argument: str) -> Fraction:
+def _parse_positive_fraction(argument: str) -> Fraction:
     """Parse a command-line argument that must be a positive number or fraction, such as 1/128.
 
     Raises
@@ -150,7 +150,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     return codes
 
 
-def _summarise(certificate: Certificate, error: Fraction) -> list[str]:
+def _summarise_certificate(certificate: Certificate, error: Fraction) -> list[str]:
     """State what is certain about a picture, in two or three lines.
 
     Parameters

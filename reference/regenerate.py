@@ -55,7 +55,7 @@ def load_small(path: Path) -> Scene:
     return replace(scene, width=WIDTH, height=max(1, round(WIDTH * scene.height / scene.width)))
 
 
-def scene_hash(path: Path) -> str:
+def hash_scene_file(path: Path) -> str:
     """Compute the SHA-256 hash of a scene file, as hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -129,6 +129,6 @@ def main() -> None:
         "variant": use_variant().variant,
         "samples": 1,
         "width": WIDTH,
-        "scenes": {path.stem: {"sha256": scene_hash(path)} for path in own_scenes()},
+        "scenes": {path.stem: {"sha256": hash_scene_file(path)} for path in own_scenes()},
     }
     (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")

@@ -168,7 +168,7 @@ METHODS: dict[str, Method] = {
 """Functions that render a scene, by the names of the methods that they use."""
 
 
-def largest_error(image: Floats, exact: Floats) -> float:
+def measure_largest_error(image: Floats, exact: Floats) -> float:
     """Compute the largest error of an image's radiance.
 
     Parameters
@@ -184,7 +184,7 @@ def largest_error(image: Floats, exact: Floats) -> float:
     return float(np.nan_to_num(np.abs(image - exact), nan=1.0).max())
 
 
-def wrong_percentage(image: Floats, exact: Floats) -> float:
+def measure_wrong_percentage(image: Floats, exact: Floats) -> float:
     """Compute the percentage of pixels that are dark but should be lit, or the reverse.
 
     Parameters
@@ -245,24 +245,24 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 # fmt: off
 PANELS = (
     Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant_sphere,
-          largest_error, _HITS, ("ε D", "ε D²")),
+          measure_largest_error, _HITS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), silhouette_of_sphere, wrong_percentage, _HITS),
+          np.logspace(3, 25, 12, base=2), silhouette_of_sphere, measure_wrong_percentage, _HITS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved_sphere,
-          largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
+          measure_largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
-          wrong_percentage, _SHADOWS),
+          measure_wrong_percentage, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground_sphere, largest_error, _HITS, ("ε radius",)),
+          ground_sphere, measure_largest_error, _HITS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
-          wrong_percentage, _SHADOWS),
+          measure_wrong_percentage, _SHADOWS),
     Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), highlight_on_sphere,
-          largest_error, _SHINY, ("ε e",)),
+          measure_largest_error, _SHINY, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
           np.logspace(-30, 30, 16, base=2), lambda x: ball_on_ground(scale=x),
-          wrong_percentage, _SHADOWS),
+          measure_wrong_percentage, _SHADOWS),
 )
 # fmt: on
 
@@ -396,7 +396,7 @@ def _draw_panel(
         name: np.array([row[::2] for row in rows if row[1] == name], float).T
         for name in ("this tracer", *panel.methods)
     }
-    is_radiance, x = panel.error is largest_error, curves["this tracer"][0]
+    is_radiance, x = panel.error is measure_largest_error, curves["this tracer"][0]
     scene = panel.scene(x[0])
     floor, top = (_MIN_ERROR, 1.0) if is_radiance else (25 / (scene.width * scene.height), 100.0)
     # Curves without errors are drawn below each other.

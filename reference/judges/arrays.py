@@ -77,7 +77,7 @@ def list_segment_elements(length: Ints, start: Ints) -> tuple[Ints, Ints]:
     return segment, np.arange(segment.size) - (length.cumsum() - length - start)[segment]
 
 
-def find_sorted(keys: Ints, wanted: Ints) -> Ints:
+def find_in_sorted(keys: Ints, wanted: Ints) -> Ints:
     """Find the positions of numbers in a sorted array.
 
     Parameters

@@ -177,7 +177,7 @@ class Cells(NamedTuple):
         return quarters if is_inside.all() else quarters.select_cells(is_inside)
 
 
-def initial_cells(faces: Faces, width: int, height: int) -> Cells:
+def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     """Cover a picture with a row or a column of square cells.
 
     The width of the cells is a power of two, in pixels: the smallest that is at least both 16 and

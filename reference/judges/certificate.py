@@ -57,13 +57,13 @@ from reference.judges.arrays import (
     Floats,
     Ints,
     add_at_sorted_index,
-    find_sorted,
+    find_in_sorted,
     list_segment_elements,
     sum_by_index,
 )
 from reference.judges.cell_analysis import CellAnalysis, Contributions
-from reference.judges.cells import MAX_WIDTH, Cells, initial_cells
-from reference.judges.enclosures import UNKNOWN, Enclosures, constant_enclosures
+from reference.judges.cells import MAX_WIDTH, Cells, make_initial_cells
+from reference.judges.enclosures import UNKNOWN, Enclosures, enclose_constants
 from reference.judges.faces import Faces
 from reference.judges.regions import (
     MIN_AREA,
@@ -271,7 +271,7 @@ def _enclose_edges(
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
     pair, light, functions = analysis.edge_functions()
     keys = contributions.pair * light_count + contributions.light
-    position, cell = find_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
+    position, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
     # The last element is for lights without a contribution.
     jump_of_light = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], jump_of_light)
@@ -347,7 +347,7 @@ def _enclose_regions(
     light_count = analysis.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
     keys = contributions.pair * light_count + contributions.light
-    position = find_sorted(keys, pair[region] * light_count + light)
+    position = find_in_sorted(keys, pair[region] * light_count + light)
     add_at_sorted_index(radiance, region, contributions.radiance[position].coef)
     return Enclosures(radiance)
 
@@ -386,7 +386,7 @@ def _trace_centroids(
     hits, sample, face = faces.trace_samples(cells.x[cell] + half * x, cells.y[cell] + half * y)
     keys = cells.pair_cell * faces.object_index.size + cells.pair_face
     order, pair = keys.argsort(), np.full(cell.size, -1)
-    position = find_sorted(keys[order], cell[sample] * faces.object_index.size + face)
+    position = find_in_sorted(keys[order], cell[sample] * faces.object_index.size + face)
     if (position < 0).any():
         message = "a sample contradicts its cell: the certificate or the tracer is wrong"
         raise RuntimeError(message)
@@ -531,7 +531,7 @@ class _Picture:
             is_accurate = self.is_accurate(cells, estimates.error, is_pending)
             finished = np.flatnonzero(is_pending & is_accurate)
             mean, error = estimates.mean[:, finished], estimates.error[finished]
-            self.add(cells, finished, constant_enclosures(mean, error))
+            self.add(cells, finished, enclose_constants(mean, error))
             is_pending[finished] = False
         return cells.select_cells(is_pending)
 
@@ -606,7 +606,7 @@ def certify(
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
     picture = _Picture(scene, _ERROR_FOR_CELLS * error)
-    stack = [initial_cells(picture.faces, scene.width, scene.height)]
+    stack = [make_initial_cells(picture.faces, scene.width, scene.height)]
     total_area, finished_area = stack[0].area, 0.0
     while stack:
         cells = stack.pop()

@@ -337,7 +337,7 @@ def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
     return np.asarray(z**exponent)
 
 
-def constant_enclosures(constants: Floats, radius: Floats | float = 0.0) -> Enclosures:
+def enclose_constants(constants: Floats, radius: Floats | float = 0.0) -> Enclosures:
     """Enclose quantities that are nearly constant in their cell.
 
     Parameters

@@ -53,7 +53,7 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
         shader_index=np.append(np.arange(sphere_count), np.arange(box_count + 1)) % len(_SHADERS),
         shaders=_SHADERS,
     )
-    lights = _lights((6, 8, 7), (-7, 6, 5))
+    lights = _make_lights((6, 8, 7), (-7, 6, 5))
     return Scene(camera=camera, width=width, height=height, lights=lights, surfaces=surfaces)
 
 
@@ -88,11 +88,11 @@ def field_scene(count: int) -> Scene:
         shader_index=np.arange(count + 1) % len(_SHADERS),
         shaders=_SHADERS,
     )
-    lights = _lights((5, 10, -4), (-7, 13, 8))
+    lights = _make_lights((5, 10, -4), (-7, 13, 8))
     return Scene(camera=camera, width=640, height=360, lights=lights, surfaces=surfaces)
 
 
-def _lights(*positions: tuple[float, float, float]) -> list[PointLight]:
+def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:
     """Make one light of medium intensity at each position (x, y, z)."""
     return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 

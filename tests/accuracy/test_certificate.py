@@ -16,7 +16,7 @@ from random_scenes import KINDS, random_scene
 from scene_files import HardScene, hard_scenes, small_scene
 
 from reference.judges import cell_analysis, certificate
-from reference.judges.arrays import Floats, Ints, find_sorted
+from reference.judges.arrays import Floats, Ints, find_in_sorted
 from reference.judges.cell_analysis import CellAnalysis, Contributions
 from reference.judges.certificate import CellEstimates, certify
 from reference.judges.enclosures import CONSTANT, RADIUS, UNKNOWN, Enclosures
@@ -99,7 +99,7 @@ class SampledPoints:
             signs[cell] |= (z > 0) << bit
             allowed[cell] += (np.abs(z) <= lines.half_width[line]) * lines.jump[line]
         # Regions are sorted by cell and signs; very small ones may be missing.
-        region = find_sorted(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
+        region = find_in_sorted(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
         cell = np.flatnonzero(region >= 0)
         enclosures, more = result.radiance[region[cell]], result.doubt[region[cell]] + allowed[cell]
         self.compare(enclosures, radiance[:, cell], x[cell], y[cell], more)

@@ -27,7 +27,8 @@ def test_error_grows_with_distance_as_eps_times_its_power(
     for distance in distances.tolist():
         scene = stability.distant_sphere(distance)
         image = plain.render(scene, arithmetic=arithmetic, sphere_method=sphere_method)
-        errors.append(stability.largest_error(image, plain.render(scene, arithmetic="decimal")))
+        exact = plain.render(scene, arithmetic="decimal")
+        errors.append(stability.measure_largest_error(image, exact))
     slope = np.polyfit(np.log(distances), np.log(errors), 1)[0]
     # Rounding errors are almost random, so a fit over a few decades is accurate to one third.
     assert abs(slope - power) < 1 / 3
@@ -48,15 +49,15 @@ def test_error_grows_with_distance_as_eps_times_its_power(
 )
 def test_usual_methods_fail_where_the_chart_shows_it(scene, method):
     exact = plain.render(scene, arithmetic="decimal")
-    assert stability.wrong_percentage(stability.METHODS[method](scene), exact) > 1
-    assert stability.wrong_percentage(render(scene), exact) == 0
+    assert stability.measure_wrong_percentage(stability.METHODS[method](scene), exact) > 1
+    assert stability.measure_wrong_percentage(render(scene), exact) == 0
 
 
 @pytest.mark.parametrize("panel", stability.PANELS, ids=lambda panel: panel.title)
 def test_the_tracer_is_accurate_at_the_end_of_every_axis(panel):
     error = stability.measure_errors(panel, "this tracer", panel.positions[-1:])
     # No decision is wrong.  Radiance has seven correct digits at 1e8, and six at 1e9.
-    assert error <= (2e-7 if panel.error is stability.largest_error else 0.0)
+    assert error <= (2e-7 if panel.error is stability.measure_largest_error else 0.0)
 
 
 def test_errors_of_small_pictures(monkeypatch):
@@ -65,8 +66,8 @@ def test_errors_of_small_pictures(monkeypatch):
     unknown = exact.copy()
     unknown[0, 0, 1] = np.nan
     for image, largest, percentage in ((changed, 0.25, 50), (unknown, 1, 25)):
-        assert stability.largest_error(image, exact) == largest
-        assert stability.wrong_percentage(image, exact) == percentage
+        assert stability.measure_largest_error(image, exact) == largest
+        assert stability.measure_wrong_percentage(image, exact) == percentage
     # A point of the chart shows the largest error of several scenes at nearby positions.
     panel = replace(stability.PANELS[0], nearby=(1.0, 3.0, 2.0))
     monkeypatch.setitem(

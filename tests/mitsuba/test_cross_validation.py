@@ -16,7 +16,7 @@ from converters.variant import SCALAR, use_variant
 from reference import check, regenerate
 from reference.command import HERE, SCENES
 from reference.figures import measure_differences
-from reference.regenerate import load_small, read_stored_picture, scene_hash
+from reference.regenerate import hash_scene_file, load_small, read_stored_picture
 from tracer import load_scene, render
 
 pytestmark = pytest.mark.cross_validation
@@ -53,7 +53,7 @@ def test_the_stored_pictures_are_of_these_scenes():
     assert sorted(path.stem for path in regenerate.FOLDER.glob("*.exr")) == NAMES
     manifest = json.loads((regenerate.FOLDER / "manifest.json").read_text())
     then = {name: scene["sha256"] for name, scene in manifest["scenes"].items()}
-    now = {name: scene_hash(SCENES / f"{name}.xml") for name in NAMES}
+    now = {name: hash_scene_file(SCENES / f"{name}.xml") for name in NAMES}
     assert then == now, "scenes have changed; python -m reference.regenerate renders them again"
 
 
