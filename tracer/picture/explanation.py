@@ -298,9 +298,8 @@ def _explain_light(
     faces_light = light_geometry(hits, prepared_light).n_dot_l.item() > 0
     occluders = _find_occluders(hits, prepared_light) if faces_light else hits.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for channel, diffuse_term, specular_term in shade(hits, [prepared_light]).reflection_terms():
-        diffuse[channel] = diffuse_term.item()
-        specular[channel] = 0 if specular_term is None else specular_term.item()
+    for channel, diffuse_term, _, specular_term in shade(hits, [prepared_light]).reflection_terms():
+        diffuse[channel], specular[channel] = diffuse_term.item(), specular_term.sum()
     point, normal = first_hit.point[0], first_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
     half_vector = normalize(to_light + normalize(hits.prepared.frame.eye - point))

@@ -155,9 +155,13 @@ class Shading:
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        self._is_glossy = hits.object_values(hits.prepared.is_glossy)
-        # Sums over lights of intensity times n.l, and of intensity times (n.h)^p, without the
-        # colours of the surfaces; None before the first light.
+        # All groups of hits, from the first to the last, in which any surface has highlights.
+        is_glossy = hits.prepared.is_glossy
+        intervals = [g.interval for g in hits.groups if is_glossy[g.run_object].any()]
+        self._glossy = slice(intervals[0].start, intervals[-1].stop) if intervals else slice(0, 0)
+        self._is_glossy = hits.object_values(is_glossy)[self._glossy]
+        # Sums over lights of intensity times n.l for all hits, and of intensity times (n.h)^p for
+        # the hits in these groups, without the colours of surfaces; None before the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
         self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
@@ -182,13 +186,13 @@ class Shading:
             cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.length2[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
-            glossy_index = indices(is_hit_lit & self._is_glossy)
-            if glossy_index.size:
-                strength = np.zeros(is_hit_lit.size)
-                strength[glossy_index] = geometry.highlight_strength(light_index, glossy_index)
+            lit_index = indices(is_hit_lit[self._glossy] & self._is_glossy)
+            if lit_index.size:
+                strength, hit_index = np.zeros(self._is_glossy.size), self._glossy.start + lit_index
+                strength[lit_index] = geometry.highlight_strength(light_index, hit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
-    def reflection_terms(self) -> Iterator[tuple[int, Floats, Floats | None]]:
+    def reflection_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
         """Yield the diffuse and the specular radiance of the n hits, for each colour channel.
 
         Nothing is yielded if no hit is lit.
@@ -200,22 +204,25 @@ class Shading:
         diffuse : (n,) float array
             Sum over visible lights of I kd n.l, where I is the light's intensity, kd the object's
             diffuse colour, n the unit normal, and l the direction to the light.
-        specular : (n,) float array or None
-            Sum over visible lights of I ks (n.h)^p, where ks is the object's specular colour, h the
-            unit half vector between the directions to the light and to the eye, and p the object's
-            exponent; None if no lit object has highlights.
+        glossy : slice
+            A slice of hits, outside of which no object has highlights.  It is empty if no lit
+            object has highlights.
+        specular : (k,) float array
+            For each hit in this slice, the sum over visible lights of I ks (n.h)^p, where ks is the
+            object's specular colour, h the unit half vector between the directions to the light and
+            to the eye, and p the object's exponent.
         """
         if self._diffuse_sum is None:
             return
         hits, prepared = self._hits, self._hits.prepared
+        glossy = slice(0, 0) if self._specular_sum is None else self._glossy
+        specular_sum = np.zeros((3, 0)) if self._specular_sum is None else self._specular_sum
         for channel in range(3):
             diffuse = hits.object_values(prepared.diffuse[channel])
             diffuse *= self._diffuse_sum[channel]
-            specular = None
-            if self._specular_sum is not None:
-                specular = hits.object_values(prepared.specular[channel])
-                specular *= self._specular_sum[channel]
-            yield channel, diffuse, specular
+            specular = hits.object_values(prepared.specular[channel])[glossy]
+            specular *= specular_sum[channel]
+            yield channel, diffuse, glossy, specular
 
     def radiance(self, out: Floats | None = None) -> Floats:
         """Compute the radiance towards the eye at each sample.
@@ -231,9 +238,8 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, diffuse, specular in self.reflection_terms():
-            if specular is not None:
-                diffuse += specular
+        for channel, diffuse, glossy, specular in self.reflection_terms():
+            diffuse[glossy] += specular
             out[channel][self._hits.sample] = diffuse
         return out
 

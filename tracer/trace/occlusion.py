@@ -581,12 +581,16 @@ def _build_square_packets(
         The row packets, sorted so that the children of each square packet are consecutive.
     """
     first_hit = row_packets.child_start
-    x, y = hits.samples.positions(hits.sample[first_hit])
-    layer = hits.prepared.frame.depth_layer(hits.from_eye[2][first_hit], square_width)
-    keys = layer, x // square_width, y // square_width, row_packets.object_index
-    order = np.lexsort(keys)
+    # One integer encodes the object, and the row and the column of the square.
+    square_key = row_packets.object_index
+    for position in hits.samples.positions(hits.sample.take(first_hit)):
+        square = (position / square_width).astype(np.intp)
+        square -= square.min()
+        square_key = square_key * (square.max() + 1) + square
+    order = square_key.argsort(kind="stable")
+    layer = hits.prepared.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
-    start, count = run_lengths(*(key[order] for key in keys))
+    start, count = run_lengths(square_key[order], layer[order])
     return _merge_row_packets(row_packets, start, count), row_packets
 
 
