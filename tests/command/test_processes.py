@@ -50,7 +50,8 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
     for shared in (False, True):
         job = RenderJob(scene, samples)
         tiles = job.tiles(shared=shared)
-        assert len(tiles) >= min(job.seconds / 0.25, width * height)
+        max_seconds = 0.25 / (1 + samples / 10_000)
+        assert len(tiles) >= min(job.seconds / max_seconds, width * height)
         assert len(tiles) >= min(4 * processors, job.seconds / 0.05) or not shared
         counts = np.zeros((height, width), dtype=int)
         for tile in tiles:

@@ -54,6 +54,11 @@ _MAX_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 * CACHE_SIZE, 4
 # calls and of communication counts.
 _MAX_TILE_SECONDS, _MIN_TILE_SECONDS = 0.2, 0.02
 
+# Number of samples per pixel for which the maximum time of a tile is halved.  With more samples, a
+# few pixels take most of the time, so some tiles exceed their estimates by more.  Of 90 tiles of
+# three scenes at 20,000 and 40,000 samples, none took more than 0.3 s; otherwise, 0.75 s.
+_UNEVEN_SAMPLES = 10_000
+
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
 _TILES_PER_PROCESSOR = 4
 
@@ -337,9 +342,8 @@ class RenderJob:
         """
         width, height = self.prepared.frame.width, self.prepared.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
-        tile_size = min(
-            self._max_samples / self._lattice.size, _MAX_TILE_SECONDS * pixels_per_second
-        )
+        max_seconds = _MAX_TILE_SECONDS / (1 + self._per_side**2 / _UNEVEN_SAMPLES)
+        tile_size = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
         if shared:
             balanced_size = width * height / (_TILES_PER_PROCESSOR * count_processors())
             tile_size = min(tile_size, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_size))
