@@ -19,8 +19,8 @@ A cell of the picture is treated as follows:
    lines of the strips divide the cell into convex *regions*.  Outside the strips, nothing changes
    within a region.  So one sample at the centroid of a region shows which face is visible and which
    lights reach it.
-4. A cell is divided into quarters if it has too many edges or too wide strips, or if the error of
-   its mean radiance is too large.
+4. A cell is divided into quarters if it has too many edges, or if the error of its mean radiance is
+   too large.
 
 Why the bounds are sound: each point of a region either shows what the centroid shows, or lies in a
 strip.  Two errors remain:
@@ -81,9 +81,6 @@ _ITEMS_PER_BATCH = 12000
 # Maximum number of edges that divide a cell into regions; a cell with more of them is divided into
 # quarters.  Each edge may double the number of regions.
 _MAX_LINES = 5
-
-# A cell with a strip that covers more than this fraction of it is divided into quarters.
-_MAX_STRIP_AREA = 0.999
 
 # The settled lights of a pair may take this fraction of the permitted error.
 _SETTLED_ERROR = 0.25
@@ -179,8 +176,7 @@ def estimate_means(
         known to reach all or nothing of the face in the cell.
     is_skipped : (c,) bool array
         Cells for which no sample is traced.  Their mean is half of `max_radiance`, with the same
-        error.  Cells without radiance, or with edges that are too many or too wide, are skipped,
-        too.
+        error.  Cells without radiance, or with too many edges, are skipped, too.
 
     Returns
     -------
@@ -195,10 +191,9 @@ def estimate_means(
     cells, cell_count = analysis.cells, analysis.cells.x.size
     max_radiance = _bound_radiance(cells, contributions)
     edges = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
-    is_too_wide = np.bincount(edges.cell, edges.area > _MAX_STRIP_AREA, cell_count) > 0
     has_many_edges = np.bincount(edges.cell, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
-    is_skipped = is_skipped | is_too_wide | has_many_edges | is_black
+    is_skipped = is_skipped | has_many_edges | is_black
     lines = edges.take(~is_skipped[edges.cell])
     sampled, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
     regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), sampled.size)
