@@ -16,7 +16,7 @@ from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
 VARIANTS = ("shadow-own", "shadow-own-lobe")
-"""Not mistakes: other ways to write a right tracer, which render some mistakes differently."""
+"""Not mistakes: other ways to write a correct tracer, which render some mistakes differently."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (tuple of keywords of mistakes) of a background that is not black."""
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")

@@ -276,7 +276,7 @@ class MistakeRenderer:
         """Mistakes that change the picture, grouped by the picture that they give.
 
         Each key is the first cause of a group, and the value is the list of all its causes.  Each
-        mistake is also rendered in those variants of a right tracer with which it gives another
+        mistake is also rendered in those variants of a correct tracer with which it gives another
         picture; the cause then consists of the keywords of the mistake and of the variant.
 
         A mistake that shows only together with another one forms a group of its own.  Mistakes with
@@ -308,7 +308,7 @@ class MistakeRenderer:
 
     @cached_property
     def single_mistakes(self) -> list[Cause]:
-        """All causes that consist of one mistake, some with a variant of a right tracer."""
+        """All causes that consist of one mistake, some with a variant of a correct tracer."""
         causes: list[Cause] = [(k,) for k in self.mistakes if k not in mistakes.VARIANTS]
         return causes + [cause for group in self.groups.values() for cause in group if cause[1:]]
 
@@ -338,7 +338,7 @@ class MistakeRenderer:
         Returns
         -------
         tuple of str
-            The keywords of both causes; if one of them has a variant of a right tracer, the
+            The keywords of both causes; if one of them has a variant of a correct tracer, the
             variant's keyword is the last.  Empty if the mistakes exclude each other, or if both
             causes have a variant.
         """
@@ -494,7 +494,13 @@ class Search:
         """Select the causes that leave the fewest pixels unexplained, by successive halving.
 
         Successive halving compares all causes at few pixels, then the best of them at more pixels,
-        and so on.
+        and so on.  A cause leaves a pixel unexplained if the hand-in differs there from the picture
+        that is rendered with the cause.
+
+        Parameters
+        ----------
+        causes : list of tuples of str
+            Causes, as keywords of mistakes that are made together.
 
         Returns
         -------
@@ -546,7 +552,7 @@ class Search:
         return [causes[k] for k in order if count[k] <= max_count]
 
     def find(self) -> Finding:
-        """Search for the causes with which the scene renders as the hand-in.
+        """Search for the mistakes with which the scene renders as the hand-in.
 
         Single mistakes are tried first.  Pairs are tried only if no single mistake explains the
         hand-in almost exactly.
@@ -554,32 +560,27 @@ class Search:
         Returns
         -------
         Finding
-            The causes; or, if no cause explains the hand-in, the nearest cause as a hint.
+            The causes (tuples of keywords of mistakes that are made together); or, if no cause
+            explains the hand-in, the cause with the most similar picture as a hint.
         """
         singles, pairs = self._select_best(self.renderer.single_mistakes), list[Cause]()
         group = self._select_reportable(singles)
-        if not group or self._count_unexplained(group[0]) > _MAX_UNEXPLAINED:
+        unexplained_count: float = self._count_unexplained(group[0]) if group else np.inf
+        if unexplained_count > _MAX_UNEXPLAINED:
             pairs = self._select_best_pairs()
             better = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
-            if better and (
-                not group
-                or _MIN_RATIO * self._count_unexplained(better[0])
-                <= self._count_unexplained(group[0])
-            ):
+            if better and _MIN_RATIO * self._count_unexplained(better[0]) <= unexplained_count:
                 group = better
-        if group:
-            unexplained_count = self._count_unexplained_in_full(group[0])
-            if unexplained_count <= self._max_unexplained:
-                causes = dict.fromkeys(remove_variants(cause) for cause in group)
-                return Finding(tuple(causes), unexplained_count)
+        if group and (count := self._count_unexplained_in_full(group[0])) <= self._max_unexplained:
+            return Finding(tuple(dict.fromkeys(map(remove_variants, group))), count)
         # A pair is the hint only if it leaves less than half the pixels of a single mistake.
         hint = min(group[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
             len(remove_variants(cause)) * self._count_unexplained(cause)))  # fmt: skip
         hint, *_ = self._add_rounding([hint])
-        unexplained_count = self._count_unexplained_in_full(hint)
-        if 2 * unexplained_count > self.wrong_count:
+        count = self._count_unexplained_in_full(hint)
+        if 2 * count > self.wrong_count:
             return Finding((), self.wrong_count)
-        return Finding((), unexplained_count, remove_variants(hint))
+        return Finding((), count, remove_variants(hint))
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels in which the hand-in differs from the full picture of a cause."""
@@ -587,10 +588,16 @@ class Search:
         return int((levels > self.tolerance).sum())
 
     def _select_best_pairs(self) -> list[Cause]:
-        """Return the pairs of mistakes that leave the fewest pixels unexplained, the best first.
+        """Select the pairs of mistakes whose pictures are most similar to the hand-in.
 
         If several mistakes have the same picture, only the first of them is tried in pairs.  The
         others are tried in its place if a pair with it is among the best.
+
+        Returns
+        -------
+        list of tuples of str
+            At most `_MIN_CAUSES` causes, the best first; each contains the keywords of two
+            mistakes.
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         rendered, codes, pixels = renderer.rendered_pairs
@@ -616,7 +623,7 @@ class Search:
         Parameters
         ----------
         cause : tuple of str
-            Keywords of the mistakes; the keyword of a variant of a right tracer may follow.
+            Keywords of the mistakes; the keyword of a variant of a correct tracer may follow.
         """
         unexplained, keywords = self._count_unexplained(cause), remove_variants(cause)
         for keyword in keywords:
@@ -684,16 +691,26 @@ class Search:
         choices = [[cause, *filter(None, (join(cause, (keyword,)) for keyword in roundings))]
                    for cause in causes]  # fmt: skip
         self._measure([cause for choice in choices for cause in choice])
-        most_exact = [min(choice, key=self._count_inexact) for choice in choices]
-        return [
-            rounded
-            if _MIN_RATIO * max(self._count_inexact(rounded), _MAX_UNEXPLAINED)
-            < self._count_inexact(cause)
-            else cause
-            for cause, rounded in zip(causes, most_exact, strict=True)
-        ]
+        chosen = list[Cause]()
+        for cause, choice in zip(causes, choices, strict=True):
+            rounded = min(choice, key=self._count_inexact)
+            max_inexact = _MIN_RATIO * max(self._count_inexact(rounded), _MAX_UNEXPLAINED)
+            chosen.append(rounded if max_inexact < self._count_inexact(cause) else cause)
+        return chosen
 
 
 def remove_variants(cause: Cause) -> Cause:
-    """Remove the keywords of variants of a right tracer, which are no mistakes, from a cause."""
+    """Remove, from the keywords of a cause, those that are no mistakes.
+
+    Parameters
+    ----------
+    cause : tuple of str
+        Keywords of mistakes that are made together, and of variants of a correct tracer, with which
+        some mistakes have another picture.
+
+    Returns
+    -------
+    tuple of str
+        The keywords of the mistakes.
+    """
     return tuple(keyword for keyword in cause if keyword not in mistakes.VARIANTS)

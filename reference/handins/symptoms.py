@@ -123,7 +123,7 @@ def is_decided_by_rounding(search: Search) -> bool:
     """Test whether rounding explains all pixels in which a hand-in differs by more than one level.
 
     Rounding explains them if (1) they are few; and (2) the codes of each lie between those that the
-    right tracer gives when the sample in the pixel, or the origin of its shadow rays, is moved a
+    correct tracer gives when the sample in the pixel, or the origin of its shadow rays, is moved a
     little.
 
     Parameters
