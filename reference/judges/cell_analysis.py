@@ -189,7 +189,7 @@ class CellAnalysis:
             self._find_intersections()
 
     def _dot_with_rays(self, vectors: Floats, cell: Ints) -> Enclosures:
-        """Enclose the dot products of constant vectors with the directions of rays through cells.
+        """Enclose the dot products of constant vectors with the ray directions in cells.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class CellAnalysis:
         -------
         product : Enclosures
             Enclosures (8, n) of the dot products, which are linear in the position (X, Y) in the
-            cell.  Only the rows 0 to 2 (coefficients of 1, X and Y) and RADIUS are not zero.
+            cell.  All rows but 0 to 2 (coefficients of 1, X and Y) and 7 (RADIUS) are zero.
         """
         coef, max_ray_size = np.zeros((8, cell.size)), self.faces.frame.max_ray_size
         coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell, axis=1)).sum(axis=0)
@@ -429,7 +429,7 @@ class CellAnalysis:
         yield _Condition(pair, cones[pair], zeros, is_edge=True)
 
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
-        """Find the pairs whose face is certainly hidden everywhere in the cell.
+        """Find the pairs whose face another face certainly hides everywhere in the cell.
 
         A pair is one face in one cell.  Only one occluder is tried in each cell: among the faces
         that cover the cell, the one with the largest lower bound on its inverse distance.

@@ -72,7 +72,7 @@ class Cells(NamedTuple):
     triples: Ints
 
     def select_triples(self, kept: Bools) -> Cells:
-        """Copy the cells with all pairs and some triples.
+        """Copy all cells and pairs, but only the selected triples.
 
         A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
         object that may shade the pair's face from the light.
@@ -90,7 +90,7 @@ class Cells(NamedTuple):
         return self._replace(triples=self.triples.compress(kept, axis=1))
 
     def select_pairs(self, kept: Bools) -> tuple[Cells, Ints]:
-        """Copy the cells with some pairs and their triples.
+        """Copy all cells, but only the selected pairs and their triples.
 
         A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
         object that may shade the pair's face from the light.
@@ -116,7 +116,7 @@ class Cells(NamedTuple):
         return cells.select_triples(cells.triples[0] >= 0), new_index
 
     def select_cells(self, kept: Bools) -> Cells:
-        """Copy some of the cells, with all of their pairs and triples.
+        """Copy the selected cells, with all of their pairs and triples.
 
         A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
         object that may shade the pair's face from the light.

@@ -286,7 +286,7 @@ class Enclosures:
         return line
 
     def clamp_to_unit_interval(self) -> Enclosures:
-        """Replace enclosures much wider than the interval [0, 1] by this interval.
+        """Replace each enclosure that is much wider than the interval [0, 1] by this interval.
 
         Use this only for quantities that are certainly from 0 to 1, such as the cosines of angles
         below 90 degrees.

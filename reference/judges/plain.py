@@ -116,7 +116,7 @@ def intersect_by_textbook(origin: Array, direction: Array, center: Array, radius
 
 
 def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula, with one term multiplied out.
+    """Intersect rays with a sphere by the quadratic formula, with a square multiplied out.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
     with the square of the distance from the ray's origin to the sphere, and with the square of the
@@ -302,7 +302,7 @@ class _PlainTracer:
         return np.where(is_tiny, self.to_numbers(0), values)
 
     def signed_distance(self, surface: int, points: Array) -> Array:
-        """Compute the signed distance of each point from a surface.
+        """Compute each point's signed distance from a surface.
 
         Parameters
         ----------
@@ -503,7 +503,7 @@ class _PlainTracer:
         return points, normals
 
     def is_lit(self, owner: Array, points: Array, normals: Array, light: Array) -> Array:
-        """Test which points on surfaces a light reaches.
+        """Test whether a light reaches each of n points on surfaces.
 
         Parameters
         ----------
@@ -535,7 +535,9 @@ class _PlainTracer:
         return is_lit
 
     def is_blocking(self, surface: int, points: Array, light: Array, min_length: float) -> Array:
-        """Test which open segments between points and a light a surface intersects.
+        """Test whether a surface blocks the segment from each point to a light.
+
+        The ends of the segment are not tested.
 
         If the point or the light is on a sphere, one intersection is known exactly.  The other one
         follows without a square root: both are at the same distance from the point of the segment
@@ -564,7 +566,7 @@ class _PlainTracer:
         min_t, max_t = self.to_numbers(min_length) + self.tolerance, distance - self.tolerance
 
         def is_between(t: Array) -> Any:
-            """Test whether the point at the distance t (n,) lies strictly before the light."""
+            """Test whether the distances t (n,) are strictly between the points and the light."""
             return (t > min_t) & (t < max_t)
 
         near, far = self.intersect(surface, points, direction, is_closed=False)
