@@ -1,7 +1,7 @@
 """Measure how fast the tracer renders, compared with compiled renderers.
 
 ``python -m reference.benchmark`` writes `benchmark.md` into this folder.  Renderers are timed
-alternately.  Where Mitsuba renders in this process, it compiles its kernels and builds its scene
+alternately.  If Mitsuba renders in this process, it compiles its kernels and builds its scene
 before the clock starts.
 """
 

@@ -57,7 +57,7 @@ def _measure_scheduler_seconds(count: int) -> float:
     Parameters
     ----------
     count : int
-        Number of timed tasks.  As many tasks run before, so that the worker has started.
+        Number of timed tasks.  The same number of tasks runs before, to start the worker.
 
     Returns
     -------

@@ -331,7 +331,7 @@ class CellAnalysis:
         Returns
         -------
         narrowed : Enclosures
-            For each function, the enclosure that is narrower in proportion to its slope.
+            For each function, the enclosure that is narrower relative to its slope.
         """
         index = np.flatnonzero(functions.coef[UNKNOWN])
         if index.size:

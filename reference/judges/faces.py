@@ -267,9 +267,11 @@ class Faces:
         shape = (*active.T.shape, self.object_count)
         if grid is not None and active.any():
             owner = self.object_index[face]
-            for light, part, object_index in grid.query(center, half_size[:, None], owner, active):
-                key = np.ravel_multi_index((part, light, object_index), shape)
-                keys.append(key[may_block[object_index]])
+            for light, part_index, occluder in grid.query(
+                center, half_size[:, None], owner, active
+            ):
+                key = np.ravel_multi_index((part_index, light, occluder), shape)
+                keys.append(key[may_block[occluder]])
         # The grid may find an object in several octants, so duplicates are removed.
         return np.array(np.unravel_index(np.unique(np.concatenate(keys)), shape))
 
