@@ -14,6 +14,8 @@ from contextlib import contextmanager
 
 from tracer.messages import printable
 
+_NO_MEMORY = "not enough memory"
+
 
 class Failure(Exception):  # noqa: N818
     """The failure of a task.  ``str(failure)`` is the line for the user: ``where: what; remedy``.
@@ -88,40 +90,24 @@ def errors_as_failure(
         is_exempt = isinstance(error, (Failure, BrokenPipeError))
         if is_exempt or not isinstance(error, (OSError, MemoryError, *error_types)):
             raise
-        if is_lack_of_memory(error):
-            remedy = memory_remedy
-        what = f"cannot be {participle}: {describe_cause(error)}"
+        reason = describe_cause(error)
+        remedy = memory_remedy if reason == _NO_MEMORY else remedy
+        what = f"cannot be {participle}: {reason}"
         raise Failure(os.fspath(where), what, remedy, status) from error
-
-
-def is_lack_of_memory(error: BaseException) -> bool:
-    """Test whether an error means that there was not enough memory.
-
-    It does if it is a MemoryError, a ChildProcessError (the system ends processes that take too
-    much memory), or a RuntimeError that was raised from one of these.
-    """
-    return isinstance(_root_cause(error), (MemoryError, ChildProcessError))
 
 
 def describe_cause(error: BaseException) -> str:
     """Describe the cause of an error in one line, for example "No such file or directory".
 
-    The line is the system's message if the cause is an OSError; otherwise the text of the error, or
-    the name of its class if the text is empty.  Unprintable characters are escaped.
+    A RuntimeError that was raised from another error is replaced by that error.  The line is "not
+    enough memory" for a MemoryError and for a ChildProcessError, because the system ends processes
+    that take too much memory; the system's message for other OSErrors; otherwise the text of the
+    error, or the name of its class if the text is empty.  Unprintable characters are escaped.
     """
-    if is_lack_of_memory(error):
-        return "not enough memory"
-    cause = _root_cause(error)
-    text = (isinstance(cause, OSError) and cause.strerror) or " ".join(str(cause).split())
-    return printable(text or type(cause).__name__)
-
-
-def _root_cause(error: BaseException) -> BaseException:
-    """Follow a chain of RuntimeErrors, each raised from another error, to the original error.
-
-    Other errors, and errors that were not raised from another one, are returned unchanged.
-    """
-    # Dr.Jit raises such chains.
+    # Dr.Jit raises chains of RuntimeErrors.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:
         error = error.__cause__
-    return error
+    if isinstance(error, (MemoryError, ChildProcessError)):
+        return _NO_MEMORY
+    text = (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())
+    return printable(text or type(error).__name__)
