@@ -175,3 +175,31 @@ def _jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
         return np.asarray(Image.open(buffer))
 
     return round_trip
+
+
+def to_columns(codes: Codes) -> Codes:
+    """Convert a picture (h, w, 3) to an array (3, n) with one column for each of the n pixels."""
+    return np.ascontiguousarray(codes.reshape(-1, 3).T)
+
+
+def to_picture(columns: Codes, width: int) -> Codes:
+    """Convert an array (3, n) with one column per pixel to a picture (n / width, width, 3)."""
+    return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
+
+
+def level_difference(first: Codes, second: Codes, channel_axis: int = -2) -> Codes:
+    """Return, for each pixel, the largest difference between the colour channels of two pictures.
+
+    Parameters
+    ----------
+    first, second : (..., 3, n) uint8 arrays
+        Codes (levels from 0 to 255) of n pixels.
+    channel_axis : int
+        The axis of the three channels; 2 for pictures (h, w, 3).
+
+    Returns
+    -------
+    levels : (..., n) uint8 array
+        The differences in levels, without the axis of the channels.
+    """
+    return np.asarray((np.maximum(first, second) - np.minimum(first, second)).max(channel_axis))

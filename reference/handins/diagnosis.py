@@ -20,17 +20,8 @@ import numpy as np
 from reference.handins import symptoms
 from reference.handins.formulas import Array
 from reference.handins.mistakes import OF_PICTURE
-from reference.handins.search import (
-    MAX_PIXELS,
-    Cause,
-    Finding,
-    MistakeRenderer,
-    Search,
-    difference,
-    to_columns,
-    to_picture,
-)
-from reference.pictures import Codes, Picture
+from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Search
+from reference.pictures import Codes, Picture, level_difference, to_columns, to_picture
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
 AGREEING = ("identical", "rounding", "format")
@@ -208,7 +199,9 @@ class Solution:
         if (height, width) == (right_width, right_height):
             upright = {keyword: np.ascontiguousarray(turn_back(picture.codes))
                        for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
-            turn = min(upright, key=lambda turn: difference(upright[turn], self.codes, 2).sum())
+            turn = min(
+                upright, key=lambda turn: level_difference(upright[turn], self.codes, 2).sum()
+            )
             diagnosis = self._diagnose_at_own_size(picture._replace(codes=upright[turn]))
             if diagnosis.kind != UNKNOWN:
                 sentence = self._renderer(right_height, right_width).mistakes[turn].sentence
@@ -302,7 +295,7 @@ class Solution:
         renderer = search.renderer
         both_codes = search.handin_codes, renderer.reference_codes
         width, height = renderer.width, renderer.pixel_count // renderer.width
-        levels = difference(*both_codes)
+        levels = level_difference(*both_codes)
         is_wrong = levels > 1
         y, x = divmod(int(levels.argmax()), width)
         handin_code, reference_code = (" ".join(map(str, codes[:, levels.argmax()]))
@@ -416,7 +409,7 @@ def worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
     -------
     column, row : int
     """
-    levels = difference(first, second, 2)
+    levels = level_difference(first, second, 2)
     row, column = np.unravel_index(levels.argmax(), levels.shape)
     return int(column), int(row)
 
@@ -434,7 +427,7 @@ def diagnose_agreement(handin_codes: Codes, reference_codes: Codes) -> Diagnosis
     Diagnosis or None
         Of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
-    levels = difference(handin_codes, reference_codes, 2)
+    levels = level_difference(handin_codes, reference_codes, 2)
     count = int(np.count_nonzero(levels))
     if not count:
         return _verdict("identical", "The pictures are identical.")

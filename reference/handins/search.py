@@ -25,7 +25,7 @@ import numpy as np
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache, join_formulas, scene_values
 from reference.handins.formulas import Array, Formulas, used_names
-from reference.pictures import Codes
+from reference.pictures import Codes, level_difference
 from tracer import Scene
 
 # A cause is reported if it leaves at most this part of the wrong pixels unexplained, or at most
@@ -56,34 +56,6 @@ _MAX_LEVELS = 32
 _MIN_SHOWN_SURFACES = 3
 
 Cause: TypeAlias = tuple[str, ...]
-
-
-def difference(first: Array, second: Array, channel_axis: int = -2) -> Array:
-    """Return, for each pixel, the largest difference between the colour channels of two pictures.
-
-    Parameters
-    ----------
-    first, second : (..., 3, n) arrays of equal type
-        Codes (levels from 0 to 255) of n pixels.
-    channel_axis : int
-        The axis of the three channels; 2 for pictures (h, w, 3).
-
-    Returns
-    -------
-    levels : (..., n) array
-        The differences in levels, without the axis of the channels.
-    """
-    return (np.maximum(first, second) - np.minimum(first, second)).max(axis=channel_axis)
-
-
-def to_columns(codes: Codes) -> Array:
-    """Convert a picture (h, w, 3) to an array (3, n) with one column for each of the n pixels."""
-    return np.ascontiguousarray(codes.reshape(-1, 3).T)
-
-
-def to_picture(columns: Array, width: int) -> Codes:
-    """Convert an array (3, n) with one column per pixel to a picture (n / width, width, 3)."""
-    return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
 class Finding(NamedTuple):
@@ -385,7 +357,7 @@ class Search:
     ) -> None:  # fmt: skip
         self.handin_codes, self.renderer, self.lossy_levels = handin_codes, renderer, lossy_levels
         self._save, reference_codes = save, renderer.reference_codes
-        levels = difference(save(reference_codes) if save else reference_codes, handin_codes)
+        levels = level_difference(save(reference_codes) if save else reference_codes, handin_codes)
         self.clearly_wrong_count = int((levels > 1).sum())
         # If at most two pixels differ by more than rounding, single levels count as wrong.
         self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
@@ -451,7 +423,7 @@ class Search:
         codes = self.renderer.evaluate(formula_sets, pixels, self.handin_codes, self.fitting_cache)
         if self._save and len(pixels) == self.renderer.pixel_count:
             codes = np.array([self._save(picture) for picture in codes])
-        return difference(codes, self.handin_codes[:, pixels])
+        return level_difference(codes, self.handin_codes[:, pixels])
 
     def _measure(self, causes: Sequence[Cause]) -> None:
         """Count the pixels that each cause leaves unexplained or inexact, and cache the numbers.
@@ -601,7 +573,7 @@ class Search:
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         rendered, codes, pixels = renderer.rendered_pairs
-        is_unexplained = difference(codes, self.handin_codes[:, pixels]) > self.tolerance
+        is_unexplained = level_difference(codes, self.handin_codes[:, pixels]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*rendered]
         pairs = {causes[k]: rendered[causes[k]] for k in order[:_MAX_CAUSES]}
         if self.handin_codes[:, renderer.surface_index < 0].any():

@@ -13,8 +13,8 @@ from PIL import Image
 
 from reference.handins.formulas import Array
 from reference.handins.mistakes import parse_formulas, sample_position_formulas
-from reference.handins.search import MAX_PIXELS, Search, difference, to_picture
-from reference.pictures import Codes
+from reference.handins.search import MAX_PIXELS, Search
+from reference.pictures import Codes, level_difference, to_picture
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
 _MAX_LIGHTS = 4
@@ -75,7 +75,7 @@ def find_light_changes(search: Search) -> tuple[Array, Array] | None:
     # lights if the set does not give the hand-in's codes.
     set_has_light = np.array(light_sets)
     change_count = (is_lit != set_has_light[:, :, None]).sum(axis=1)
-    change_count[difference(codes, search.handin_codes[:, pixels]) > 1] = light_count + 1
+    change_count[level_difference(codes, search.handin_codes[:, pixels]) > 1] = light_count + 1
     has_light = set_has_light[change_count.argmin(axis=0)].T
     has_light = np.where(change_count.min(axis=0) <= light_count, has_light, is_lit)
     is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
@@ -132,7 +132,7 @@ def is_decided_by_rounding(search: Search) -> bool:
         The hand-in (a picture that a student handed in), and the renderer of its scene.
     """
     renderer = search.renderer
-    pixels = np.flatnonzero(difference(renderer.reference_codes, search.handin_codes) > 1)
+    pixels = np.flatnonzero(level_difference(renderer.reference_codes, search.handin_codes) > 1)
     if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
         return False
     offsets = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
@@ -164,14 +164,14 @@ def is_after_jpeg(handin_codes: Codes, reference_codes: Codes) -> bool:
     bool
         False if the pictures are too large to try, or if they agree within one level.
     """
-    is_wrong = difference(handin_codes, reference_codes, 2) > 1
+    is_wrong = level_difference(handin_codes, reference_codes, 2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
         return False
     image = Image.fromarray(reference_codes)
     for quality, subsampling in product(_QUALITIES, (0, 2)):
         file = io.BytesIO()
         image.save(file, "JPEG", quality=quality, subsampling=subsampling)
-        agrees = difference(np.asarray(Image.open(file)), handin_codes, 2) <= 1
+        agrees = level_difference(np.asarray(Image.open(file)), handin_codes, 2) <= 1
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
     return False
@@ -185,7 +185,7 @@ def _nearly_agree(first: Codes, second: Codes) -> bool:
     first, second : (h, w, 3) uint8 arrays
         Codes of pictures of equal size.
     """
-    return bool((difference(first, second, 2) > 1).mean() <= _MAX_DIFFERENT)
+    return bool((level_difference(first, second, 2) > 1).mean() <= _MAX_DIFFERENT)
 
 
 def find_reference_within(handin_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
@@ -218,7 +218,7 @@ def find_reference_within(handin_codes: Codes, reference_codes: Codes) -> tuple[
     agrees = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
         window = handin_codes[row : row + row_count, column : column + column_count]
-        agrees &= difference(window, reference_codes[row, column], 2) <= 1
+        agrees &= level_difference(window, reference_codes[row, column], 2) <= 1
     for row, column in np.argwhere(agrees)[:_MAX_PLACES]:
         crop = handin_codes[row : row + height, column : column + width]
         if _nearly_agree(crop, reference_codes):
@@ -268,7 +268,7 @@ def find_symptom(search: Search) -> tuple[str, str] | None:
         return "shadow-speckles", sentence
     if is_after_jpeg(*(to_picture(columns, width) for columns in codes)):
         return "format", "It is the right picture, after JPEG, which changes levels."
-    if edge := edge_with_all((difference(*codes) > 1).reshape(-1, width)):
+    if edge := edge_with_all((level_difference(*codes) > 1).reshape(-1, width)):
         return "edge", f"It is the right picture, except in the {edge}."
     return None
 
