@@ -91,7 +91,7 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def small(tmp_path: Path) -> Path:
+def small_file(tmp_path: Path) -> Path:
     """Write the scene file `small.xml` into an empty folder, and return the path of the file.
 
     The scene is that of `scenes/one-sphere.xml`, with a picture of 40 x 30 pixels.
@@ -103,12 +103,12 @@ def small(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def odd_file(small: Path) -> Path:
-    """Rename the file of the fixture `small`, and return its new path.
+def odd_file(small_file: Path) -> Path:
+    """Rename the file of the fixture `small_file`, and return its new path.
 
     The new name is not valid UTF-8, and contains a line break.
     """
-    return small.rename(small.with_name(os.fsdecode(b"\xff\n.xml")))
+    return small_file.rename(small_file.with_name(os.fsdecode(b"\xff\n.xml")))
 
 
 @pytest.fixture

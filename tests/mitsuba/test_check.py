@@ -310,15 +310,15 @@ def test_the_command_prints_the_result_and_writes_the_comparison(odd_file, flavo
     [(0, 0.01, 1, "DIFFERS"), (0.01, 0, 3, "undecided"), (0, 0, 0, "agrees")],
 )
 def test_the_status_of_the_commands_is_that_of_the_verdict(
-    small, monkeypatch, capsys, command, written, mitsuba_error, tracer_error, status, verdict
+    small_file, monkeypatch, capsys, command, written, mitsuba_error, tracer_error, status, verdict
 ):
-    image = render(load_scene(small))
+    image = render(load_scene(small_file))
     rendering = Rendering(image + mitsuba_error, "scalar_rgb", 0.0)
     monkeypatch.setattr(check, "load_converted", Mock(return_value=lambda: rendering))
     replace_tracer(monkeypatch, image + tracer_error)
-    assert command([*VARIANT, str(small), "-o", f"{small.parent}/made/"]) == status
+    assert command([*VARIANT, str(small_file), "-o", f"{small_file.parent}/made/"]) == status
     assert command is report.main or f"small: {verdict}\n" in capsys.readouterr().out
-    assert file_names(small.parent / "made") == [written]
+    assert file_names(small_file.parent / "made") == [written]
 
 
 def test_the_status_after_several_scenes_is_the_worst():
@@ -331,11 +331,11 @@ def test_the_status_after_several_scenes_is_the_worst():
 
 
 @pytest.mark.parametrize("command", [check.main, report.main])
-def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, command):
-    bright = shutil.copy(HARD_SCENES / "brighter-than-float32.xml", small.parent)
-    missing = str(small.with_name("missing.xml"))
-    made = small.parent / "made"
-    assert command([*VARIANT, bright, missing, str(small), "-o", f"{made}/"]) == 1
+def test_scenes_after_one_that_cannot_be_compared_are_compared(small_file, capsys, command):
+    bright = shutil.copy(HARD_SCENES / "brighter-than-float32.xml", small_file.parent)
+    missing = str(small_file.with_name("missing.xml"))
+    made = small_file.parent / "made"
+    assert command([*VARIANT, bright, missing, str(small_file), "-o", f"{made}/"]) == 1
     captured = capsys.readouterr()
     first, second = captured.err.splitlines()
     assert first == (
@@ -364,7 +364,7 @@ def test_scenes_after_one_that_cannot_be_compared_are_compared(small, capsys, co
         (ChildProcessError(9), "not enough memory; make the image smaller"),
     ],
 )
-def test_an_error_of_mitsuba_is_reported_in_a_line(small, monkeypatch, capsys, error, message):
+def test_an_error_of_mitsuba_is_reported_in_a_line(small_file, monkeypatch, capsys, error, message):
     monkeypatch.setattr(check, "load_converted", Mock(side_effect=error))
-    assert check.main([*VARIANT, str(small)]) == 1
-    assert capsys.readouterr().err == f"{small}: cannot be compared: {message}\n"
+    assert check.main([*VARIANT, str(small_file)]) == 1
+    assert capsys.readouterr().err == f"{small_file}: cannot be compared: {message}\n"

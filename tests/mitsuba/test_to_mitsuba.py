@@ -27,11 +27,11 @@ COMMAND = ["-m", "converters.to_mitsuba"]
     ("options", "written"),
     [([], "small.mitsuba.xml"), (["--flavour", "exact"], "small.exact.mitsuba.xml")],
 )
-def test_the_result_is_beside_the_scene_and_skipped_the_next_time(small, capsys, options, written):
+def test_the_result_is_beside_the_scene_and_skipped_next_time(small_file, capsys, options, written):
     for _ in range(2):
-        assert main([*options, *map(str, sorted(small.parent.glob("*.xml")))]) == 0
-        assert {*file_names(small.parent)} == {written, "small.xml"}
-    scene = small.with_name(written)
+        assert main([*options, *map(str, sorted(small_file.parent.glob("*.xml")))]) == 0
+        assert {*file_names(small_file.parent)} == {written, "small.xml"}
+    scene = small_file.with_name(written)
     assert ET.parse(scene).getroot().tag == "scene"
     assert f"{scene}: skipped, because it is a converted scene\n" in capsys.readouterr().out
 
@@ -77,11 +77,11 @@ PACKAGES = "install it with pip install -e '.[reference]'\n"
         ("--render", "mitsuba", BROKEN, 1, "Mitsuba cannot run: libatomic.so.1: cannot open share"),
     ],
 )
-def test_a_missing_package_is_named(small, option, module, stub, status, message):
+def test_a_missing_package_is_named(small_file, option, module, stub, status, message):
     missing = f"raise ModuleNotFoundError('No module named {module}')"
-    small.with_name(f"{module}.py").write_text(stub or missing)
-    path = {"PYTHONPATH": small.parent}
-    result, _, err = run(option, small, python=COMMAND, cwd=ROOT, env=path)
+    small_file.with_name(f"{module}.py").write_text(stub or missing)
+    path = {"PYTHONPATH": small_file.parent}
+    result, _, err = run(option, small_file, python=COMMAND, cwd=ROOT, env=path)
     assert (result, drop_jit(err).count("\n")) == (status, 1)
     assert drop_jit(err).startswith(message)
 
@@ -98,11 +98,11 @@ def test_a_missing_package_is_named(small, option, module, stub, status, message
         ("exact", "room.v1", "room.v1.png room.v1.exr"),
     ],
 )
-def test_render_writes_a_png_and_an_exr(small, flavour, output, written):
-    output = ["-o", str(small.with_name(output))] if output else []
-    assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small), *output]) == 0
-    assert {*file_names(small.parent)} == {"small.xml", *written.split()}
-    png, exr = (small.with_name(name) for name in written.split())
+def test_render_writes_a_png_and_an_exr(small_file, flavour, output, written):
+    output = ["-o", str(small_file.with_name(output))] if output else []
+    assert main([*RENDER, "--flavour", flavour, "--samples", "4", str(small_file), *output]) == 0
+    assert {*file_names(small_file.parent)} == {"small.xml", *written.split()}
+    png, exr = (small_file.with_name(name) for name in written.split())
     codes = np.asarray(Image.open(png, formats=["PNG"]))
     radiance = np.array(mi.Bitmap(str(exr)))
     # Stock flavours have square pixels.
@@ -112,9 +112,9 @@ def test_render_writes_a_png_and_an_exr(small, flavour, output, written):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
-def test_rendering_ends_on_one_processor(small):
+def test_rendering_ends_on_one_processor(small_file):
     """Mitsuba's writer and reader of EXR files would wait forever for a second thread."""
-    exr = small.with_name("small.mitsuba.exr")
+    exr = small_file.with_name("small.mitsuba.exr")
     read = "from converters.variant import mi, use_variant"
     read += f"; use_variant({SCALAR!r}); mi.Bitmap({str(exr)!r})"
 
@@ -122,7 +122,7 @@ def test_rendering_ends_on_one_processor(small):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
         signal.alarm(60)
 
-    for python in ([*COMMAND, *RENDER, str(small)], ["-c", read]):
+    for python in ([*COMMAND, *RENDER, str(small_file)], ["-c", read]):
         status, out, err = run(python=python, preexec_fn=begin)
         assert (status, drop_jit(err)) == (0, "")
         # Mitsuba does not warn of Python plugins in a scalar variant.
@@ -146,20 +146,21 @@ NUMBERS = "and Mitsuba's numbers end at 3.4e+38; keep the numbers of the scene c
          " make viewWidth larger or viewHeight smaller"),
     ],
 )  # fmt: skip
-def test_a_scene_beyond_mitsubas_range_is_not_converted(small, capsys, flavour, old, new, message):
-    text = small.read_text(encoding="utf-8")
+def test_scenes_beyond_mitsubas_range_are_refused(small_file, capsys, flavour, old, new, message):
+    text = small_file.read_text(encoding="utf-8")
     assert old in text
-    small.write_text(text.replace(old, new), encoding="utf-8")
+    small_file.write_text(text.replace(old, new), encoding="utf-8")
+    arguments = ["--flavour", flavour, str(small_file), "-o", f"{small_file.parent}/made/"]
     for command in (main, check.main):
-        assert command(["--flavour", flavour, str(small), "-o", f"{small.parent}/made/"]) == 1
-        assert capsys.readouterr().err == f"{small}: cannot be converted: {message}\n"
-    assert file_names(small.parent) == ["small.xml"]
+        assert command(arguments) == 1
+        assert capsys.readouterr().err == f"{small_file}: cannot be converted: {message}\n"
+    assert file_names(small_file.parent) == ["small.xml"]
 
 
-def test_an_exr_does_not_replace_a_file_of_another_kind(small, capsys):
-    exr = small.with_name("small.mitsuba.exr")
+def test_an_exr_does_not_replace_a_file_of_another_kind(small_file, capsys):
+    exr = small_file.with_name("small.mitsuba.exr")
     exr.write_text("notes")
-    assert main([*RENDER, str(small)]) == 1
+    assert main([*RENDER, str(small_file)]) == 1
     message = f"{exr}: cannot be written: a file of another kind is there"
     assert capsys.readouterr().err == f"{message}; choose another with -o\n"
     assert exr.read_text() == "notes"
@@ -204,8 +205,8 @@ def test_a_request_for_a_variant_that_does_not_work_gives_the_reason():
 
 
 @pytest.mark.parametrize("variant", ["nope", "scalar_spectral", ""])
-def test_variants_without_rgb_are_refused(small, variant):
-    options = "--variant", variant, str(small), "-o", f"{small.parent}/made/"
+def test_variants_without_rgb_are_refused(small_file, variant):
+    options = "--variant", variant, str(small_file), "-o", f"{small_file.parent}/made/"
     for command, status in ((main, 1), (check.main, 2), (report.main, 2)):
         arguments = ["--render", *options] if command is main else options
         with pytest.raises(Failure) as caught:
@@ -215,4 +216,4 @@ def test_variants_without_rgb_are_refused(small, variant):
         assert start == f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant"
         assert SCALAR in choices
         assert "spectral" not in choices
-    assert file_names(small.parent) == ["small.xml"]
+    assert file_names(small_file.parent) == ["small.xml"]

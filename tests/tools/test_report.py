@@ -149,20 +149,20 @@ def test_a_scene_is_described_by_its_first_comment(
     assert "ask somebody" not in html
 
 
-def test_without_standard_error_the_page_is_written(small, report, monkeypatch):
+def test_without_standard_error_the_page_is_written(small_file, report, monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
-    status, _, text = report(small.with_name("report.html"), small)
+    status, _, text = report(small_file.with_name("report.html"), small_file)
     assert (status, '<strong class="good">All agree.<' in text) == (0, True)
 
 
-def test_scenes_with_the_same_name_are_named_by_their_paths(small, report):
-    other = small.parent / "other" / small.name
+def test_scenes_with_the_same_name_are_named_by_their_paths(small_file, report):
+    other = small_file.parent / "other" / small_file.name
     other.parent.mkdir()
-    text = small.read_text(encoding="utf-8")
+    text = small_file.read_text(encoding="utf-8")
     other.write_text(text.replace("The unit sphere", "The same again"), encoding="utf-8")
-    status, _, text = report(small.with_name("report.html"), small, other, small)
+    status, _, text = report(small_file.with_name("report.html"), small_file, other, small_file)
     ids = re.findall(r' id="(pair-[^"]*)"', text)
     assert (status, len(ids), len(set(ids))) == (0, 2, 2)
     assert re.findall(r' href="#([^"]*)"', text) == ids
-    assert re.findall("<h2>(.*?)</h2>", text)[:2] == sorted(map(str, (small, other)))
+    assert re.findall("<h2>(.*?)</h2>", text)[:2] == sorted(map(str, (small_file, other)))
     assert text.count("The unit sphere") == text.count("The same again") == 1
