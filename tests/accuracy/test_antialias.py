@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from probe import Surface, record_calls, scene_of
 from random_scenes import random_scene
-from scene_files import NAMES, hard_scenes, scene_parameters
+from scene_files import HARD_SCENES, NAMES, hard_scenes, scene_parameters
 
 from reference.command import SCENES
 from reference.judges.certificate import certify
@@ -275,6 +275,25 @@ def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
         # To divide all pixels would take 3 times this number of samples.
         assert sum(counts) < 1.2 * 16 * 16 * 65
     assert np.ptp(truths[1]) > 0.02
+
+
+def test_quarters_with_lines_are_refined_although_samples_agree():
+    # The horizon passes the centres of the middle row of pixels, and light falls off towards it.
+    scene = load_scene(HARD_SCENES / "light-that-falls-off-towards-a-horizon-2.xml")
+    view_height = scene.camera.view_height * 3 / 69
+    camera = replace(scene.camera, view_width=1 / 30, view_height=view_height)
+    scene = replace(scene, camera=camera, width=8, height=3)
+    assert np.abs(render(scene, 64) - uniform_grid(scene, 201))[1].max() < 5e-5
+
+
+def test_regions_of_almost_no_area_take_no_samples(monkeypatch):
+    # Edges of boxes meet in corners, where rounding errors separate lines.  With a sample in each
+    # region between such lines, there would be 1.4 times as many samples.
+    counts = record_calls(
+        monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
+    )
+    render(load_small("two-boxes"), 16)
+    assert sum(counts) < 4.2 * 64 * 64
 
 
 def test_ids_are_equal_where_object_face_and_lights_are():
