@@ -266,10 +266,8 @@ class Faces:
         may_block = ~prepared.is_eye_inside & ~prepared.is_duplicate
         shape = (*active.T.shape, self.object_count)
         if grid is not None and active.any():
-            owner = self.object_index[face]
-            for light, part_index, occluder in grid.query(
-                center, half_size[:, None], owner, active
-            ):
+            triples = grid.query(center, half_size[:, None], self.object_index[face], active)
+            for light, part_index, occluder in triples:
                 key = np.ravel_multi_index((part_index, light, occluder), shape)
                 keys.append(key[may_block[occluder]])
         # The grid may find an object in several octants, so duplicates are removed.
