@@ -41,7 +41,7 @@ from reference.figures import (
     write_comparison,
 )
 from reference.handins.class_page import make_pair, render_class_page
-from reference.handins.diagnosis import AGREEING, Solution, worst_pixel
+from reference.handins.diagnosis import AGREEING, Solution, find_worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
 from reference.handins.results import (
     Result,
@@ -372,7 +372,7 @@ def _compare(
     result = result._replace(
         agrees=agrees, ssim=ssim, rmse=rmse, max=maximum,
         differing=int((picture.codes != solution.codes).any(axis=2).sum()),
-        worst=worst_pixel(picture.codes, solution.codes),
+        worst=find_worst_pixel(picture.codes, solution.codes),
     )  # fmt: skip
     pair = make_pair(result, picture.codes, solution.codes, signed) if options.html else None
     if options.output and not (options.is_class and agrees):

@@ -171,7 +171,7 @@ class Solution:
             return MistakeRenderer(codes, to_columns(codes), surface_index, width, OF_PICTURE)
         scene = replace(self.scene, width=width, height=height)
         codes = codes if codes.shape[:2] == (height, width) else _render_codes(scene)
-        return MistakeRenderer(scene, to_columns(codes), _visible_surfaces(scene), width, {})
+        return MistakeRenderer(scene, to_columns(codes), _find_visible_surfaces(scene), width, {})
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
@@ -244,7 +244,7 @@ class Solution:
         if finding.causes:
             numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,}"
             remainder = f"That leaves {numbers} pixels that differ."
-            causes = (_sentences_of(cause, search) for cause in finding.causes)
+            causes = (_fill_in_sentences(cause, search) for cause in finding.causes)
             return Diagnosis(tuple(causes), after=remainder if finding.unexplained_count else "")
         if not search.lossy_levels and (keyword_and_sentence := symptoms.find_symptom(search)):
             return _verdict(*keyword_and_sentence)
@@ -272,7 +272,7 @@ class Solution:
         mistake_count = len(search.renderer.mistakes)
         sentence, after = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
-            nearest = " ".join(_sentences_of(finding.hint, search).values())
+            nearest = " ".join(_fill_in_sentences(finding.hint, search).values())
             numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,} pixels"
             after = f"The nearest that is known: {nearest} It does not explain {numbers}. "
         after += self._describe_differences(search, finding.hint)
@@ -305,18 +305,18 @@ class Solution:
         if not self.scene:
             advice = "With the scene in place of the right picture, more can be said."
             return f"{count}.{worst}. {advice}"
-        count_and_surfaces = f"{count}: {_wrong_surfaces(self.scene, search, is_wrong)}."
+        count_and_surfaces = f"{count}: {_describe_wrong_surfaces(self.scene, search, is_wrong)}."
         on_background = is_wrong & (renderer.surface_index < 0)
         if hint or on_background.sum() > 0.02 * is_wrong.sum():
             return count_and_surfaces
         is_scene_size = (self.scene.width, self.scene.height) == (width, height)
         option = "" if is_scene_size else f" --size {width}x{height}"
         command = f"tracer {self.name}{option} --pixel {x},{y}"
-        lights = _wrong_lights(self.scene, search, is_wrong)
+        lights = _describe_wrong_lights(self.scene, search, is_wrong)
         return f"{count_and_surfaces}{lights}{worst}; {command} explains it."
 
 
-def _wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> str:
+def _describe_wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> str:
     """Name the surfaces that most of the wrong pixels show, with the numbers of these pixels.
 
     Parameters
@@ -347,7 +347,7 @@ def _wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> str:
     return ", ".join(parts)
 
 
-def _wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str:
+def _describe_wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str:
     """Return a sentence for each light that is missing, or wrongly present, at many wrong pixels.
 
     Parameters
@@ -382,7 +382,7 @@ def _render_codes(scene: Scene) -> Codes:
     return codes
 
 
-def _visible_surfaces(scene: Scene) -> Array:
+def _find_visible_surfaces(scene: Scene) -> Array:
     """Find the surface that each of the n pixels of a scene's picture shows.
 
     Returns
@@ -397,7 +397,7 @@ def _visible_surfaces(scene: Scene) -> Array:
     return np.concatenate([hit.surface.astype(np.int32) for hit in hits])
 
 
-def worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
+def find_worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
     """Find the pixel in which two pictures differ most.
 
     Parameters
@@ -457,7 +457,7 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     return _verdict("black", "The picture is black.")
 
 
-def _sentences_of(cause: Cause, search: Search) -> dict[str, str]:
+def _fill_in_sentences(cause: Cause, search: Search) -> dict[str, str]:
     """Map each mistake of a cause to its sentence, with estimated numbers filled in.
 
     Parameters

@@ -7,7 +7,7 @@ for a set of pixels.  The formulas themselves are in `mistakes.md`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -28,7 +28,7 @@ from tracer import Phong, Scene, Sphere
 _MAX_CACHED_BYTES = 60_000_000
 
 
-def scene_values(scene: Scene | Codes) -> dict[str, Any]:
+def make_formula_inputs(scene: Scene | Codes) -> dict[str, Any]:
     """Convert a scene to the arrays from which formulas compute its picture.
 
     Parameters
@@ -106,8 +106,8 @@ class FormulaCache:
     Parameters
     ----------
     inputs : dict of str to array or number
-        The values of `scene_values`; the `width` and `height` of the picture in pixels; and for
-        the n pixels their columns `i` (n,), rows `j` (n,), and the codes `handin` (3, n) of the
+        The values of `make_formula_inputs`; the `width` and `height` of the picture in pixels; and
+        for the n pixels their columns `i` (n,), rows `j` (n,), and the codes `handin` (3, n) of the
         picture that a student handed in.
     fitting_cache : FormulaCache, optional
         The cache for those pixels from which values of the whole picture are computed, such as its
@@ -120,10 +120,10 @@ class FormulaCache:
         self._recipes: list[Any] = [None] * len(inputs)
         self._version_of: dict[Any, int] = {}
         self._reference_versions = {name: version for version, name in enumerate(inputs)}
-        self._reference_versions = self._versions(REFERENCE_FORMULAS, {})
+        self._reference_versions = self._versions(REFERENCE_FORMULAS)
         self._reference_count, self._cached_bytes = len(self._recipes), 0
 
-    def _versions(self, names: Iterable[str], replaced: Formulas) -> dict[str, int]:
+    def _versions(self, changes: Formulas) -> dict[str, int]:
         """Return the version of each formula, if some formulas are replaced.
 
         The version of a value is the index of its recipe: the tuple of its formula and of the
@@ -131,10 +131,7 @@ class FormulaCache:
 
         Parameters
         ----------
-        names : iterable of str
-            The formulas whose versions may differ from those of the reference picture, in the order
-            of computation.
-        replaced : dict of str to callable
+        changes : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
 
         Returns
@@ -144,10 +141,10 @@ class FormulaCache:
             inputs of this cache are missing.
         """
         versions = self._reference_versions.copy()
-        for name in names:
+        for name in _with_dependents(tuple(changes)):
             if name in self._inputs:
                 continue
-            formula = replaced.get(name, REFERENCE_FORMULAS[name])
+            formula = changes.get(name, REFERENCE_FORMULAS[name])
             try:
                 recipe = (formula, *map(versions.__getitem__, parameter_names(formula)))
             except KeyError:  # an argument cannot be computed, so neither can this formula
@@ -158,17 +155,17 @@ class FormulaCache:
                 self._recipes.append(recipe)
         return versions
 
-    def is_computable(self, replaced: Formulas) -> bool:
+    def is_computable(self, changes: Formulas) -> bool:
         """Test whether the codes of a picture can be computed from the inputs of this cache.
 
         Parameters
         ----------
-        replaced : dict of str to callable
+        changes : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._versions(_with_dependents(tuple(replaced)), replaced)
+        return "codes" in self._versions(changes)
 
-    def get(self, name: str, replaced: Formulas) -> Any:
+    def get(self, name: str, changes: Formulas) -> Any:
         """Compute a formula for all pixels, or return its cached value.
 
         If each pixel is the mean of several samples, the radiance of each sample is clipped, and
@@ -178,7 +175,7 @@ class FormulaCache:
         ----------
         name : str
             Name of the formula, such as "radiance"; "codes" for the 8-bit codes.
-        replaced : dict of str to callable
+        changes : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
 
         Returns
@@ -193,16 +190,16 @@ class FormulaCache:
             If the formula cannot be computed from the inputs of this cache.
         """
         if self._fitting_cache:
-            for fitted in WHOLE_PICTURE_FORMULAS & used_names(replaced):
-                replaced = replaced | {fitted: _constant(self._fitting_cache.get(fitted, replaced))}
-        if "samples" in replaced:
-            replaced = replaced.copy()
-            samples_per_side = replaced.pop("samples")()
+            for fitted in WHOLE_PICTURE_FORMULAS & used_names(changes):
+                changes = changes | {fitted: _constant(self._fitting_cache.get(fitted, changes))}
+        if "samples" in changes:
+            changes = changes.copy()
+            samples_per_side = changes.pop("samples")()
             offsets = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
-            clipped = sum(self.get("clipped", replaced | sample_position_formulas(x, y))
+            clipped = sum(self.get("clipped", changes | sample_position_formulas(x, y))
                           for x in offsets for y in offsets)  # fmt: skip
-            replaced["clipped"] = _constant(clipped / samples_per_side**2)
-        return self._value(self._versions(_with_dependents(tuple(replaced)), replaced)[name])
+            changes["clipped"] = _constant(clipped / samples_per_side**2)
+        return self._value(self._versions(changes)[name])
 
     def _value(self, version: int) -> Any:
         """Return the value whose recipe has an index, computed if it is not cached.
@@ -278,11 +275,11 @@ def render_with_mistakes(scene: Scene, *keywords: str, formula: str = "codes") -
         If two mistakes replace the same formula, and so exclude each other.
     """
     table, pixel_count = list_mistakes(scene), scene.width * scene.height
-    replaced = join_formulas([table[keyword].formulas for keyword in keywords])
-    if keywords and not replaced:
+    changes = join_formulas([table[keyword].formulas for keyword in keywords])
+    if keywords and not changes:
         raise ValueError(f"{' and '.join(keywords)} change the same formula")
     row, column = np.divmod(np.arange(pixel_count), scene.width)
     size = {"width": scene.width, "height": scene.height}
     pixels = {"i": column, "j": row, "handin": np.zeros((3, pixel_count), dtype=np.uint8)}
-    values = FormulaCache(scene_values(scene) | size | pixels).get(formula, replaced)
+    values = FormulaCache(make_formula_inputs(scene) | size | pixels).get(formula, changes)
     return np.nan_to_num(values.T.reshape(scene.height, scene.width, 3))

@@ -23,7 +23,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from reference.handins import mistakes
-from reference.handins.drawing import FormulaCache, join_formulas, scene_values
+from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
 from reference.handins.formulas import Array, Formulas, used_names
 from reference.pictures import Codes, level_difference
 from tracer import Scene
@@ -144,7 +144,7 @@ class MistakeRenderer:
         self.pixel_count = reference_codes.shape[1]
         self._blank_codes = np.zeros_like(reference_codes)
         size = {"width": width, "height": self.pixel_count // width}
-        self._inputs = scene_values(scene) | size
+        self._inputs = make_formula_inputs(scene) | size
         table_scene = scene if isinstance(scene, Scene) else Scene(**size)
         self.surface_count = len(table_scene.surfaces)
         self.mistakes = mistakes.list_mistakes(table_scene)
@@ -437,10 +437,10 @@ class Search:
         causes : sequence of tuples of str
             Causes, as keywords of mistakes that are made together.
         """
-        if new := [cause for cause in dict.fromkeys(causes) if cause not in self._counts]:
-            all_levels = self._differences(new, self._final_pixels)
+        if unmeasured := [cause for cause in dict.fromkeys(causes) if cause not in self._counts]:
+            all_levels = self._differences(unmeasured, self._final_pixels)
             limits = self.tolerance, self.lossy_levels
-            for cause, levels in zip(new, all_levels, strict=True):
+            for cause, levels in zip(unmeasured, all_levels, strict=True):
                 counts = ((levels > limit) @ self._final_weights for limit in limits)
                 self._counts[cause] = [*map(round, counts)]
 
@@ -536,17 +536,20 @@ class Search:
             explains the hand-in, the cause with the most similar picture as a hint.
         """
         singles, pairs = self._select_best(self.renderer.single_mistakes), list[Cause]()
-        group = self._select_reportable(singles)
-        unexplained_count: float = self._count_unexplained(group[0]) if group else np.inf
-        if unexplained_count > _MAX_UNEXPLAINED:
+        causes = self._select_reportable(singles)
+        min_count: float = self._count_unexplained(causes[0]) if causes else np.inf
+        if min_count > _MAX_UNEXPLAINED:
             pairs = self._select_best_pairs()
-            better = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
-            if better and _MIN_RATIO * self._count_unexplained(better[0]) <= unexplained_count:
-                group = better
-        if group and (count := self._count_unexplained_in_full(group[0])) <= self._max_unexplained:
-            return Finding(tuple(dict.fromkeys(map(remove_variants, group))), count)
+            needed = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
+            if needed and _MIN_RATIO * self._count_unexplained(needed[0]) <= min_count:
+                causes = needed
+        if (
+            causes
+            and (count := self._count_unexplained_in_full(causes[0])) <= self._max_unexplained
+        ):
+            return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), count)
         # A pair is the hint only if it leaves less than half the pixels of a single mistake.
-        hint = min(group[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
+        hint = min(causes[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
             len(remove_variants(cause)) * self._count_unexplained(cause)))  # fmt: skip
         hint, *_ = self._add_rounding([hint])
         count = self._count_unexplained_in_full(hint)

@@ -98,7 +98,8 @@ def is_speckled(search: Search) -> bool:
     renderer = search.renderer
     if renderer.pixel_count > MAX_PIXELS or not (changes := find_light_changes(search)):
         return False
-    is_dark = changes[0].any(axis=0) & ~changes[1].any(axis=0)
+    is_lost, is_extra = changes
+    is_dark = is_lost.any(axis=0) & ~is_extra.any(axis=0)
     dark_count = is_dark.sum()
     has_others = search.wrong_count - dark_count > _MAX_OTHERS * dark_count
     if has_others or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
@@ -226,7 +227,7 @@ def find_reference_within(handin_codes: Codes, reference_codes: Codes) -> tuple[
     return None
 
 
-def edge_with_all(is_wrong: Array) -> str:
+def find_edge_with_all(is_wrong: Array) -> str:
     """Return the name of the outermost row or column that contains all wrong pixels of a picture.
 
     Parameters
@@ -268,7 +269,7 @@ def find_symptom(search: Search) -> tuple[str, str] | None:
         return "shadow-speckles", sentence
     if is_after_jpeg(*(to_picture(columns, width) for columns in codes)):
         return "format", "It is the right picture, after JPEG, which changes levels."
-    if edge := edge_with_all((level_difference(*codes) > 1).reshape(-1, width)):
+    if edge := find_edge_with_all((level_difference(*codes) > 1).reshape(-1, width)):
         return "edge", f"It is the right picture, except in the {edge}."
     return None
 
