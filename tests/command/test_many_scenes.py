@@ -14,6 +14,7 @@ from running import SCENE, needs_two, run, write_ball
 
 from tracer.command import batch, cli, progress
 from tracer.command.batch import Job, Settings
+from tracer.command.failure import Failure
 from tracer.command.progress import Progress, track
 
 
@@ -94,6 +95,8 @@ def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
     report = batch._render_in_worker(settings, Job(str(path), f"{path}.png"))
     (width, height), _ = codes(path)
     assert report == batch.Report(pixel_count=width * height)
+    with pytest.raises(Failure, match="all processes should share this picture"):
+        batch._render_in_worker(settings, Job(str(path), f"{path}.png", min_shared_seconds=0))
 
 
 def test_one_process_if_the_user_wants_no_more(scenes, submitted):
@@ -140,6 +143,7 @@ def test_memory_and_open_files_do_not_grow_with_the_number_of_scenes(tmp_path):
     script = f"""if True:
         import os, resource, sys
         from tracer.command.batch import Batch, Job, Settings
+from tracer.command.failure import Failure
         batch = Batch(Settings(1, None, "png", True), 2)
         for count in (20, 400):
             assert batch.render([Job({str(path)!r}, {str(path)!r} + ".png")] * count)

@@ -289,11 +289,9 @@ def _render_in_worker(settings: Settings, job: Job) -> Report:
     Raises
     ------
     Failure
-        If this fails, or the main process must render the scene: the scene comes from standard
-        input, or all processes should share the picture.
+        If this fails, or the main process must render the scene: all processes should share the
+        picture, or the scene comes from standard input, which is empty in a worker process.
     """
-    if job.scene_path == "-":
-        raise Failure("<stdin>", "cannot be read: a worker process has no standard input")
     return Batch(settings, processes=1)._write_picture(job)
 
 

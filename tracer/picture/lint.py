@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.lattice import CENTERS
-from tracer.arrays import BATCH_SIZE, Floats, Ints, indices
+from tracer.arrays import BATCH_SIZE, Floats, Ints
 from tracer.geometry.rounding import LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Surfaces, VectorLike
 from tracer.scene.schema import format_number
@@ -139,8 +139,8 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     warning : str
         One line of text: what looks wrong, where, and a suggested fix.
     """
-    is_dark = np.array([not any(light.intensity) for light in scene.lights], dtype=np.bool_)
-    for light_index in indices(is_dark)[:1].tolist():
+    dark_lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
+    for light_index in dark_lights[:1]:
         name = _light_name(scene, light_index)
         yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
@@ -155,7 +155,7 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
         ],
         axis=1,
     )
-    is_enclosed &= ~prepared.is_eye_inside & ~is_dark[:, None]
+    is_enclosed &= ~prepared.is_eye_inside
     for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
         light = _light_name(scene, light_index)
         surface = _surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
