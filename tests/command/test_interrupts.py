@@ -11,7 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import INTERRUPTS, drop_jit, run, start_process, wait_until, workers_of, write_ball
+from running import (
+    INTERRUPTS,
+    drop_jit,
+    needs_two,
+    run,
+    start_process,
+    wait_until,
+    workers_of,
+    write_ball,
+)
 
 from tracer import write_png
 
@@ -164,6 +173,7 @@ def test_spawned_workers_end_without_a_warning(folder):
     wait_until(lambda: not running_processes())
 
 
+@needs_two
 @pytest.mark.parametrize("delay", [0.02, 0.04, 0.08, 0.12])
 def test_ctrl_c_while_spawned_workers_start(delay, folder):
     """The signal reaches all processes, and Python prints a traceback if it is not yet handled."""
