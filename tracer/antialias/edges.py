@@ -322,7 +322,7 @@ class CellSurfaces(NamedTuple):
             ray, inverse_t = self.trace_rays(visible_index[batch])
             hidden_inverse_t = hidden_depth.take(batch).evaluate(ray)
             yield self.cell[visible_index[batch]], inverse_t - hidden_inverse_t
-        # A crease of a box may be hidden, and yet its other face may be visible in the cell.
+        # A crease of a box may be hidden although its other face is visible in the cell.
         is_close |= hidden_hits.prepared.is_eye_inside[hidden_hits.hit_object]
         yield from self._edges_with_faces(hidden_hits, visible_index, is_close)
 
@@ -350,10 +350,9 @@ class CellSurfaces(NamedTuple):
     ) -> Iterator[EdgeValues]:
         """Yield the edges where the visible surfaces of cells may meet faces of boxes.
 
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The same
-        ray hits a box, in front of which the visible surface may lie, or on which the visible hit
-        itself may lie.  Other faces of this box may be visible in the cell although no sample hits
-        them.
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The ray
+        through this hit also hits a box: the visible object itself, or one behind it.  Other faces
+        of the box may be visible in the cell although no sample hits them.
 
         Parameters
         ----------
@@ -380,7 +379,7 @@ class CellSurfaces(NamedTuple):
         on_box = indices(is_candidate & boxes.objects.contains(hit_object))
         hit_object, visible = hit_object[on_box], visible_index[on_box]
         from_eye, distance = take3(box_hits.from_eye, on_box), box_hits.distance[on_box]
-        # A face of the box, if the visible hit lies on it, has no edge with itself.
+        # If the visible hit is on the box, its face has no edge with itself.
         is_same_box = self.hits.hit_object[visible] == hit_object
         visible_face = np.where(is_same_box, self.hits.hit_face[visible], -1)
         visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]

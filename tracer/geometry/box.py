@@ -217,7 +217,7 @@ class Boxes:
         run_length : (runs,) int array
             Number of hits in each run.
         from_eye, t : (3, n) and (n,) float arrays
-            Not used: `Spheres.tangent_planes` needs them.
+            Ignored; `Spheres.tangent_planes` has the same parameters.
         face_code : (n,) int8 array
             Second result of `intersect` for the ray through each hit: twice the axis of the face,
             plus 1 if its normal points up this axis.
@@ -325,7 +325,7 @@ class Boxes:
         hit, light : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each segment, in scene axes.
         side : (n,) int8 array
-            Not used: `Spheres.occludes` needs it.
+            Ignored; `Spheres.occludes` has the same parameters.
         growth : (n,) float array, optional
             Distance by which the box is grown on all sides before the test; a negative value
             shrinks the box.  A box that shrinks to nothing blocks nothing.
@@ -401,7 +401,7 @@ class Boxes:
 def _intersect_slab(
     low: Floats, high: Floats, direction: Floats, *, closed: bool = False
 ) -> tuple[Floats, Floats]:
-    """Compute where each of n lines enters and leaves its slab, the space between parallel planes.
+    """Compute where each of n lines enters and leaves a slab: the space between parallel planes.
 
     Parameters
     ----------
@@ -446,7 +446,8 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
         Whether the segment enters or leaves the box strictly between its ends.
     """
     enter, leave = np.array(-np.inf), np.array(np.inf)
-    for start_x, end_x, low_x, high_x in zip(start, end, low, high, strict=True):  # then y, then z
+    # The x components first, then those of y and z.
+    for start_x, end_x, low_x, high_x in zip(start, end, low, high, strict=True):
         near, far = _intersect_slab(low_x - start_x, high_x - start_x, end_x - start_x)
         enter, leave = np.maximum(enter, near), np.minimum(leave, far)
     crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))

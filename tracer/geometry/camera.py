@@ -56,7 +56,7 @@ class CameraFrame(NamedTuple):
     height: int
 
     def points_to_camera(self, points: Floats) -> Triple:
-        """Convert scene points to vectors from the eye, in camera axes.
+        """Convert positions in the scene to vectors from the eye, in camera axes.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class CameraFrame(NamedTuple):
         return x, y, z
 
     def point_to_scene(self, vector: Triple) -> Triple:
-        """Convert vectors from the eye, in camera axes, to scene points.
+        """Convert vectors from the eye, in camera axes, to positions in the scene.
 
         Parameters
         ----------
@@ -393,7 +393,7 @@ class ScreenBounds(NamedTuple):
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Bound the mean number of objects that a ray of any row of the picture meets.
+        """Bound the mean number of objects along the rays of any row of the picture.
 
         Parameters
         ----------

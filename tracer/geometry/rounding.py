@@ -102,7 +102,7 @@ def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
 
 
 def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Compute the distance from a surface up to which each hit is treated as on the surface.
+    """Compute the distance from a surface within which each hit is treated as on the surface.
 
     A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit
     increases with the hit's distance from the eye, and with the coordinates of the surface.
