@@ -115,8 +115,8 @@ class Cells(NamedTuple):
         -------
         quarters : Cells
             The 4 k quarters: the four of the first cell, then the four of the second cell, and so
-            on.  Each quarter is paired with the objects with which its cell is paired.  The number
-            of samples along a side is half that of the cells, rounded up.
+            on.  A quarter is paired with the same objects as its cell.  The number of samples along
+            a side is half that of the cells, rounded up.
         """
         count = cell_index.size
         x, y = self.positions(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), count))

@@ -158,10 +158,8 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classified.is_crowded
     mean = _mean_of_cells(prepared, classified, smooth, is_refinable)
-    crowded_index, lattice = (
-        indices(is_inner & classified.is_crowded),
-        Lattice.at_least(per_side, ratio=1),
-    )
+    crowded_index = indices(is_inner & classified.is_crowded)
+    lattice = Lattice.at_least(per_side, ratio=1)
     mean[:, crowded_index], _ = _mean_of_samples(prepared, classified, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)

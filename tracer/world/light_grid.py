@@ -216,7 +216,7 @@ class LightGrid(NamedTuple):
                 yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
     def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
-        """Find, for each rectangle, the ranges of `listed` that contain the entries it may meet.
+        """Find, for each rectangle, the ranges of `listed` with the entries that it may overlap.
 
         A rectangle bounds the directions from a light to some points.  An entry is the part of an
         object in one octant of directions.  `listed` contains the entries in each cell of

@@ -183,14 +183,14 @@ class PreparedScene:
         for start in range(0, self.light_count, step):
             yield self._cached_light_batch(slice(start, start + step))
 
-    def _cached_light_batch(self, index: slice) -> Lights:
+    def _cached_light_batch(self, batch: slice) -> Lights:
         """Return a batch of lights from the cache, or prepare the batch.
 
         A newly prepared batch is added to the cache, unless the cache is full.
 
         Parameters
         ----------
-        index : slice
+        batch : slice
             The lights in the batch, in the order of the file.
 
         Returns
@@ -200,20 +200,20 @@ class PreparedScene:
         """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
-            if index.start in self._cache:
-                return self._cache[index.start]
+            if batch.start in self._cache:
+                return self._cache[batch.start]
             if sum(lights.nbytes for lights in self._cache.values()) < _MAX_CACHED_BYTES:
-                return self._cache.setdefault(index.start, self.prepare_lights(index))
-        return self.prepare_lights(index)
+                return self._cache.setdefault(batch.start, self.prepare_lights(batch))
+        return self.prepare_lights(batch)
 
-    def prepare_lights(self, index: slice = slice(None)) -> Lights:
+    def prepare_lights(self, batch: slice = slice(None)) -> Lights:
         """Precompute the data of lights that shading and shadow tests use.
 
         The result is neither read from nor added to the cache of light batches.
 
         Parameters
         ----------
-        index : slice
+        batch : slice
             The lights to prepare, in the order of the file; by default, all.
 
         Returns
@@ -222,7 +222,7 @@ class PreparedScene:
             Positions, intensities, the side of each object on which each light lies, and the light
             grid, which lists objects by their direction from each light.
         """
-        lights = self._lights[index]
+        lights = self._lights[batch]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
         sides = [s.side_of_light(s.objects.indices(), (x, y, z)) for s in self._all_shapes]
