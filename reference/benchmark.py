@@ -77,12 +77,12 @@ ROUNDS = 3
 """Minimum number of rounds in which each task is timed."""
 
 
-def compute_speedup(tracer_timing: Timing, other_timing: Timing) -> float:
-    """Compute how many times as fast as another renderer the tracer is, by the median times.
+def compute_speedup(timing: Timing, other_timing: Timing) -> float:
+    """Compute how many times as fast as another task a task is, by their median times.
 
-    The result is above 1 if the tracer is faster.
+    The result is above 1 if the first task is faster.
     """
-    return other_timing.median / tracer_timing.median
+    return other_timing.median / timing.median
 
 
 def format_ratio(ratio: float) -> str:

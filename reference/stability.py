@@ -102,9 +102,10 @@ def silhouette_of_sphere(distance: float) -> Scene:
 
 
 def moved_sphere(offset: float) -> Scene:
-    """Build a scene with a unit sphere about 4 radii in front of the eye, and move it far away.
+    """Build a scene of a unit sphere in front of the eye, far away from the origin (0, 0, 0).
 
-    Camera, light and sphere are moved by (1, -0.7, 0.4) times the offset.
+    The eye is at a distance of about 4 radii from the sphere's centre.  Camera, light and sphere
+    are moved by (1, -0.7, 0.4) times the offset.
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = positions + offset * np.array([1, -0.7, 0.4])
@@ -282,7 +283,8 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
     Returns
     -------
     errors : (n,) float array
-        For each position, the largest error in the scenes at its multiples by `panel.nearby`.
+        For each position, the largest error in the scenes at this position multiplied by each of
+        the factors `panel.nearby`.
     """
     errors = []
     for position in positions:

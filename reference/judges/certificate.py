@@ -489,7 +489,7 @@ class _Picture:
         np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
-        """Add the cells whose radiance is accurate enough to the picture, and return the others.
+        """Add to the picture the cells whose radiance is accurate enough, and return the others.
 
         A cell of at most one pixel is accurate enough if `is_accurate` accepts its error.  A wider
         cell is accurate enough if it shows a single face, and each light reaches all or nothing of

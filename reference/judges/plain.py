@@ -619,7 +619,7 @@ class _PlainTracer:
 
 
 def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRays:
-    """Trace one camera ray through each of n positions in the picture, by the plainest means.
+    """Trace one camera ray through each of n positions in the picture, testing every object.
 
     Parameters
     ----------
@@ -651,7 +651,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
 
 
 def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
-    """Render a scene with one sample per pixel, by the plainest means.
+    """Render a scene with one sample per pixel, by testing every ray against every object.
 
     Parameters
     ----------
