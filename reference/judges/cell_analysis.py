@@ -644,7 +644,7 @@ class CellAnalysis:
         ):
             pending = triple[~is_lit[triple]]
             half_space = half_spaces[:, light[pending], box[pending]]
-            # A box that the light sees edge-on has fewer than nine planes.
+            # A box seen edge-on from the light has fewer than nine planes.
             exists = half_space[:4].any(axis=0)
             pending = pending[exists]
             function = self._side_function(pair[pending], half_space[:, exists])

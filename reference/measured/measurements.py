@@ -73,7 +73,8 @@ def time_interleaved(
     tasks : mapping of names to Task
         Functions without arguments.  If a task returns a float, this is its time in seconds;
         otherwise the time is measured.  Each task runs once before the first round, without being
-        timed; a short task also before each of its rounds, so that the caches are its own.
+        timed.  A short task also runs before each of its rounds, to fill the CPU caches with its
+        own data.
     rounds : int
         Minimum number of rounds.
     min_seconds : float
