@@ -34,7 +34,7 @@ import numpy as np
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import (
     SSIM_WINDOW,
-    Floats,
+    Differences,
     decode_to_linear,
     measure_differences,
     signed_difference,
@@ -362,8 +362,7 @@ def _compare(
     result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
     if picture.codes.shape != solution.codes.shape:
         return result, None
-    ssim, rmse, signed = _compare_in_linear_light(picture.codes, solution.codes)
-    maximum = float(np.abs(signed).max())
+    ssim, rmse, maximum, signed = _compare_in_linear_light(picture.codes, solution.codes)
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or maximum <= options.max) and (
@@ -385,7 +384,9 @@ def _compare(
     return result, pair
 
 
-def _compare_in_linear_light(first: Codes, second: Codes) -> tuple[float, float, Floats]:
+def _compare_in_linear_light(
+    first: Codes, second: Codes
+) -> tuple[float, float, float, Differences]:
     """Compute the difference between two pictures in linear light, and measure it.
 
     The pictures are divided into bands of rows, because the arrays of a band take about 100 bytes
@@ -400,9 +401,9 @@ def _compare_in_linear_light(first: Codes, second: Codes) -> tuple[float, float,
     -------
     ssim : float
         Structural similarity of the pictures; 1 if they are equal.
-    rmse : float
-        Root mean square of the difference, over all pixels and channels.
-    signed : (h, w) float array
+    rmse, maximum : float
+        Root mean square and maximum of the absolute difference, over all pixels and channels.
+    signed : (h, w) float32 array
         The difference of each pixel in the channel that differs most; positive if the first picture
         is brighter.
     """
@@ -410,14 +411,16 @@ def _compare_in_linear_light(first: Codes, second: Codes) -> tuple[float, float,
     band_height = max(1, _PIXELS_PER_BAND // width)
     # Number of rows in which a window can begin.
     window_rows = max(1, height - margin)
-    ssim, sum_of_squares, signed_bands = 0.0, 0.0, []
+    ssim, sum_of_squares, maximum, signed_bands = 0.0, 0.0, 0.0, []
     for start in range(0, height, band_height):
         # Structural-similarity windows that begin in this band extend below it, by the margin.
         rows = slice(start, start + band_height + margin)
         first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
         weight = max(0, min(band_height, window_rows - start)) / window_rows
-        ssim += weight * measure_differences(first_light, second_light).ssim
+        figures = measure_differences(first_light, second_light)
+        ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
         first_light, second_light = first_light[:band_height], second_light[:band_height]
         sum_of_squares += float(((first_light - second_light) ** 2).sum())
         signed_bands.append(signed_difference(first_light, second_light))
-    return ssim, float(np.sqrt(sum_of_squares / first.size)), np.concatenate(signed_bands)
+    rmse = float(np.sqrt(sum_of_squares / first.size))
+    return ssim, rmse, maximum, np.concatenate(signed_bands)

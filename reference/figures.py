@@ -15,6 +15,7 @@ from reference.pictures import Codes
 from tracer.files import atomic_file
 
 Bools: TypeAlias = NDArray[np.bool_]
+Differences: TypeAlias = NDArray[np.float32]
 Floats: TypeAlias = NDArray[np.float64]
 
 GAMMA = 2.2
@@ -131,7 +132,11 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
 
 
 def write_comparison(
-    path: str | Path, left_codes: Codes, right_codes: Codes, signed: Floats, labels: tuple[str, str]
+    path: str | Path,
+    left_codes: Codes,
+    right_codes: Codes,
+    signed: Differences,
+    labels: tuple[str, str],
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
@@ -143,7 +148,7 @@ def write_comparison(
         The file to write.  Only an existing PNG file is replaced.
     left_codes, right_codes : (height, width, 3) uint8 arrays
         8-bit codes of the two pictures.
-    signed : (height, width) float array
+    signed : (height, width) float32 array
         The difference between the pictures in linear light, as `signed_difference` returns it.
     labels : (str, str)
         Titles of the two pictures.  Long titles are cut off.
@@ -175,7 +180,7 @@ def write_comparison(
         sheet.save(file, format="PNG")
 
 
-def signed_difference(a: Floats, b: Floats) -> Floats:
+def signed_difference(a: Floats, b: Floats) -> Differences:
     """Subtract one picture from another, and keep the channel that differs most in each pixel.
 
     Parameters
@@ -185,21 +190,21 @@ def signed_difference(a: Floats, b: Floats) -> Floats:
 
     Returns
     -------
-    signed : (height, width) float array
+    signed : (height, width) float32 array
         For each pixel, the difference a - b of the channel in which its absolute value is largest.
     """
     difference = a - b
     lowest, highest = difference.min(axis=2), difference.max(axis=2)
-    signed: Floats = np.where(highest >= -lowest, highest, lowest)
+    signed: Differences = np.where(highest >= -lowest, highest, lowest).astype(np.float32)
     return signed
 
 
-def amplify_difference(signed: Floats) -> tuple[Codes, float]:
+def amplify_difference(signed: Differences) -> tuple[Codes, float]:
     """Draw the difference between two pictures, amplified so that it is visible.
 
     Parameters
     ----------
-    signed : (height, width) float array
+    signed : (height, width) float32 array
         For each pixel, by how much the first picture is brighter than the second, in linear
         radiance; negative if it is darker.
 
@@ -219,6 +224,7 @@ def amplify_difference(signed: Floats) -> tuple[Codes, float]:
     gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
     amplified = np.clip(gain * signed, -1, 1)
     for channel in range(3):  # all channels together would take much memory
-        color = np.where(signed > 0, _BRIGHTER_COLOR[channel], -_DARKER_COLOR[channel])
-        codes[:, :, channel] = np.round(255 * (color * amplified))
+        brighter = 255 * _BRIGHTER_COLOR[channel] * amplified
+        darker = -255 * _DARKER_COLOR[channel] * amplified
+        codes[:, :, channel] = np.round(np.maximum(brighter, darker))
     return codes, gain

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from reference.figures import Floats, amplify_difference
+from reference.figures import Differences, amplify_difference
 from reference.handins.results import Result, list_mistake_counts, summarize_counts
 from reference.page import Cell, Pair, encode_png, prepare_pair, render_page
 from reference.pictures import Codes
@@ -21,7 +21,9 @@ _LEGEND = (
 )
 
 
-def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes, signed: Floats) -> Pair:
+def make_pair(
+    result: Result, handin_codes: Codes, reference_codes: Codes, signed: Differences
+) -> Pair:
     """Prepare a hand-in, its reference picture and their difference for an HTML page.
 
     Parameters
@@ -30,7 +32,7 @@ def make_pair(result: Result, handin_codes: Codes, reference_codes: Codes, signe
         The result of comparing the two pictures.
     handin_codes, reference_codes : (h, w, 3) uint8 arrays
         8-bit codes of the picture that a student handed in, and of the reference picture.
-    signed : (h, w) float array
+    signed : (h, w) float32 array
         For each pixel, the difference in linear light; positive if the hand-in is brighter.
 
     Returns

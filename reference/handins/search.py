@@ -98,10 +98,11 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
         Indices of the chosen items; k is the smaller of n and `max_count`.  A call with a smaller
         `max_count` returns the first indices of this array.
     """
-    shuffled = np.random.default_rng(1).permutation(len(stratum))
+    item_index = np.arange(len(stratum), dtype=np.int32)  # int64 takes much memory
+    shuffled = np.random.default_rng(1).permutation(item_index)
     by_stratum = shuffled[np.argsort(stratum[shuffled], kind="stable")]
-    _, start, count = np.unique(stratum[by_stratum], return_index=True, return_counts=True)
-    place_in_stratum = np.arange(len(stratum)) - np.repeat(start, count)
+    count = np.unique(stratum, return_counts=True)[1].astype(np.int32)
+    place_in_stratum = item_index - np.repeat(count.cumsum(dtype=np.int32) - count, count)
     return by_stratum[np.argsort(place_in_stratum, kind="stable")[:max_count]]
 
 
@@ -363,18 +364,20 @@ class Search:
         self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
         self.is_wrong = levels > self.tolerance
         self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
-        color = handin_codes.astype(np.int32).T @ (65536, 256, 1)
+        color = np.zeros(pixel_count, dtype=np.uint32)
+        for channel in handin_codes:
+            color = color << 8 | channel
         foreground_count = pixel_count - int(np.unique(color, return_counts=True)[1].max())
         max_share = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
         self._max_unexplained = max(_MAX_UNEXPLAINED, max_share)
-        order = np.random.default_rng(1).permutation(pixel_count)
+        order = np.random.default_rng(1).permutation(np.arange(pixel_count, dtype=np.int32))
         self._wrong_and_right = order[self.is_wrong[order]], order[~self.is_wrong[order]]
         max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
         final_count = pixel_count if lossy_levels else max_pixels
         self._final_pixels, self._final_weights = self._choose_pixels(final_count)
         # For each measured cause, the numbers of pixels that it leaves unexplained and inexact.
         self._counts = dict[Cause, list[int]]()
-        brightest = reference_codes.astype(np.int16).sum(axis=0).argmax()
+        brightest = reference_codes.sum(axis=0, dtype=np.int16).argmax()
         pixels = np.append(next(renderer.pixel_batches(renderer.sample)), brightest)
         self.fitting_cache = renderer.new_cache(pixels, handin_codes)
 
@@ -559,7 +562,8 @@ class Search:
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels in which the hand-in differs from the full picture of a cause."""
-        levels = self._differences([cause], np.arange(self.renderer.pixel_count))
+        every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
+        levels = self._differences([cause], every_pixel)
         return int((levels > self.tolerance).sum())
 
     def _select_best_pairs(self) -> list[Cause]:
