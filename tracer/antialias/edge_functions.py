@@ -88,20 +88,20 @@ class Lines(NamedTuple):
         """
         return cls._make(map(np.concatenate, zip(*line_sets, strict=True)))
 
-    def take(self, index: Ints | slice) -> Lines:
+    def take(self, line_index: Ints | slice) -> Lines:
         """Select lines by index.
 
         Parameters
         ----------
-        index : (k,) int array or slice
+        line_index : (k,) int array or slice
             Indices of the lines to select.
 
         Returns
         -------
         selected : Lines
-            The k selected lines, in the order of `index`.
+            The k selected lines, in the order of `line_index`.
         """
-        return Lines._make(field[index] for field in self)
+        return Lines._make(field[line_index] for field in self)
 
     def distinct(self) -> Lines:
         """Sort the lines by cell and then by coefficients, and remove duplicates.
@@ -353,20 +353,20 @@ class InverseDepth(NamedTuple):
                 k[:, interval] = np.where(power_of_eye != 0, center / power_of_eye, k[:, interval])
         return cls((k[0], k[1], k[2]), w)
 
-    def take(self, index: Ints) -> InverseDepth:
+    def take(self, surface_index: Ints) -> InverseDepth:
         """Select surfaces by index.
 
         Parameters
         ----------
-        index : (m,) int array
+        surface_index : (m,) int array
             Indices of the surfaces to select.
 
         Returns
         -------
         selected : InverseDepth
-            The m selected surfaces, in the order of `index`.
+            The m selected surfaces, in the order of `surface_index`.
         """
-        return InverseDepth(take3(self.k, index), self.w[index])
+        return InverseDepth(take3(self.k, surface_index), self.w[surface_index])
 
     def evaluate(self, ray: Triple) -> Floats:
         """Compute 1 / t for six rays per surface, where t times the ray ends on the surface.

@@ -180,25 +180,25 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corner: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
-        index, values = _evaluate_lines(lines, line_start, line_number, cell, corner)
+        triangle, values = _evaluate_lines(lines, line_start, line_number, cell, corner)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
-        region[index[positive_count == 3]] |= 1 << line_number
+        region[triangle[positive_count == 3]] |= 1 << line_number
         crossed = indices((positive_count == 1) | (positive_count == 2))
         # Rotate the corners so that the first corner is the one that is alone on its side.
-        is_first_positive, index = positive_count[crossed] == 1, index[crossed]
+        is_first_positive, parent = positive_count[crossed] == 1, triangle[crossed]
         first_corner = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
         order = (first_corner + np.arange(3)[:, None]) % 3
-        (a, b, c), (a_value, b_value, c_value) = corner[order, index], values[order, crossed]
+        (a, b, c), (a_value, b_value, c_value) = corner[order, parent], values[order, crossed]
         # The line crosses the sides ab and ac in these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
-        corner[:, index] = a, on_ab, on_ac
+        corner[:, parent] = a, on_ab, on_ac
         corner = np.concatenate([corner, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
-        parent_region = region[index]
-        region[index] = parent_region | is_first_positive << line_number
+        parent_region = region[parent]
+        region[parent] = parent_region | is_first_positive << line_number
         region = np.concatenate([region, *[parent_region | ~is_first_positive << line_number] * 2])
-        cell = np.concatenate([cell, cell[index], cell[index]])
+        cell = np.concatenate([cell, cell[parent], cell[parent]])
     side, other_side = corner[1] - corner[0], corner[2] - corner[0]
     # No product of complex numbers: NumPy rounds it differently at the end of an array.
     area = np.abs(side.real * other_side.imag - side.imag * other_side.real) / 2

@@ -30,20 +30,20 @@ class CenterSamples(NamedTuple):
     radiance: Floats
     id: Ints
 
-    def take(self, index: Ints) -> CenterSamples:
+    def take(self, sample_index: Ints) -> CenterSamples:
         """Select samples by index.
 
         Parameters
         ----------
-        index : (k,) int array
+        sample_index : (k,) int array
             Indices of the samples to select.
 
         Returns
         -------
         selected : CenterSamples
-            The k selected samples, in the order of `index`.
+            The k selected samples, in the order of `sample_index`.
         """
-        return CenterSamples(self.radiance[:, index], self.id[index])
+        return CenterSamples(self.radiance[:, sample_index], self.id[sample_index])
 
 
 class SmoothMeans(NamedTuple):

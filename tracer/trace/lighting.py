@@ -94,14 +94,12 @@ class LightGeometry(NamedTuple):
         exponent = hits.object_values(hits.prepared.exponent)[hit_index]
         strength: Floats = np.exp(0.5 * exponent * np.log(cosine2))
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
-        index = indices(is_inaccurate)
-        if index.size:
-            light_direction = scale3(take3(to_light, index), 1 / light_distance[index])
-            eye_direction = scale3(take3(from_eye, index), -1 / eye_distance[index])
-            normal = take3(hits.normal, hit_index[index])
-            strength[index] = _accurate_highlight(
-                normal, light_direction, eye_direction, exponent[index]
-            )
+        inaccurate = indices(is_inaccurate)
+        if inaccurate.size:
+            light_direction = scale3(take3(to_light, inaccurate), 1 / light_distance[inaccurate])
+            eye_direction = scale3(take3(from_eye, inaccurate), -1 / eye_distance[inaccurate])
+            unit_vectors = take3(hits.normal, hit_index[inaccurate]), light_direction, eye_direction
+            strength[inaccurate] = _accurate_highlight(*unit_vectors, exponent[inaccurate])
         return strength
 
 

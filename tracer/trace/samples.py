@@ -133,12 +133,12 @@ class Rows(NamedTuple):
         """
         return np.add.outer(self.shift * frame.pixel_width, frame.ray_right(self.x)).ravel()
 
-    def positions(self, index: Ints) -> tuple[Floats, Floats]:
+    def positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.
 
         Parameters
         ----------
-        index : (k,) int array
+        sample_index : (k,) int array
             Indices of the samples to select.
 
         Returns
@@ -146,7 +146,7 @@ class Rows(NamedTuple):
         x, y : (k,) float arrays
             Distances of the samples from the left and upper borders of the picture, in pixels.
         """
-        row, column = np.divmod(index, self.x.size)
+        row, column = np.divmod(sample_index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
     def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
@@ -258,12 +258,12 @@ class Scattered(NamedTuple):
         """
         return frame.ray_right(self.x)
 
-    def positions(self, index: Ints) -> tuple[Floats, Floats]:
+    def positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.
 
         Parameters
         ----------
-        index : (k,) int array
+        sample_index : (k,) int array
             Indices of the samples to select.
 
         Returns
@@ -271,7 +271,7 @@ class Scattered(NamedTuple):
         x, y : (k,) float arrays
             Distances of the samples from the left and upper borders of the picture, in pixels.
         """
-        return self.x[index], self.y[index]
+        return self.x[sample_index], self.y[sample_index]
 
     def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find, for each object of one shape, the samples at which it may be visible.

@@ -129,15 +129,15 @@ class _Intersections(NamedTuple):
         selected : _Intersections
             The selected pairs in the same order; this object itself if all pairs are selected.
         """
-        index = indices(mask)
-        if index.size == mask.size:
+        selected = indices(mask)
+        if selected.size == mask.size:
             return self
         shape, sample_count, object_index, ray_down, *pair_fields = self
         if sample_count is None:
-            object_index, ray_down = object_index.take(index), ray_down.take(index)
+            object_index, ray_down = object_index.take(selected), ray_down.take(selected)
         else:
-            sample_count = np.diff(index.searchsorted(sample_count.cumsum()), prepend=0)
-        pair_fields = [field.take(index) for field in pair_fields]
+            sample_count = np.diff(selected.searchsorted(sample_count.cumsum()), prepend=0)
+        pair_fields = [field.take(selected) for field in pair_fields]
         return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
@@ -194,11 +194,10 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
     for shape in prepared.shapes:
         object_index, row, first_sample, sample_count = samples.sample_spans(shape, prepared)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
-        down, right = row_down.take(row), sample_right.take(sample)
-        t, data = shape.intersect(object_index, down, right, sample_count)
-        groups.append(
-            _Intersections(shape, sample_count, object_index, down, sample, right, t, data)
-        )
+        ray_down, ray_right = row_down.take(row), sample_right.take(sample)
+        t_and_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
+        fields = sample_count, object_index, ray_down, sample, ray_right, *t_and_data
+        groups.append(_Intersections(shape, *fields))
     return groups
 
 
