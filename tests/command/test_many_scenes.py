@@ -143,7 +143,6 @@ def test_memory_and_open_files_do_not_grow_with_the_number_of_scenes(tmp_path):
     script = f"""if True:
         import os, resource, sys
         from tracer.command.batch import Batch, Job, Settings
-from tracer.command.failure import Failure
         batch = Batch(Settings(1, None, "png", True), 2)
         for count in (20, 400):
             assert batch.render([Job({str(path)!r}, {str(path)!r} + ".png")] * count)
