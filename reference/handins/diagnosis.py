@@ -191,11 +191,12 @@ class Solution:
         (height, width), (right_height, right_width) = picture.codes.shape[:2], self.codes.shape[:2]
         if (height, width) == (right_height, right_width):
             return self._diagnose_at_own_size(picture)
-        size = f"The picture has {width}x{height} pixels in place of {right_width}x{right_height}."
+        right_size = f"{right_width}x{right_height}"
+        size_sentence = f"The picture has {width}x{height} pixels in place of {right_size}."
         if diagnosis := diagnose_single_color(picture.codes):
             return diagnosis
         if keyword_and_sentence := symptoms.find_reference_within(picture.codes, self.codes):
-            return _verdict(*keyword_and_sentence).preceded_by(size)
+            return _verdict(*keyword_and_sentence).preceded_by(size_sentence)
         if (height, width) == (right_width, right_height):
             upright = {keyword: np.ascontiguousarray(turn_back(picture.codes))
                        for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
@@ -205,10 +206,10 @@ class Solution:
             diagnosis = self._diagnose_at_own_size(picture._replace(codes=upright[turn]))
             if diagnosis.kind != UNKNOWN:
                 sentence = self._renderer(right_height, right_width).mistakes[turn].sentence
-                return diagnosis.with_mistake(turn, sentence).preceded_by(size)
+                return diagnosis.with_mistake(turn, sentence).preceded_by(size_sentence)
         if not self.scene:
-            return _verdict("size", size)
-        return self._diagnose_at_own_size(picture).with_mistake("size", size)
+            return _verdict("size", size_sentence)
+        return self._diagnose_at_own_size(picture).with_mistake("size", size_sentence)
 
     def _diagnose_at_own_size(self, picture: Picture) -> Diagnosis:
         """Diagnose a picture, compared with the reference picture of the same size.

@@ -202,7 +202,7 @@ class FormulaCache:
         return self._value(self._versions(changes)[name])
 
     def _value(self, version: int) -> Any:
-        """Return the value whose recipe has an index, computed if it is not cached.
+        """Return a value, which is computed from its recipe unless it is cached.
 
         If the cached values take more than `_MAX_CACHED_BYTES`, those that do not belong to the
         reference picture are first deleted; they are computed anew when they are next requested.

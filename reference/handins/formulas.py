@@ -251,8 +251,8 @@ def find_blocking(
 ) -> Array:  # fmt: skip
     """Test which surfaces block each light from each hit.
 
-    A surface blocks a light if the first t > `t_min` at which the shadow ray crosses the surface is
-    less than `t_max`.
+    The shadow ray from a hit to a light is o + t d.  A surface blocks the light if the first t >
+    `t_min` at which the ray crosses the surface is less than `t_max`.
 
     Parameters
     ----------
@@ -480,7 +480,7 @@ def parameter_names(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def used_names(formulas: Formulas) -> set[str]:
-    """Return the names of all values from which any of several formulas is computed.
+    """Return the names of all values from which several formulas are computed.
 
     Parameters
     ----------

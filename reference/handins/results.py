@@ -138,19 +138,22 @@ def list_mistake_counts(results: Sequence[Result]) -> list[str]:
 
 
 def summarize_counts(results: Sequence[Result]) -> str:
-    """Return a sentence with the numbers of pictures that agree, differ, or cannot be compared.
+    """Summarise the results of a class in numbers of pictures.
 
-    The sentence also contains the number of missing pictures, and of scenes of which nobody has
-    handed in a picture.
+    Returns
+    -------
+    str
+        How many pictures agree, differ, cannot be compared and are missing, and of how many scenes
+        nobody has handed in a picture: "3 pictures: 2 agree, 1 differ; 1 are missing".
     """
     counts = Counter("nobody" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip
     verbs = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
-    parts = ", ".join(f"{counts[word]} {verb}" for word, verb in verbs.items() if counts[word])
-    text = f"{sum(counts[word] for word in verbs)} pictures: {parts}"
-    text += f"; {counts['missing']} are missing" if counts["missing"] else ""
+    numbers = ", ".join(f"{counts[word]} {verb}" for word, verb in verbs.items() if counts[word])
+    summary = f"{sum(counts[word] for word in verbs)} pictures: {numbers}"
+    summary += f"; {counts['missing']} are missing" if counts["missing"] else ""
     nobody_note = f"; scenes that nobody has handed in: {counts['nobody']}"
-    return text + (nobody_note if counts["nobody"] else "")
+    return summary + (nobody_note if counts["nobody"] else "")
 
 
 def format_text(results: Sequence[Result], *, as_list: bool) -> str:

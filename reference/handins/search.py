@@ -448,19 +448,35 @@ class Search:
                 self._counts[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
-        """Return the number of pixels that a cause leaves unexplained.
+        """Count the pixels in which the hand-in differs from the picture of a cause.
 
-        These are the pixels in which the hand-in differs from the picture of the cause.  In a large
-        picture, the number is an estimate from a subset of the pixels.
+        Parameters
+        ----------
+        cause : tuple of str
+            Keywords of mistakes that are made together.
+
+        Returns
+        -------
+        int
+            The number of pixels; in a large picture, it is estimated from a subset.
         """
         self._measure([cause])
         return self._counts[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
-        """Return the number of pixels that differ from a cause's picture even by one level.
+        """Count the pixels in which the hand-in differs by even one level from a cause's picture.
 
-        Levels that lossy compression may have changed are ignored.  In a large picture, the number
-        is an estimate from a subset of the pixels.
+        Levels that lossy compression may have changed are ignored.
+
+        Parameters
+        ----------
+        cause : tuple of str
+            Keywords of mistakes that are made together.
+
+        Returns
+        -------
+        int
+            The number of pixels; in a large picture, it is estimated from a subset.
         """
         self._measure([cause])
         return self._counts[cause][1]
@@ -602,7 +618,8 @@ class Search:
         Parameters
         ----------
         cause : tuple of str
-            Keywords of the mistakes; the keyword of a variant of a correct tracer may follow.
+            Keywords of two mistakes.  The keyword of a variant of a correct tracer, in which the
+            mistakes have another picture, may follow.
         """
         unexplained, keywords = self._count_unexplained(cause), remove_variants(cause)
         for keyword in keywords:
