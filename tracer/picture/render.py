@@ -55,8 +55,8 @@ _MAX_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 * CACHE_SIZE, 4
 _MAX_TILE_SECONDS, _MIN_TILE_SECONDS = 0.2, 0.02
 
 # Number of samples per pixel for which the maximum time of a tile is halved.  With more samples, a
-# few pixels take most of the time, so some tiles exceed their estimates by more.  Of 90 tiles of
-# three scenes at 20,000 and 40,000 samples, none took more than 0.3 s; otherwise, 0.75 s.
+# few pixels take most of the time, so some tiles exceed their estimates by more.  None of 90 tiles
+# of three scenes took more than 0.3 s at 20,000 and 40,000 samples; without this, some took 0.75 s.
 _UNEVEN_SAMPLES = 10_000
 
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
@@ -76,8 +76,8 @@ _CLASSIFIED_SAMPLES, _EDGES, _EDGES_PER_SILHOUETTE_PAIR, _CROWDED_SIDE = 2.5, 33
 
 # Maximum estimated number of samples in a pixel of a classified picture, divided by n^2.  Pixels
 # with many edges are sampled on a lattice, however many edges there are.  Without this limit,
-# pictures of 1,000 objects at 64 samples were divided into so many tiles that they took twice as
-# long, because the pixels around each tile are classified, too.
+# pictures of 1,000 objects at 64 samples took twice as long: they were divided into more tiles, and
+# the pixels around each tile are classified, too.
 _MAX_CLASSIFIED_FACTOR = 2
 
 MIN_POOL_SECONDS, MIN_SHARED_SECONDS = 0.1, 0.03
