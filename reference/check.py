@@ -36,7 +36,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from converters.camera import Floats
 from converters.flavours import (
     convert_exact,
     convert_stock,
@@ -53,25 +52,10 @@ from converters.to_mitsuba import (
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
-from reference.figures import (
-    Bools,
-    Figures,
-    measure_differences,
-    signed_difference,
-    write_comparison,
-)
+from reference.figures import Figures, measure_differences, signed_difference, write_comparison
 from reference.judges import plain
-from tracer import (
-    Lambertian,
-    PointLight,
-    Scene,
-    SceneWarning,
-    Sphere,
-    Surfaces,
-    load_scene,
-    render,
-    to_codes,
-)
+from reference.judges.arrays import Bools, Floats
+from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render, to_codes
 from tracer.command.arguments import OTHER_NAME, choose_output_paths, make_output_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
@@ -362,12 +346,12 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
     matte = replace(with_square_pixels(scene), surfaces=Surfaces.from_objects(surfaces))
     image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
     for light in matte.lights:
-        image += _render_diffuse_light(matte, light, variant)
+        image += _render_diffuse_light(replace(matte, lights=(light,)), variant)
     rendering = Rendering(image, use_variant(variant).variant, perf_counter() - start)
     return compare(matte, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
-def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) -> Floats:
+def _render_diffuse_light(matte: Scene, variant: str | None) -> Floats:
     """Render a scene lit by one light with Mitsuba's own plugins, without the light's fall-off.
 
     Mitsuba's lights fall off with the square of the distance, and those of the scene format do
@@ -378,9 +362,7 @@ def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) 
     Parameters
     ----------
     matte : Scene
-        A scene of Lambertian surfaces.
-    light : PointLight
-        A light of the scene.
+        A scene of Lambertian surfaces with one light.
     variant : str or None
         Mitsuba's variant; None for the fastest that works on this machine.
 
@@ -394,6 +376,7 @@ def _render_diffuse_light(matte: Scene, light: PointLight, variant: str | None) 
     ConversionError
         If Mitsuba cannot represent the scene.
     """
+    light = matte.lights[0]
     white = replace(light, intensity=(1.0, 1.0, 1.0))
     document = convert_stock(replace(matte, lights=(white,)), 1)
     plugins = {element.get("type"): element for element in document.root.iter()}

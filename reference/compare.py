@@ -29,17 +29,8 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache, partial
 from pathlib import Path
 
-import numpy as np
-
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
-from reference.figures import (
-    SSIM_WINDOW,
-    Differences,
-    decode_to_linear,
-    measure_differences,
-    signed_difference,
-    write_comparison,
-)
+from reference.figures import compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page
 from reference.handins.diagnosis import AGREEING, Solution, find_worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
@@ -52,7 +43,7 @@ from reference.handins.results import (
 )
 from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
-from reference.pictures import Codes, read_picture
+from reference.pictures import read_picture
 from tracer import load_scene
 from tracer.command.arguments import OTHER_NAME, is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
@@ -60,8 +51,6 @@ from tracer.command.process import print_result
 from tracer.command.progress import Progress, track
 from tracer.messages import printable
 
-# Number of pixels in a band of rows: figures are computed band by band.
-_PIXELS_PER_BAND = 500_000
 # Time between updates of the progress bar of a single comparison.
 _REFRESH_SECONDS = 0.5
 # Why a hand-in is not compared if its worker dies.
@@ -362,7 +351,7 @@ def _compare(
     result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
     if picture.codes.shape != solution.codes.shape:
         return result, None
-    ssim, rmse, maximum, signed = _compare_in_linear_light(picture.codes, solution.codes)
+    ssim, rmse, maximum, signed = compare_codes(picture.codes, solution.codes)
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or maximum <= options.max) and (
@@ -382,45 +371,3 @@ def _compare(
             write_comparison(output, picture.codes, solution.codes, signed, labels)
         result = result._replace(comparison=str(output))
     return result, pair
-
-
-def _compare_in_linear_light(
-    first: Codes, second: Codes
-) -> tuple[float, float, float, Differences]:
-    """Compute the difference between two pictures in linear light, and measure it.
-
-    The pictures are divided into bands of rows, because the arrays of a band take about 100 bytes
-    per pixel.
-
-    Parameters
-    ----------
-    first, second : (h, w, 3) uint8 arrays
-        The pictures' 8-bit codes.
-
-    Returns
-    -------
-    ssim : float
-        Structural similarity of the pictures; 1 if they are equal.
-    rmse, maximum : float
-        Root mean square and maximum of the absolute difference, over all pixels and channels.
-    signed : (h, w) float32 array
-        The difference of each pixel in the channel that differs most; positive if the first picture
-        is brighter.
-    """
-    (height, width, _), margin = first.shape, SSIM_WINDOW - 1
-    band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows in which a window can begin.
-    window_rows = max(1, height - margin)
-    ssim, sum_of_squares, maximum, signed_bands = 0.0, 0.0, 0.0, []
-    for start in range(0, height, band_height):
-        # Structural-similarity windows that begin in this band extend below it, by the margin.
-        rows = slice(start, start + band_height + margin)
-        first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
-        weight = max(0, min(band_height, window_rows - start)) / window_rows
-        figures = measure_differences(first_light, second_light)
-        ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
-        first_light, second_light = first_light[:band_height], second_light[:band_height]
-        sum_of_squares += float(((first_light - second_light) ** 2).sum())
-        signed_bands.append(signed_difference(first_light, second_light))
-    rmse = float(np.sqrt(sum_of_squares / first.size))
-    return ssim, rmse, maximum, np.concatenate(signed_bands)

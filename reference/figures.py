@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from skimage.metrics import structural_similarity
 
+from reference.judges.arrays import Bools, Floats
 from reference.pictures import Codes
 from tracer.files import atomic_file
 
-Bools: TypeAlias = NDArray[np.bool_]
 Differences: TypeAlias = NDArray[np.float32]
-Floats: TypeAlias = NDArray[np.float64]
 
 GAMMA = 2.2
 """Exponent of the encoding of 8-bit pictures, as the scene format has it."""
 
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
-SSIM_WINDOW = 7
+_SSIM_WINDOW = 7
+# Number of pixels in a band of rows, of which a large picture is compared one after the other.
+_PIXELS_PER_BAND = 500_000
 # Pixels that differ by more than this, in linear light, are counted.
 _COUNTED_DIFFERENCE = 1e-3
 # Percentile of the pixels' differences that is reported, and that the amplified difference shows.
@@ -115,10 +116,10 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
     kept = np.ones(a.shape[:2], dtype=np.bool_) if mask is None else ~mask
     if not kept.any():
         raise ValueError("every pixel is masked")
-    padding = [(0, max(SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
+    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
     displayed = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in (a, b)]
     displayed = [np.pad(image, padding, mode="edge") for image in displayed]
-    ssim = structural_similarity(*displayed, win_size=SSIM_WINDOW, channel_axis=2, data_range=1.0)
+    ssim = structural_similarity(*displayed, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
     difference = np.abs(a - b)[kept]
     pixel_difference = difference.max(axis=1)
     return Figures(
@@ -129,6 +130,46 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
         median=float(np.median(pixel_difference)),
         over=int(np.count_nonzero(pixel_difference > _COUNTED_DIFFERENCE)),
     )
+
+
+def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Differences]:
+    """Compute the difference between two gamma-encoded pictures in linear light, and measure it.
+
+    The pictures are divided into bands of rows, because the arrays of a band take about 100 bytes
+    per pixel.
+
+    Parameters
+    ----------
+    first, second : (h, w, 3) uint8 arrays
+        The pictures' 8-bit codes.
+
+    Returns
+    -------
+    ssim : float
+        Structural similarity of the pictures; 1 if they are equal.
+    rmse, maximum : float
+        Root mean square and maximum of the absolute difference, over all pixels and channels.
+    signed : (h, w) float32 array
+        The difference of each pixel in the channel that differs most; positive if the first picture
+        is brighter.
+    """
+    (height, width, _), margin = first.shape, _SSIM_WINDOW - 1
+    band_height = max(1, _PIXELS_PER_BAND // width)
+    # Number of rows in which a window can begin.
+    window_rows = max(1, height - margin)
+    ssim, sum_of_squares, maximum, signed_bands = 0.0, 0.0, 0.0, []
+    for start in range(0, height, band_height):
+        # Structural-similarity windows that begin in this band extend below it, by the margin.
+        rows = slice(start, start + band_height + margin)
+        first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
+        weight = max(0, min(band_height, window_rows - start)) / window_rows
+        figures = measure_differences(first_light, second_light)
+        ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
+        first_light, second_light = first_light[:band_height], second_light[:band_height]
+        sum_of_squares += float(((first_light - second_light) ** 2).sum())
+        signed_bands.append(signed_difference(first_light, second_light))
+    rmse = float(np.sqrt(sum_of_squares / first.size))
+    return ssim, rmse, maximum, np.concatenate(signed_bands)
 
 
 def write_comparison(

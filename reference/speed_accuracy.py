@@ -28,8 +28,8 @@ from converters.flavours import convert_exact
 from converters.variant import LLVM, mi, use_variant
 from reference import povray
 from reference.command import SCENES, build_path
-from reference.figures import Floats
 from reference.judges import plain
+from reference.judges.arrays import Floats
 from reference.judges.certificate import certify
 from reference.judges.sampling import render_supersampled, root_mean_square_error
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command

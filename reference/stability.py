@@ -22,8 +22,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.figures import Floats
 from reference.judges import plain
+from reference.judges.arrays import Floats
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from tracer import Camera, Phong, PointLight, Scene, Sphere, render, to_codes
 from tracer.command.progress import track

@@ -286,7 +286,7 @@ def test_names_and_sizes_that_do_harm(tmp_path: Path, compare: Compare) -> None:
 def test_bugs_are_told_from_lack_of_memory(
     error: Exception, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
 ) -> None:
-    monkeypatch.setattr("reference.compare.measure_differences", Mock(side_effect=error))
+    monkeypatch.setattr("reference.figures.measure_differences", Mock(side_effect=error))
     right = save(tmp_path / "a.png", CODES)
     assert compare(right, SCENE) == (3, [], f"{right}: cannot be compared: {reason}\n")
 
