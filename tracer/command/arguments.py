@@ -52,14 +52,14 @@ class CommandParser(argparse.ArgumentParser):
         """
         if message.endswith("expected one argument"):
             message += "; a value that begins with - is joined to its option by ="
-        for word in sys.argv[1:]:
-            if word.startswith("-") and len(word) > 1 and os.path.lexists(word):
-                message += f"; for the file named {word}, write ./{word}"
+        for argument in sys.argv[1:]:
+            if argument.startswith("-") and len(argument) > 1 and os.path.lexists(argument):
+                message += f"; for the file named {argument}, write ./{argument}"
         super().error(printable(message))
 
 
 def parse_path(argument: str) -> str:
-    """Return a command-line argument that is the path of a file or folder, unless it is empty.
+    """Check that a command-line argument is not empty, and return it as the path of a file.
 
     Parameters
     ----------

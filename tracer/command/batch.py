@@ -289,8 +289,9 @@ def _render_in_worker(settings: Settings, job: Job) -> Report:
     Raises
     ------
     Failure
-        If this fails, or the main process must render the scene: all processes should share the
-        picture, or the scene comes from standard input, which is empty in a worker process.
+        If the scene cannot be rendered, or the picture cannot be written; or if the main process
+        must render the scene, because all processes should share the picture, or because the scene
+        comes from standard input, which is empty in a worker process.
     """
     return Batch(settings, processes=1)._write_picture(job)
 

@@ -221,9 +221,10 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
 
 
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
-    """Print, for each scene, the numbers from which the colour of one pixel is computed.
+    """Print how the colour of one pixel is computed, for each scene.
 
-    A failure is printed to standard error; then the next scene is explained.
+    If a scene cannot be explained, the failure is printed to standard error, and the next scene is
+    explained.
 
     Parameters
     ----------
@@ -277,15 +278,15 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     if not quiet:
         scene_count = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
         print_line(sys.stderr, f"watching {scene_count}; press Ctrl-C to end")
-    seen_version = {job: _file_version(job.scene_path) for job in jobs}
-    rendered_version = dict[Job, object]()
+    seen_versions = {job: _file_version(job.scene_path) for job in jobs}
+    rendered_versions = dict[Job, object]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
-        version = {job: _file_version(job.scene_path) for job in jobs}
+        versions = {job: _file_version(job.scene_path) for job in jobs}
         # An editor may write a file in pieces: wait until it stops changing.
-        settled = {job: version[job] for job in jobs if version[job] == seen_version[job]}
-        changed = [job for job in settled if (job, version[job]) not in rendered_version.items()]
-        seen_version = version
-        rendered_version |= settled
+        settled = {job: versions[job] for job in jobs if versions[job] == seen_versions[job]}
+        changed = [job for job in settled if (job, versions[job]) not in rendered_versions.items()]
+        seen_versions = versions
+        rendered_versions |= settled
         if changed:
             batch.render(changed)
         sleep(_POLL_SECONDS)

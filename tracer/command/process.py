@@ -165,10 +165,10 @@ def end_on_signals() -> None:
     ignored, for example under nohup or in the background of a script.  When a signal arrives, the
     part files of this process (incomplete output files) are removed, and its exit status is 130.
     """
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
-        number = getattr(signal, name, None)  # not all systems have the last three
-        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, _end_now)
+    for signal_name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
+        signal_number = getattr(signal, signal_name, None)  # not all systems have the last three
+        if signal_number is not None and signal.getsignal(signal_number) != signal.SIG_IGN:
+            signal.signal(signal_number, _end_now)
 
 
 def _end_now(_number: int, _frame: object) -> NoReturn:

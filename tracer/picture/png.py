@@ -122,7 +122,7 @@ def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile
     codes = to_codes(radiance)
     rows = codes.reshape(len(codes), -1)
     if from_left:
-        # No filter, because filters would disturb the exact repeats of which pictures are full.
+        # No filter, because filters would disturb exact repetitions, of which pictures have many.
         rows = np.pad(rows, ((0, 0), (1, 0)))
     # Level 3 takes no longer than level 1.
     compressor = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)

@@ -187,8 +187,10 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
 
     Raises
     ------
-    TypeError, ValueError
-        As in `render`.
+    TypeError
+        If `scene` is not a Scene, or `samples` is not an integer.
+    ValueError
+        If `samples` is less than 1 or more than 999,999,999.
     """
     write_png(file := io.BytesIO(), render(scene, samples))
     return file.getvalue()
@@ -404,12 +406,12 @@ class RenderJob:
         rows, columns = rectangle
         size = rows.stop - rows.start, columns.stop - columns.start
         radiance = np.zeros((*size, 3)) if out is None else out
-        visible_rows, visible_columns = map(_overlap, rectangle, self.prepared.window)
+        visible_rows, visible_columns = map(_intersect, rectangle, self.prepared.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
-        visible_radiance = radiance[_relative_to_start(visible_rows, rows)]
+        visible_radiance = radiance[_count_from_tile_start(visible_rows, rows)]
         if self._is_classified:
-            visible_radiance[:, _relative_to_start(visible_columns, columns)] = refine_pixels(
+            visible_radiance[:, _count_from_tile_start(visible_columns, columns)] = refine_pixels(
                 self.prepared, visible_rows, visible_columns, self._per_side
             )
             return radiance
@@ -442,7 +444,7 @@ def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
     return RenderJob(*pickle.loads(pickled_arguments))
 
 
-def _overlap(first: slice, second: slice) -> slice:
+def _intersect(first: slice, second: slice) -> slice:
     """Intersect two ranges.
 
     Parameters
@@ -458,7 +460,7 @@ def _overlap(first: slice, second: slice) -> slice:
     return slice(max(first.start, second.start), min(first.stop, second.stop))
 
 
-def _relative_to_start(pixel_range: slice, tile_range: slice) -> slice:
+def _count_from_tile_start(pixel_range: slice, tile_range: slice) -> slice:
     """Count a range of picture rows or columns from the start of a tile.
 
     For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
