@@ -52,7 +52,7 @@ from converters.to_mitsuba import (
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
-from reference.figures import Figures, measure_differences, signed_difference, write_comparison
+from reference.figures import Figures, largest_difference, measure_differences, write_comparison
 from reference.judges import plain
 from reference.judges.arrays import Bools, Floats
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render, to_codes
@@ -634,11 +634,11 @@ def _check_to_file(path: Path, comparison_path: Path, options: argparse.Namespac
         If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
     result = check(path, options.variant, options.flavour)
-    pictures = result.tracer, result.mitsuba.image
-    tracer_codes, mitsuba_codes = map(to_codes, pictures)
-    labels, signed = ("tracer", f"Mitsuba {result.mitsuba.variant}"), signed_difference(*pictures)
+    tracer_codes, mitsuba_codes = to_codes(result.tracer), to_codes(result.mitsuba.image)
+    difference = largest_difference(result.tracer - result.mitsuba.image)
+    labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
     with errors_as_failure(comparison_path, "written", OTHER_NAME):
-        write_comparison(comparison_path, tracer_codes, mitsuba_codes, signed, labels)
+        write_comparison(comparison_path, tracer_codes, mitsuba_codes, difference, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {comparison_path}"))
     return result

@@ -351,7 +351,7 @@ def _compare(
     result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
     if picture.codes.shape != solution.codes.shape:
         return result, None
-    ssim, rmse, maximum, signed = compare_codes(picture.codes, solution.codes)
+    ssim, rmse, maximum, difference = compare_codes(picture.codes, solution.codes)
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or maximum <= options.max) and (
@@ -362,12 +362,12 @@ def _compare(
         differing=int((picture.codes != solution.codes).any(axis=2).sum()),
         worst=find_worst_pixel(picture.codes, solution.codes),
     )  # fmt: skip
-    pair = make_pair(result, picture.codes, solution.codes, signed) if options.html else None
+    pair = make_pair(result, picture.codes, solution.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
         output = _output_path(options, picture_path)
         labels = printable(picture_path.name), printable(reference_path.name)
         with errors_as_failure(output, "written", OTHER_NAME, error_types=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, picture.codes, solution.codes, signed, labels)
+            write_comparison(output, picture.codes, solution.codes, difference, labels)
         result = result._replace(comparison=str(output))
     return result, pair

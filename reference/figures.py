@@ -140,8 +140,8 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
 
     Parameters
     ----------
-    first, second : (h, w, 3) uint8 arrays
-        The pictures' 8-bit codes.
+    first, second : (height, width, 3) uint8 arrays
+        8-bit codes of the pictures.
 
     Returns
     -------
@@ -149,34 +149,34 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
         Structural similarity of the pictures; 1 if they are equal.
     rmse, maximum : float
         Root mean square and maximum of the absolute difference, over all pixels and channels.
-    signed : (h, w) float32 array
-        The difference of each pixel in the channel that differs most; positive if the first picture
-        is brighter.
+    difference : (height, width) float32 array
+        For each pixel, the difference of the channel that differs most; positive if the first
+        picture is brighter.
     """
     (height, width, _), margin = first.shape, _SSIM_WINDOW - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows in which a window can begin.
+    # Number of rows in which a structural-similarity window can begin.
     window_rows = max(1, height - margin)
-    ssim, sum_of_squares, maximum, signed_bands = 0.0, 0.0, 0.0, []
+    ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
     for start in range(0, height, band_height):
-        # Structural-similarity windows that begin in this band extend below it, by the margin.
+        # The windows that begin in this band extend below it, by the margin.
         rows = slice(start, start + band_height + margin)
         first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
-        weight = max(0, min(band_height, window_rows - start)) / window_rows
         figures = measure_differences(first_light, second_light)
+        weight = max(0, min(band_height, window_rows - start)) / window_rows
         ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
-        first_light, second_light = first_light[:band_height], second_light[:band_height]
-        sum_of_squares += float(((first_light - second_light) ** 2).sum())
-        signed_bands.append(signed_difference(first_light, second_light))
+        channel_difference = (first_light - second_light)[:band_height]
+        sum_of_squares += float((channel_difference**2).sum())
+        difference_bands.append(largest_difference(channel_difference))
     rmse = float(np.sqrt(sum_of_squares / first.size))
-    return ssim, rmse, maximum, np.concatenate(signed_bands)
+    return ssim, rmse, maximum, np.concatenate(difference_bands)
 
 
 def write_comparison(
     path: str | Path,
     left_codes: Codes,
     right_codes: Codes,
-    signed: Differences,
+    difference: Differences,
     labels: tuple[str, str],
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
@@ -189,8 +189,9 @@ def write_comparison(
         The file to write.  Only an existing PNG file is replaced.
     left_codes, right_codes : (height, width, 3) uint8 arrays
         8-bit codes of the two pictures.
-    signed : (height, width) float32 array
-        The difference between the pictures in linear light, as `signed_difference` returns it.
+    difference : (height, width) float32 array
+        For each pixel, by how much the left picture is brighter, in linear radiance; negative if
+        it is darker.
     labels : (str, str)
         Titles of the two pictures.  Long titles are cut off.
 
@@ -199,10 +200,10 @@ def write_comparison(
     OSError
         If the file cannot be written.
     """
-    difference_codes, gain = amplify_difference(signed)
+    difference_codes, gain = amplify_difference(difference)
     titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
     legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
-    height, width = signed.shape
+    height, width = difference.shape
     zoom = -(-_MIN_PANEL // max(width, height))
     panel_width = max(zoom * width, _MIN_PANEL)  # wide enough for a title
     panel_height = zoom * height + 2 * _LABEL_HEIGHT
@@ -221,31 +222,30 @@ def write_comparison(
         sheet.save(file, format="PNG")
 
 
-def signed_difference(a: Floats, b: Floats) -> Differences:
-    """Subtract one picture from another, and keep the channel that differs most in each pixel.
+def largest_difference(channel_difference: Floats) -> Differences:
+    """Select, for each pixel of the difference between two pictures, the channel that differs most.
 
     Parameters
     ----------
-    a, b : (height, width, 3) float arrays
-        The two pictures, in linear radiance.
+    channel_difference : (height, width, 3) float array
+        The difference between the pictures, in linear radiance.
 
     Returns
     -------
-    signed : (height, width) float32 array
-        For each pixel, the difference a - b of the channel in which its absolute value is largest.
+    difference : (height, width) float32 array
+        The value, positive or negative, of the channel with the largest absolute value.
     """
-    difference = a - b
-    lowest, highest = difference.min(axis=2), difference.max(axis=2)
-    signed: Differences = np.where(highest >= -lowest, highest, lowest).astype(np.float32)
-    return signed
+    lowest, highest = channel_difference.min(axis=2), channel_difference.max(axis=2)
+    difference: Differences = np.where(highest >= -lowest, highest, lowest).astype(np.float32)
+    return difference
 
 
-def amplify_difference(signed: Differences) -> tuple[Codes, float]:
+def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     """Draw the difference between two pictures, amplified so that it is visible.
 
     Parameters
     ----------
-    signed : (height, width) float32 array
+    difference : (height, width) float32 array
         For each pixel, by how much the first picture is brighter than the second, in linear
         radiance; negative if it is darker.
 
@@ -257,13 +257,13 @@ def amplify_difference(signed: Differences) -> tuple[Codes, float]:
         Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, chosen such
         that 99.9 % of the amplified differences are at most 1.  0 if the pictures are equal.
     """
-    absolute, codes = np.abs(signed), np.zeros((*signed.shape, 3), dtype=np.uint8)
+    absolute, codes = np.abs(difference), np.zeros((*difference.shape, 3), dtype=np.uint8)
     shown_maximum = float(np.percentile(absolute, _PERCENTILE)) or float(absolute.max())
     if shown_maximum == 0:
         return codes, 0.0
     power = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
-    amplified = np.clip(gain * signed, -1, 1)
+    amplified = np.clip(gain * difference, -1, 1)
     for channel in range(3):  # all channels together would take much memory
         brighter = 255 * _BRIGHTER_COLOR[channel] * amplified
         darker = -255 * _DARKER_COLOR[channel] * amplified

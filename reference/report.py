@@ -28,7 +28,7 @@ import numpy as np
 from converters.to_mitsuba import choose_variant
 from reference.check import EXACT, CheckResult, check, worst_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, make_parser, own_scenes
-from reference.figures import amplify_difference, signed_difference
+from reference.figures import amplify_difference, largest_difference
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
@@ -136,7 +136,7 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
     """
     excluded, figures, agrees = result.excluded, result.figures, result.verdict == "agrees"
     mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
-    difference_codes, gain = amplify_difference(signed_difference(result.tracer, mitsuba))
+    difference_codes, gain = amplify_difference(largest_difference(result.tracer - mitsuba))
     difference_codes[excluded] = _EXCLUDED_CODE
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return prepare_pair(

@@ -22,7 +22,7 @@ _LEGEND = (
 
 
 def make_pair(
-    result: Result, handin_codes: Codes, reference_codes: Codes, signed: Differences
+    result: Result, handin_codes: Codes, reference_codes: Codes, difference: Differences
 ) -> Pair:
     """Prepare a hand-in, its reference picture and their difference for an HTML page.
 
@@ -32,7 +32,7 @@ def make_pair(
         The result of comparing the two pictures.
     handin_codes, reference_codes : (h, w, 3) uint8 arrays
         8-bit codes of the picture that a student handed in, and of the reference picture.
-    signed : (h, w) float32 array
+    difference : (h, w) float32 array
         For each pixel, the difference in linear light; positive if the hand-in is brighter.
 
     Returns
@@ -44,7 +44,7 @@ def make_pair(
     return prepare_pair(
         handin_codes,
         reference_codes,
-        *amplify_difference(signed),
+        *amplify_difference(difference),
         name=str(result.picture),
         good=result.agrees,
         word=result.verdict,
