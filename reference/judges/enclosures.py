@@ -20,8 +20,9 @@ Why the result is right: each operation moves what it cannot represent (terms of
 four, products with Z, rounding errors) to the radius, with its largest absolute value.
 
 Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  A product of
-enclosures adds at most three products to each coefficient, and at most twenty to the radius.  So
-its rounding error is less than 30 e times the sum of all |a_i b_j|.  Its radius is widened by
+enclosures adds at most three products to each coefficient, and its radius consists of products of
+sums of at most seven terms.  So its rounding error is less than 30 e times the sum of all
+|a_i b_j|.  Its radius is widened by
 `ROUNDING`, which is 900 e, times this sum.  Sums of enclosures, and products of an enclosure with a
 number, err by e of each coefficient and widen nothing: at most four of them follow a product, whose
 widening of 900 e covers them.
@@ -187,15 +188,12 @@ class Enclosures:
         coef[X_SQUARED] += a[X] * b[X]
         coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
         coef[Y_SQUARED] += a[Y] * b[Y]
-        # The error bound covers all other products: of degree three or four, or with a Z.
+        # The error bound covers all other products: of degree three or four, or with a Z.  They are
+        # the products of all terms but the constants, without those of two linear terms.
         a, b = np.abs(a), np.abs(b)
-        a_linear, a_quadratic, a_unknown = a[X] + a[Y], a[X_SQUARED:UNKNOWN].sum(axis=0), a[UNKNOWN]
-        b_linear, b_quadratic, b_unknown = b[X] + b[Y], b[X_SQUARED:UNKNOWN].sum(axis=0), b[UNKNOWN]
-        coef[RADIUS] = a_linear * b_quadratic + a_quadratic * (b_linear + b_quadratic)
-        coef[RADIUS] += a_unknown * (b_linear + b_quadratic + b_unknown)
-        coef[RADIUS] += b_unknown * (a_linear + a_quadratic)
-        a_size = a[CONSTANT] + a_linear + a_quadratic + a_unknown
-        b_size = b[CONSTANT] + b_linear + b_quadratic + b_unknown
+        a_rest, b_rest = a[X:RADIUS].sum(axis=0), b[X:RADIUS].sum(axis=0)
+        a_size, b_size = a[CONSTANT] + a_rest, b[CONSTANT] + b_rest
+        coef[RADIUS] = a_rest * b_rest - (a[X] + a[Y]) * (b[X] + b[Y])
         coef[RADIUS] += a[RADIUS] * (b_size + b[RADIUS]) + b[RADIUS] * a_size
         coef[RADIUS] += ROUNDING * a_size * b_size
         return Enclosures(coef)
@@ -325,8 +323,7 @@ class Enclosures:
         at_center = at_center + center_y * (y + center_y * yy)
         new_x = x / 2 + center_x * xx + center_y * xy / 2
         new_y = y / 2 + center_y * yy + center_x * xy / 2
-        unknown = np.zeros_like(constant)
-        coef = [at_center, new_x, new_y, xx / 4, xy / 4, yy / 4, unknown, radius]
+        coef = [at_center, new_x, new_y, xx / 4, xy / 4, yy / 4, 0 * constant, radius]
         return Enclosures(np.array(coef))
 
 

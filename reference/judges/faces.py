@@ -96,7 +96,7 @@ class Faces:
     rim_half_spaces : (5, 4, f) float array
         Four half-spaces whose intersection with the plane of a side of a box is this side.
     bounding_box : (2, 3, f) float array
-        Lower and upper corners of bounding boxes, in the scene's axes.
+        Lower and upper corners of the bounding boxes of the faces' objects, in the scene's axes.
     is_unlit : (m, f) bool array
         Whether a light reaches no visible point of the face, because it is (1) outside an object
         around the eye, (2) inside any other object, or (3) behind the face's plane.
@@ -186,17 +186,11 @@ class Faces:
         side[3:] = corner * [[-1], [1]], np.abs(corner)
         rim = side[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
         plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], position.shape), position])
-        bounding_box = np.empty((2, 3, *corner.shape))
-        bounding_box[:] = position.swapaxes(0, 1)[:, :, None, None]
-        for axis in range(3):
-            bounding_box[:, axis, axis] = position[axis]
 
         def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
             """Append values of boxes' sides to those of spheres, as a new array (..., f)."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        sphere_box = np.array([prepared.spheres.center - r, prepared.spheres.center + r])
-        self.bounding_box = append_sides(sphere_box, bounding_box)
         self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), side)
         self.linear_coef = append_sides(c / power, axes[:, :, None, None] / corner)
         self.root_coef = append_sides(1 / power, 0 * corner)
@@ -206,6 +200,9 @@ class Faces:
         box = np.broadcast_to(np.arange(n, self.object_count), corner.shape)
         self.object_index = append_sides(np.arange(n), box)
         self.is_planar = self.object_index >= n
+        sphere_box = np.array([prepared.spheres.center - r, prepared.spheres.center + r])
+        object_box = np.append(sphere_box, position.swapaxes(0, 1), axis=2)
+        self.bounding_box = object_box[:, :, self.object_index]
         may_be_visible = append_sides(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
         self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
         is_sheet = np.append(np.zeros(n, np.bool_), ~has_extent.all(axis=0))

@@ -11,9 +11,9 @@ region
 
 A cell has coordinates X and Y from -1 to 1, so its area is 4; areas here are fractions of it.
 
-The tracer's antialiasing divides cells by the same two algorithms (the foot of the centre on a
-curve; cutting triangles).  They are repeated here on purpose: a reference that shares code with
-what it validates would repeat its errors.
+The tracer's antialiasing divides cells in a similar way (a point of a curve near the centre;
+cutting triangles).  This is repeated here on purpose: a reference that shares code with what it
+validates would repeat its errors.
 """
 
 from __future__ import annotations
@@ -67,30 +67,26 @@ class Strips(NamedTuple):
 
 
 def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
-    """Find a point near the zero of each quadratic polynomial in a cell.
+    """Take a step of Newton's method from a cell's centre to the zero of each polynomial.
 
-    The polynomial is expanded to second order along the gradient.  The zero of this expansion that
-    is closest to the centre is moved into the cell.  Any point is valid, but the closer it is to
-    the zero of the polynomial, the narrower is the strip that `enclose_in_strips` computes from it.
+    The step is shortened so that it ends in the cell.  Any point is valid, but the closer it is to
+    the zero, the narrower is the strip that `enclose_in_strips` computes from it.
 
     Parameters
     ----------
     coef : (8, n) float array
-        Coefficients of the polynomials in X and Y, in the order of `Enclosures.coef`.
+        Coefficients of polynomials in X and Y, which run from -1 to 1 in the cell, in the order of
+        `Enclosures.coef`.
 
     Returns
     -------
     x, y : (n,) float arrays
-        The points, from -1 to 1.
+        The points, from -1 to 1.  The centre if a polynomial has no gradient there.
     """
-    constant, x, y, x_squared, x_times_y, y_squared, *_ = coef
-    slope_squared = x**2 + y**2
-    curvature = x**2 * x_squared + x * y * x_times_y + y**2 * y_squared
-    second_derivative = 2 * curvature / slope_squared
-    discriminant = slope_squared * (slope_squared - 2 * constant * second_derivative)
-    step = -2 * constant / (slope_squared + np.sqrt(np.abs(discriminant)))
+    constant, x, y = coef[:X_SQUARED]
     max_step = 1 / np.maximum(np.abs(x), np.abs(y))
-    step = np.where(slope_squared > 0, np.clip(step, -max_step, max_step), 0)
+    step = np.clip(-constant / (x**2 + y**2), -max_step, max_step)
+    step = np.nan_to_num(step, posinf=0, neginf=0)
     return step * x, step * y
 
 
