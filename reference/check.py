@@ -423,40 +423,40 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     ValueError
         If the radiance of a pixel in either picture is not finite.
     """
-    mitsuba = rendering.image
-    if not np.isfinite(mitsuba).all():
+    mitsuba_image = rendering.image
+    if not np.isfinite(mitsuba_image).all():
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
     render(scene)  # the first time takes longer, so the second is measured
     start = perf_counter()
-    image = render(scene)
+    tracer_image = render(scene)
     seconds = perf_counter() - start
     # Tolerances are for radiance up to 1.  Above, they grow with the darker picture, so that no
     # mistake that makes one picture brighter increases them.
-    unit = max(1.0, min(float(image.max()), float(mitsuba.max())))
-    difference = np.abs(image - mitsuba).max(axis=2) / unit
+    unit = max(1.0, min(float(tracer_image.max()), float(mitsuba_image.max())))
+    difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / unit
     # If the pictures differ too much as a whole, pixels are compared again, with less tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
         is_different = difference > tolerance
         edges = is_different.copy()
         if is_different.any():
-            edges &= find_pixels_near_edges(scene, mitsuba, limits.shift, tolerance * unit)
+            edges &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, tolerance * unit)
         if edges.mean() > MAX_EDGE_SHARE:  # too many for rounding to be the cause: none is excluded
             edges[:] = False
         ties, examined, wrong = _examine_exactly(
-            scene, image, mitsuba, is_different & ~edges, tolerance * unit
+            scene, tracer_image, mitsuba_image, is_different & ~edges, tolerance * unit
         )
         excluded = edges | ties
         # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
-        shown = np.where(excluded[:, :, None], mitsuba, image)
+        shown = np.where(excluded[:, :, None], mitsuba_image, tracer_image)
         mask = None if excluded.all() else excluded
-        figures = measure_differences(shown / unit, mitsuba / unit, mask)
+        figures = measure_differences(shown / unit, mitsuba_image / unit, mask)
         if examined.any() or not out_of_tolerance(figures):
             break
     return CheckResult(
         name=name,
-        tracer=image,
+        tracer=tracer_image,
         tracer_seconds=seconds,
         mitsuba=rendering,
         edges=edges,
@@ -469,7 +469,7 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
 
 
 def _examine_exactly(
-    scene: Scene, image: Floats, mitsuba: Floats, is_different: Bools, tolerance: float
+    scene: Scene, tracer_image: Floats, mitsuba_image: Floats, is_different: Bools, tolerance: float
 ) -> tuple[Bools, Bools, Bools]:
     """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
@@ -484,7 +484,7 @@ def _examine_exactly(
     ----------
     scene : Scene
         The scene.
-    image, mitsuba : (h, w, 3) float arrays
+    tracer_image, mitsuba_image : (h, w, 3) float arrays
         Linear radiance of the scene's pixels, computed by the tracer and by Mitsuba.
     is_different : (h, w) bool array
         Pixels to examine.
@@ -505,7 +505,7 @@ def _examine_exactly(
     batch_count = -(-len(pixels) // _PIXELS_PER_BATCH)
     for batch_index in range(batch_count):
         rows, columns = pixels[batch_index::batch_count].T
-        radiance = np.stack([image[rows, columns], mitsuba[rows, columns]])
+        radiance = np.stack([tracer_image[rows, columns], mitsuba_image[rows, columns]])
         tracer_is_right, mitsuba_is_right = np.zeros((2, len(rows)), dtype=np.bool_)
         for near_scene, shift in _indistinguishable_scenes(scene):
             x, y = columns + 0.5 + shift, rows + 0.5 + shift
@@ -588,7 +588,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Warnings, for example of a black picture, are omitted: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)
     paths = track(zip(scenes, map(Path, outputs), strict=True), len(scenes), "scenes")
-    return worst_status([attempt(_check_to_file, *pair, options) for pair in paths])
+    return worst_status([attempt(_check_and_print, *pair, options) for pair in paths])
 
 
 def worst_status(results: Iterable[CheckResult | Failure]) -> int:
@@ -611,7 +611,7 @@ def worst_status(results: Iterable[CheckResult | Failure]) -> int:
     return max(statuses, key=(0, STATUS["undecided"], FAILED).index, default=0)
 
 
-def _check_to_file(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
+def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
     """Compare the tracer and Mitsuba on one scene, print the result, and write it as a picture.
 
     Parameters

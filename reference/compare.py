@@ -26,6 +26,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -57,22 +58,21 @@ _REFRESH_SECONDS = 0.5
 _LOST = "cannot be compared: its process was ended; is there enough memory?"
 
 
-def tolerance(text: str) -> float:
-    """Convert the argument of a command-line option to a number of at least 0.
+def parse_tolerance(text: str) -> float:
+    """Convert a command-line argument to a number of at least 0.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        If the number is negative or NaN.
-    ValueError
-        If the text is not a number.  The message of argparse then contains this function's name.
+        If the text is not a number, or the number is negative or NaN.
     """
-    if not (value := float(text)) >= 0:
-        raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
-    return value
+    with suppress(ValueError):
+        if (number := float(text)) >= 0:
+            return number
+    raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
 
 
-def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
+def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
     """Parse the command line, and find the reference picture or scene of each hand-in.
 
     Parameters
@@ -99,8 +99,8 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
     add, exit_with = command_parser.add_argument, command_parser.error
     add("a", metavar="HAND-IN", type=Path, help="the picture in question, or a folder")
     add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")
-    add("--ssim", type=tolerance, metavar="S", help="minimum SSIM that is tolerated")
-    add("--max", type=tolerance, metavar="M", help="maximum linear difference that is tolerated")
+    add("--ssim", type=parse_tolerance, metavar="S", help="smallest SSIM to accept")
+    add("--max", type=parse_tolerance, metavar="M", help="largest linear difference to accept")
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
     add("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
     add("--html", type=parse_path, metavar="OUT.html", help="write one page that shows all of them")
@@ -123,33 +123,33 @@ def _parse(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[Ha
         problem = "several pictures need a folder; end it in"
         exit_with(printable(f"-o {options.output}: {problem} {os.sep}"))
     hand_ins = match_hand_ins(pictures, options.a, options.b)
-    outputs = [_output_path(options, picture) for picture in pictures if options.output]
+    outputs = [_comparison_path(options, picture) for picture in pictures if options.output]
     outputs += [Path(options.html)] if options.html else []
     references = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
     forbid_overwriting_inputs(command_parser, outputs, (*pictures, *references))
     return options, hand_ins
 
 
-def _output_path(options: argparse.Namespace, picture: Path) -> Path:
+def _comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
     """Return the path of the comparison picture, which shows a hand-in beside its reference.
 
     Parameters
     ----------
     options : Namespace
         The command-line options, with -o (`output`).
-    picture : Path
+    picture_path : Path
         The picture that was handed in.
 
     Returns
     -------
     path : Path
-        The file that -o names; or, if -o names a folder, a file in that folder.  Each picture of a
-        class has another file.
+        The file that -o names; or, if -o names a folder, a file in that folder, which is different
+        for each picture of a class.
     """
     if not is_folder(options.output):
         return Path(options.output)
-    path = picture.relative_to(options.folder)
-    return Path(options.output, path.with_name(f"{path.name}.compare.png"))
+    relative_path = picture_path.relative_to(options.folder)
+    return Path(options.output, relative_path.with_name(f"{picture_path.name}.compare.png"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -174,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Failure
         If a file does not exist or cannot be written, or if a single picture cannot be compared.
     """
-    options, hand_ins = _parse(arguments)
+    options, hand_ins = _parse_command_line(arguments)
     # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
     jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
     if len(jobs) == 1:
@@ -304,7 +304,7 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         if hand_in.error or not (hand_in.picture and hand_in.reference):
             raise Failure(where, hand_in.error)
         with errors_as_failure(where, "compared", memory_remedy="compare a part"):
-            return _compare(options, hand_in.picture, hand_in.reference, result)
+            return _compare_files(options, hand_in.picture, hand_in.reference, result)
     except Failure as failure:
         return result._replace(error=str(failure)), None
     except Exception as bug:
@@ -312,7 +312,7 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         return result._replace(error=str(Failure(where, f"cannot be compared: {cause}"))), None
 
 
-def _compare(
+def _compare_files(
     options: argparse.Namespace, picture_path: Path, reference_path: Path, result: Result
 ) -> tuple[Result, Pair | None]:
     """Compare a picture with its reference; if requested, write a comparison picture.
@@ -364,7 +364,7 @@ def _compare(
     )  # fmt: skip
     pair = make_pair(result, picture.codes, solution.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
-        output = _output_path(options, picture_path)
+        output = _comparison_path(options, picture_path)
         labels = printable(picture_path.name), printable(reference_path.name)
         with errors_as_failure(output, "written", OTHER_NAME, error_types=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)

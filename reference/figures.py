@@ -88,12 +88,12 @@ class Figures:
         )
 
 
-def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figures:
+def measure_differences(first: Floats, second: Floats, mask: Bools | None = None) -> Figures:
     """Measure how much two pictures differ.
 
     Parameters
     ----------
-    a, b : (height, width, 3) float arrays
+    first, second : (height, width, 3) float arrays
         The two pictures, in linear radiance.
     mask : (height, width) bool array, optional
         True for pixels that are excluded from all figures but the structural similarity.
@@ -109,18 +109,18 @@ def measure_differences(a: Floats, b: Floats, mask: Bools | None = None) -> Figu
     ValueError
         If the shapes differ, a value is not finite, or every pixel is masked.
     """
-    if a.shape != b.shape:
-        raise ValueError(f"the pictures' shapes differ: {a.shape} and {b.shape}")
-    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+    if first.shape != second.shape:
+        raise ValueError(f"the pictures' shapes differ: {first.shape} and {second.shape}")
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
         raise ValueError("a picture contains values that are not finite")
-    kept = np.ones(a.shape[:2], dtype=np.bool_) if mask is None else ~mask
+    kept = np.ones(first.shape[:2], dtype=np.bool_) if mask is None else ~mask
     if not kept.any():
         raise ValueError("every pixel is masked")
-    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in a.shape[:2]] + [(0, 0)]
-    displayed = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in (a, b)]
+    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in first.shape[:2]] + [(0, 0)]
+    displayed = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in (first, second)]
     displayed = [np.pad(image, padding, mode="edge") for image in displayed]
     ssim = structural_similarity(*displayed, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
-    difference = np.abs(a - b)[kept]
+    difference = np.abs(first - second)[kept]
     pixel_difference = difference.max(axis=1)
     return Figures(
         ssim=float(ssim),
@@ -261,8 +261,9 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     shown_maximum = float(np.percentile(absolute, _PERCENTILE)) or float(absolute.max())
     if shown_maximum == 0:
         return codes, 0.0
-    power = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
-    gain = max(k * power for k in (1, 2, 5) if k * power * shown_maximum <= 1)
+    power_of_ten = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
+    gains = [factor * power_of_ten for factor in (1, 2, 5)]
+    gain = max(gain for gain in gains if gain * shown_maximum <= 1)
     amplified = np.clip(gain * difference, -1, 1)
     for channel in range(3):  # all channels together would take much memory
         brighter = 255 * _BRIGHTER_COLOR[channel] * amplified
