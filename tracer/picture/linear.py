@@ -92,7 +92,7 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with np.errstate(over="ignore"):
         channels = {"RGB": image.astype(np.float32)}
-    # A file without a path is opened by its descriptor: on Linux, where alone such files exist.
+    # A file has no path only on Linux, where it can be opened again by its descriptor.
     path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
     try:
         OpenEXR.File(header, channels).write(path)

@@ -68,6 +68,9 @@ class Exposure(NamedTuple):
     def from_radiance(cls, radiance: Floats) -> Exposure:
         """Count all pixels, lit pixels and clipped pixels in a rectangle of a picture.
 
+        In a rectangle of more than `_MIN_ESTIMATED_PIXELS` pixels, the numbers of lit and clipped
+        pixels are estimates, but the number of lit pixels is 0 only if all pixels are black.
+
         Parameters
         ----------
         radiance : (rows, columns, 3) float array
