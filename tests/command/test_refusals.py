@@ -39,8 +39,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_png("a.png", np.zeros((6, 8, 3)))
     write_png("small.png", np.zeros((3, 4, 3)))
     Path("ball.zip").write_bytes(b"PK")
-    Path("text.png").write_text("<scene/>")
+    for name in ("text.png", "no-camera.xml"):
+        Path(name).write_text("<scene><image>8 6</image></scene>")
+    Path("cut.png").write_bytes(b"\x89PNG\r\n\x1a\ncut")
+    Path("empty.png").touch()
     Path("nothing").symlink_to("missing")
+    Path("loop").symlink_to("loop")
     Path("link.xml").symlink_to("ball.xml")
     os.mkfifo("pipe")
     return tmp_path

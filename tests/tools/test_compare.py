@@ -174,16 +174,6 @@ def test_one_picture(tmp_path: Path, compare: Compare) -> None:
     assert (tmp_path / "new" / "c.png").exists()
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\ncut", b"<scene/>"])
-def test_unreadable(tmp_path: Path, compare: Compare, content: bytes) -> None:
-    bad = tmp_path / ("a.xml" if b"scene" in content else "a.png")
-    bad.write_bytes(content)
-    status, lines, error = compare(save(tmp_path / "b.png", CODES), bad)
-    assert (status, lines) == (3, [])
-    for line in error.splitlines():
-        assert (line.startswith(f"{bad}:"), line.count(str(bad))) == (True, 1)
-
-
 @pytest.mark.parametrize(("share", "status"), [(0.008, 0), (0.02, 1)])
 def test_few_pixels_may_be_one_level_off(
     tmp_path: Path, compare: Compare, share: float, status: int
