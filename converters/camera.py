@@ -1,7 +1,7 @@
 """Compute the window of a camera, and find the visible points of a scene.
 
-The window is computed independently of the tracer's own camera, because pictures that are rendered
-through it validate the tracer's camera.
+The window is computed independently of the tracer's own camera, because it serves to validate that
+camera.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from tracer import Camera, Scene, Surfaces, first_hits
 
-__all__ = ["Floats", "Window", "bounding_box", "camera_window", "visible_points"]
+__all__ = ["Floats", "Window", "bounding_box", "compute_window", "sample_visible_points"]
 
 Floats: TypeAlias = NDArray[np.float64]
 
-# Numbers of rays along each side of the picture.  If fewer than _MIN_VISIBLE_POINTS rays hit a
-# surface, the next number is tried.
+# Numbers of rays along each side of the picture: the next one is tried if fewer than
+# _MIN_VISIBLE_POINTS rays hit a surface.
 _RAYS_PER_SIDE = 12, 48, 192
 _MIN_VISIBLE_POINTS = 12
 
@@ -46,14 +46,14 @@ class Window(NamedTuple):
     width: float
     height: float
 
-    def points(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Compute vectors from the eye to points of the window.
+    def vectors_to(self, x: Floats | float, y: Floats | float) -> Floats:
+        """Compute the vectors from the eye to points in the window.
 
         Parameters
         ----------
         x, y : float or (...) float array
-            Positions in the window, from (0, 0) at the upper left to (1, 1) at the lower right
-            corner.
+            Positions in the window, from (0, 0) in the upper left corner to (1, 1) in the lower
+            right corner.
 
         Returns
         -------
@@ -67,7 +67,7 @@ class Window(NamedTuple):
         return vectors
 
 
-def camera_window(camera: Camera) -> Window:
+def compute_window(camera: Camera) -> Window:
     """Compute the window of a camera: the rectangle in space that the picture fills.
 
     The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
@@ -81,14 +81,14 @@ def camera_window(camera: Camera) -> Window:
     Returns
     -------
     window : Window
-        The eye, and the axes, centre and size of the rectangle.
+        The position of the eye, and the axes, centre and size of the window.
     """
-    direction = _normalize(camera.view_dir)
+    view_direction = _normalize(camera.view_dir)
     normal = _normalize(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
-    ahead = normal if normal @ direction > 0 else -normal
+    ahead = normal if normal @ view_direction > 0 else -normal
     right = _normalize(np.cross(ahead, _normalize(camera.view_up)))
     axes = np.array([right, np.cross(ahead, right), ahead])
-    center = axes @ direction * camera.proj_distance
+    center = axes @ view_direction * camera.proj_distance
     return Window(np.array(camera.view_point), axes, center, camera.view_width, camera.view_height)
 
 
@@ -105,7 +105,7 @@ def _normalize(vector: Sequence[float] | Floats) -> Floats:
     unit_vector : (3,) float array
         The unit vector with the same direction.
     """
-    scaled = np.asarray(vector) / np.abs(vector).max()  # so that no square over- or underflows
+    scaled = np.asarray(vector) / np.abs(vector).max()  # no square overflows or underflows
     unit_vector: Floats = scaled / np.linalg.norm(scaled)
     return unit_vector
 
@@ -121,8 +121,8 @@ def bounding_box(surfaces: Surfaces) -> Floats:
     Returns
     -------
     corners : (2, 3) float array
-        The minimum coordinates in the first row, the maximum coordinates in the second.  All are 0
-        if there are no surfaces.
+        The minimum coordinates in the first row, and the maximum coordinates in the second.  All
+        are 0 if there are no surfaces.
     """
     radius = surfaces.radius[:, None]
     low = np.concatenate([surfaces.center - radius, surfaces.min_pt])
@@ -130,11 +130,11 @@ def bounding_box(surfaces: Surfaces) -> Floats:
     return np.array([low.min(axis=0), high.max(axis=0)]) if len(low) else np.zeros((2, 3))
 
 
-def visible_points(scene: Scene) -> Floats:
-    """Sample points of the visible surfaces of a scene.
+def sample_visible_points(scene: Scene) -> Floats:
+    """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
 
-    Rays are traced through a regular grid of positions in the picture.  The grid is refined up to
-    two times, until at least `_MIN_VISIBLE_POINTS` rays hit a surface.
+    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a grid of more rays is tried, up to
+    two times.
 
     Parameters
     ----------
@@ -144,10 +144,10 @@ def visible_points(scene: Scene) -> Floats:
     Returns
     -------
     points : (n, 3) float array
-        The points where the rays of the last grid hit surfaces; n = 0 if all rays miss.
+        The points where rays of the last grid hit surfaces; n = 0 if all rays miss.
     """
-    for ray_count in _RAYS_PER_SIDE:
-        y, x = (np.indices((ray_count, ray_count)).reshape(2, -1) + 0.5) / ray_count
+    for rays_per_side in _RAYS_PER_SIDE:
+        y, x = (np.indices((rays_per_side, rays_per_side)).reshape(2, -1) + 0.5) / rays_per_side
         hits = first_hits(scene, x * scene.width, y * scene.height)
         points: Floats = hits.point[hits.surface >= 0]
         if len(points) >= _MIN_VISIBLE_POINTS:

@@ -1,7 +1,7 @@
 """Convert a scene to a file for Mitsuba 3, in one of two flavours.
 
-*exact*: this project's own plugins compute the same picture as the tracer.  *stock*: the plugins
-that come with Mitsuba compute a similar picture.
+*exact*: this project's own plugins compute the same picture as the tracer.  *stock*: Mitsuba's
+built-in plugins compute a similar picture.
 """
 
 from __future__ import annotations
@@ -14,17 +14,24 @@ from xml.etree.ElementTree import Comment, Element
 
 import numpy as np
 
-from converters.camera import Floats, bounding_box, camera_window, visible_points
-from converters.mitsuba_xml import ConversionError, Document, matrix, plugin, rgb, xyz
+from converters.camera import Floats, bounding_box, compute_window, sample_visible_points
+from converters.mitsuba_xml import (
+    ConversionError,
+    Document,
+    make_matrix,
+    make_plugin,
+    make_rgb,
+    make_xyz,
+)
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
 
-__all__ = ["SAMPLES", "choose_normalisation", "convert", "convert_exact", "convert_stock"]
-__all__ += ["reflectance_divisor", "with_square_pixels"]
+__all__ = ["DEFAULT_SAMPLES", "choose_normalisation", "convert", "convert_exact", "convert_stock"]
+__all__ += ["choose_reflectance_divisor", "with_square_pixels"]
 
-SAMPLES = {"stock": 64, "exact": 1}
+DEFAULT_SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
 
-# Overflow is not an error where it occurs, but where a number is written.
+# Numbers may overflow in computations: an error is raised when an infinite number is written.
 _IGNORE_OVERFLOW = np.errstate(all="ignore")
 
 # Size, in Mitsuba's units, to which scenes are scaled: float32 is most accurate near the origin.
@@ -33,9 +40,10 @@ _SCENE_SIZE = 10.0
 # Maximum error of a hit in the exact flavour, in roundings (2^-24) of the scene's largest length.
 _TOLERANCE_ROUNDINGS = 32
 
-# A scene for Mitsuba's own plugins keeps its coordinates if the size of its visible part is between
-# the first two numbers, and its distance from the origin is at most the third times that size.
-_MIN_OWN_SIZE, _MAX_OWN_SIZE, _MAX_OWN_DISTANCE = 0.1, 1e6, 10.0
+# A scene for Mitsuba's built-in plugins keeps its coordinates if the size of its visible part is
+# between the first two numbers, and its distance from the origin is at most this size times the
+# third number.
+_MIN_KEPT_SIZE, _MAX_KEPT_SIZE, _MAX_KEPT_DISTANCE = 0.1, 1e6, 10.0
 
 # Maximum radius of a sphere in a stock scene.  Hits on it have an error of 1e-7 of the radius, and
 # Mitsuba starts shadow rays 1e-4 above the surface.  The scene is scaled down for larger spheres,
@@ -63,44 +71,44 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
     scene : Scene
         The scene to convert.
     flavour : str
-        "exact" to reproduce the tracer's picture by this project's plugins, or "stock" to
-        approximate the picture by Mitsuba's own plugins.
+        "exact" to reproduce the tracer's picture with this project's plugins, or "stock" to
+        approximate it with Mitsuba's built-in plugins.
     samples : int, optional
         Number of samples per pixel.  By default, 1 for "exact" and 64 for "stock".
 
     Returns
     -------
     text : str
-        XML, which begins with a comment about the conversion.
+        XML, starting with a comment about the conversion.
 
     Raises
     ------
     ConversionError
-        If the scene has numbers that Mitsuba cannot represent, or needs too many square pixels.
+        If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
     """
-    sample_count = SAMPLES[flavour] if samples is None else samples
+    sample_count = DEFAULT_SAMPLES[flavour] if samples is None else samples
     return str({"stock": convert_stock, "exact": convert_exact}[flavour](scene, sample_count))
 
 
 class Normalisation(NamedTuple):
-    """A translation and a scaling of a scene, which maps each point p to (p - center) * scale.
+    """A translation and scaling that maps each point p of a scene to (p - center) * scale.
 
-    The normalisation changes no picture, but moves the coordinates into the range where float32 is
-    accurate.
+    Normalisation does not change the picture; it moves the coordinates into the range where float32
+    is accurate.
 
     Attributes
     ----------
     center : (3,) float array
         The point of the scene that becomes the origin.
     scale : float
-        Length after the normalisation of a segment of length 1.
+        Factor by which all lengths are multiplied.
     """
 
     center: Floats
     scale: float
 
     def __call__(self, points: Floats) -> Floats:
-        """Translate and scale points (..., 3); return an array of the same shape."""
+        """Translate and scale points (..., 3), and return them as a new array."""
         return (points - self.center) * self.scale
 
     def __str__(self) -> str:
@@ -112,10 +120,10 @@ class Normalisation(NamedTuple):
 
 
 def choose_normalisation(scene: Scene) -> Normalisation:
-    """Choose the translation and scaling that fit a scene's visible part into a cube at the origin.
+    """Choose a translation and scaling that fit the visible part of a scene into a cube.
 
-    The cube is centred at the origin, with edges of 10 units.  If no surface is visible, all
-    surfaces together replace the visible part.
+    The cube is centred at the origin, and its edges are 10 units long.  If no surface is visible,
+    all surfaces are fitted into the cube.
 
     Parameters
     ----------
@@ -125,21 +133,21 @@ def choose_normalisation(scene: Scene) -> Normalisation:
     Returns
     -------
     normalisation : Normalisation
-        The translation and the scaling.  The scale is 1 if the visible part is a single point.
+        The translation and scaling.  The scale is 1 if the fitted part is a single point.
     """
-    visible, surfaces = visible_points(scene), scene.surfaces
-    points = visible if len(visible) else bounding_box(surfaces)
+    visible_points = sample_visible_points(scene)
+    points = visible_points if len(visible_points) else bounding_box(scene.surfaces)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
     return Normalisation((low + high) / 2, _SCENE_SIZE / size if size > 0 else 1.0)
 
 
-def _stock_normalisation(scene: Scene) -> Normalisation:
-    """Choose the translation and the scaling of a scene for Mitsuba's own plugins.
+def _choose_stock_normalisation(scene: Scene) -> Normalisation:
+    """Choose the translation and scaling of a scene for Mitsuba's built-in plugins.
 
-    Mitsuba computes with float32.  The scene keeps its coordinates if its visible part is neither
-    too small, nor too large, nor too far from the origin.  A scene with very large spheres is
-    scaled down.
+    The scene keeps its coordinates if they suit float32, that is, if its visible part is neither
+    very small, nor very large, nor far from the origin.  A scene with very large spheres is scaled
+    down.
 
     Parameters
     ----------
@@ -149,51 +157,51 @@ def _stock_normalisation(scene: Scene) -> Normalisation:
     Returns
     -------
     normalisation : Normalisation
-        The translation and the scaling.  If the scene keeps its coordinates, the scale is 1 and the
+        The translation and scaling.  If the scene keeps its coordinates, the scale is 1, and the
         centre is the origin.
     """
-    normalise = choose_normalisation(scene)
-    size = _SCENE_SIZE / normalise.scale
-    is_near = np.abs(normalise.center).max() <= _MAX_OWN_DISTANCE * size
-    if is_near and _MIN_OWN_SIZE <= size <= _MAX_OWN_SIZE:
-        normalise = Normalisation(np.zeros(3), 1.0)
-    largest_radius = normalise.scale * float(scene.surfaces.radius.max(initial=0))
+    normalisation = choose_normalisation(scene)
+    visible_size = _SCENE_SIZE / normalisation.scale
+    is_near = np.abs(normalisation.center).max() <= _MAX_KEPT_DISTANCE * visible_size
+    if is_near and _MIN_KEPT_SIZE <= visible_size <= _MAX_KEPT_SIZE:
+        normalisation = Normalisation(np.zeros(3), 1.0)
+    largest_radius = normalisation.scale * float(scene.surfaces.radius.max(initial=0))
     if largest_radius > _MAX_RADIUS:
         shrinkage = max(_MAX_RADIUS / largest_radius, _MIN_SHRINKAGE)
-        normalise = normalise._replace(scale=normalise.scale * shrinkage)
-    return normalise
+        normalisation = normalisation._replace(scale=normalisation.scale * shrinkage)
+    return normalisation
 
 
-def _film_element(scene: Scene) -> Element:
-    """Create the Mitsuba film for a scene: a picture of linear radiance with a box filter.
+def _make_film(scene: Scene) -> Element:
+    """Create the Mitsuba film, which stores the picture of a scene as linear radiance.
 
     Parameters
     ----------
     scene : Scene
-        The scene, whose width and height are those of the picture.
+        The scene, which defines the width and height of the picture.
 
     Returns
     -------
     film : Element
-        The plugin "hdrfilm".  Its box filter averages the samples of each pixel separately.
+        A plugin of type "hdrfilm".  Its box filter averages the samples of each pixel separately.
     """
-    box_filter, width, height = plugin("rfilter", "box"), scene.width, scene.height
-    pixel_type = {"pixel_format": "rgb", "component_format": "float32"}
-    return plugin("film", "hdrfilm", box_filter, width=width, height=height, **pixel_type)
+    box_filter, width, height = make_plugin("rfilter", "box"), scene.width, scene.height
+    pixel_format = {"pixel_format": "rgb", "component_format": "float32"}
+    return make_plugin("film", "hdrfilm", box_filter, width=width, height=height, **pixel_format)
 
 
 def _convert_surfaces(
-    surfaces: Surfaces, normalise: Normalisation, bsdf_names: Sequence[str]
+    surfaces: Surfaces, normalisation: Normalisation, bsdf_names: Sequence[str]
 ) -> list[Element]:
     """Convert all surfaces of a scene to Mitsuba shapes.
 
-    A flat box becomes slightly thick, because Mitsuba cannot invert the transform of a flat cube.
+    A flat box is made slightly thick, because Mitsuba cannot invert the transform of a flat cube.
 
     Parameters
     ----------
     surfaces : Surfaces
         The surfaces: spheres and boxes.
-    normalise : Normalisation
+    normalisation : Normalisation
         The translation and scaling to apply to all points and lengths.
     bsdf_names : sequence of str
         For each shader of the scene, the name of its BSDF.
@@ -201,29 +209,29 @@ def _convert_surfaces(
     Returns
     -------
     shapes : list of Element
-        One plugin "sphere" or "cube" for each surface, in the order of the scene file.
+        A plugin of type "sphere" or "cube" for each surface, in the order of the scene file.
     """
-    radii = (surfaces.radius * normalise.scale).tolist()
+    radii = (surfaces.radius * normalisation.scale).tolist()
     shapes = [
-        plugin("shape", "sphere", xyz("point", "center", center), radius=radius)
-        for center, radius in zip(normalise(surfaces.center).tolist(), radii, strict=True)
+        make_plugin("shape", "sphere", make_xyz("point", "center", center), radius=radius)
+        for center, radius in zip(normalisation(surfaces.center).tolist(), radii, strict=True)
     ]
-    half_size = (surfaces.max_pt - surfaces.min_pt) * (normalise.scale / 2)
-    largest_coordinate = np.abs(normalise(bounding_box(surfaces))).max()
+    half_size = (surfaces.max_pt - surfaces.min_pt) * (normalisation.scale / 2)
+    largest_coordinate = np.abs(normalisation(bounding_box(surfaces))).max()
     half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest_coordinate
     # Mitsuba's cube, which extends from -1 to 1 along each axis, is scaled and moved.
-    centers = (normalise(surfaces.min_pt) + normalise(surfaces.max_pt)) / 2
+    centers = (normalisation(surfaces.min_pt) + normalisation(surfaces.max_pt)) / 2
     for scale, center in zip(half_size.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
-        to_world.extend([xyz("scale", None, scale), xyz("translate", None, center)])
-        shapes.append(plugin("shape", "cube", to_world))
+        to_world.extend([make_xyz("scale", None, scale), make_xyz("translate", None, center)])
+        shapes.append(make_plugin("shape", "cube", to_world))
     for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
         shape.append(Element("ref", id=bsdf_names[shader_index]))
-    return [shapes[index] for index in surfaces.file_order.tolist()]
+    return [shapes[index] for index in surfaces.array_index.tolist()]
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Choose the name of a BSDF for each shader; equal shaders get the same name.
+    """Choose a BSDF name for each shader; equal shaders get the same name.
 
     Parameters
     ----------
@@ -235,7 +243,7 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     names : list of str
         For each shader, the name of its BSDF.
     shader_of_name : dict of str to Shader
-        The shader for each name, without shaders that no surface uses.
+        For each name, its shader.  Shaders that no surface uses are omitted.
     """
     name_of_shader: dict[Shader, str] = {}
     for shader in surfaces.shaders:
@@ -245,7 +253,7 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     return names, {name_of_shader[shader]: shader for shader in used_shaders}
 
 
-_EXACT = """
+_EXACT_COMMENT = """
 in the exact flavour.
 
 Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
@@ -265,7 +273,7 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
     scene : Scene
         The scene to convert.
     samples : int
-        Number of samples per pixel.  A single sample is at the pixel's centre.
+        Number of samples per pixel.  A single sample is taken at the pixel's centre.
 
     Returns
     -------
@@ -275,36 +283,38 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
     Raises
     ------
     ConversionError
-        If the scene has numbers that Mitsuba cannot represent.
+        If the scene contains numbers that Mitsuba cannot represent.
     """
-    normalise = choose_normalisation(scene)
+    normalisation = choose_normalisation(scene)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
-    largest_radius = float(scene.surfaces.radius.max(initial=0)) * normalise.scale
+    largest_radius = float(scene.surfaces.radius.max(initial=0)) * normalisation.scale
     tolerance = _TOLERANCE_ROUNDINGS * max(_SCENE_SIZE, largest_radius) * 2.0**-24
     elements = [
-        plugin("integrator", "every_light", tolerance=tolerance),
-        _exact_sensor(scene, normalise, samples),
+        make_plugin("integrator", "every_light", tolerance=tolerance),
+        _make_exact_sensor(scene, normalisation, samples),
     ]
     for light in scene.lights:
-        position = xyz("point", "position", normalise(np.array(light.position)))
-        intensity = xyz("vector", "intensity", light.intensity)
-        elements.append(plugin("emitter", "unattenuated_point", position, intensity))
+        position = make_xyz("point", "position", normalisation(np.array(light.position)))
+        intensity = make_xyz("vector", "intensity", light.intensity)
+        elements.append(make_plugin("emitter", "unattenuated_point", position, intensity))
     for name, shader in shader_of_name.items():
         phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
-        colors = xyz("vector", "diffuse", phong.diffuse), xyz("vector", "specular", phong.specular)
-        elements.append(plugin("bsdf", "blinn_phong", *colors, name=name, exponent=phong.exponent))
-    elements += _convert_surfaces(scene.surfaces, normalise, bsdf_names)
-    return Document(_EXACT.format(moved=normalise), elements)
+        bsdf = make_plugin("bsdf", "blinn_phong", name=name, exponent=phong.exponent)
+        bsdf.append(make_xyz("vector", "diffuse", phong.diffuse))
+        bsdf.append(make_xyz("vector", "specular", phong.specular))
+        elements.append(bsdf)
+    elements += _convert_surfaces(scene.surfaces, normalisation, bsdf_names)
+    return Document(_EXACT_COMMENT.format(moved=normalisation), elements)
 
 
-def _exact_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Element:
-    """Convert the camera of a scene to this project's Mitsuba sensor "window".
+def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
+    """Convert a scene's camera to "window", this project's Mitsuba sensor.
 
     Parameters
     ----------
     scene : Scene
         The scene, with its camera.
-    normalise : Normalisation
+    normalisation : Normalisation
         The translation and scaling to apply to all points and lengths.
     samples : int
         Number of samples per pixel.
@@ -314,29 +324,29 @@ def _exact_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Eleme
     sensor : Element
         The sensor.  Its rays start on a box around the scene, where float32 is accurate.
     """
-    window = camera_window(scene.camera)
+    window = compute_window(scene.camera)
     right, down, _ = window.axes
     # The box is slightly larger than the scene, so that no ray starts on a surface.
-    (low, high), margin = normalise(bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
-    return plugin(
+    (low, high), margin = normalisation(bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
+    return make_plugin(
         "sensor",
         "window",
-        xyz("point", "eye", normalise(window.eye)),
-        xyz("vector", "corner", window.points(0, 0) * normalise.scale),
-        xyz("vector", "right", right * (window.width * normalise.scale)),
-        xyz("vector", "down", down * (window.height * normalise.scale)),
-        xyz("point", "low", low - margin),
-        xyz("point", "high", high + margin),
-        _film_element(scene),
-        plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
+        make_xyz("point", "eye", normalisation(window.eye)),
+        make_xyz("vector", "corner", window.vectors_to(0, 0) * normalisation.scale),
+        make_xyz("vector", "right", right * (window.width * normalisation.scale)),
+        make_xyz("vector", "down", down * (window.height * normalisation.scale)),
+        make_xyz("point", "low", low - margin),
+        make_xyz("point", "high", high + margin),
+        _make_film(scene),
+        make_plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
     )
 
 
 def with_square_pixels(scene: Scene) -> Scene:
-    """Give a scene's picture square pixels, by changing its number of rows.
+    """Make the pixels of a scene's picture square by changing the number of rows.
 
-    The new number of rows fits the camera's window to within half a pixel.  The height of the
-    window is then adjusted to the new number of rows.
+    The number of rows is rounded to an integer of at least 1, and the height of the camera's window
+    is adjusted to it.
 
     Parameters
     ----------
@@ -354,20 +364,20 @@ def with_square_pixels(scene: Scene) -> Scene:
         If there would be more than 2^28 pixels.
     """
     camera = scene.camera
-    rows = scene.width * camera.view_height / camera.view_width
-    if not scene.width * rows <= _MAX_PIXELS:
+    row_count = scene.width * camera.view_height / camera.view_width
+    if not scene.width * row_count <= _MAX_PIXELS:
         raise ConversionError(
-            f"Mitsuba's pixels are square, and {rows:.3g} rows of {scene.width} are too many;"
+            f"Mitsuba's pixels are square, and {row_count:.3g} rows of {scene.width} are too many;"
             " make viewWidth larger or viewHeight smaller"
         )
-    height = max(1, round(rows))
-    if height == rows == scene.height:
+    height = max(1, round(row_count))
+    if height == row_count == scene.height:
         return scene
     square_camera = replace(camera, view_height=height * camera.view_width / scene.width)
     return replace(scene, height=height, camera=square_camera)
 
 
-_STOCK = """
+_STOCK_COMMENT = """
 with stock plugins only: it opens in the plain mitsuba command.
 
 The geometry and the camera are exact. Approximate are
@@ -377,21 +387,22 @@ The geometry and the camera are exact. Approximate are
   (n.h)^p; it brightens towards the silhouettes.
 {notes}"""
 
-_SQUARE_PIXELS = """Its pixels are square: {0} x {1} of them show the window, to within half
+_SQUARE_PIXELS_NOTE = """Its pixels are square: {0} x {1} of them show the window, to within half
 a pixel, not {0} x {2}.
 """
 
-_GAIN = """Mitsuba allows no reflectance above 1, and where there are highlights above 1/2: all are
+_DIVISOR_NOTE = """\
+Mitsuba allows no reflectance above 1, and where there are highlights above 1/2: all are
 divided by {:g}, lights multiplied.
 """
 
 
 @_IGNORE_OVERFLOW
 def convert_stock(scene: Scene, samples: int = 64) -> Document:
-    """Convert a scene to a similar Mitsuba scene that needs only Mitsuba's own plugins.
+    """Convert a scene to a similar Mitsuba scene that needs only Mitsuba's built-in plugins.
 
     This is the "stock" flavour.  Its pixels are square, its lights fall off with distance, and its
-    highlights have another shape.
+    highlights have a different shape.
 
     Parameters
     ----------
@@ -409,38 +420,38 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     Raises
     ------
     ConversionError
-        If the scene has numbers that Mitsuba cannot represent, or too many square pixels.
+        If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
     """
-    normalise, square_scene = _stock_normalisation(scene), with_square_pixels(scene)
-    divisor = reflectance_divisor(scene.surfaces)
+    normalisation, square_scene = _choose_stock_normalisation(scene), with_square_pixels(scene)
+    divisor = choose_reflectance_divisor(scene.surfaces)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
-    points = visible_points(scene)
+    points = sample_visible_points(scene)
     if not len(points):
         points = bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
     sample_count = _round_up_samples(samples, len(scene.lights))
     elements = [
-        # Only light that comes directly from lights, one of which is chosen for each sample.
-        plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
-        _stock_sensor(square_scene, normalise, sample_count),
-        *(_stock_light(light, normalise, divisor, normalise(points)) for light in scene.lights),
-        *(_stock_bsdf(shader, name, divisor) for name, shader in shader_of_name.items()),
-        *_convert_surfaces(scene.surfaces, normalise, bsdf_names),
+        # Direct light only; for each sample, Mitsuba chooses one light.
+        make_plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
+        _make_stock_sensor(square_scene, normalisation, sample_count),
+        *(_convert_light(light, normalisation, divisor, points) for light in scene.lights),
+        *(_convert_shader(shader, name, divisor) for name, shader in shader_of_name.items()),
+        *_convert_surfaces(scene.surfaces, normalisation, bsdf_names),
     ]
     notes = ""
     if square_scene.height != scene.height:
-        notes += _SQUARE_PIXELS.format(scene.width, square_scene.height, scene.height)
+        notes += _SQUARE_PIXELS_NOTE.format(scene.width, square_scene.height, scene.height)
     if divisor != 1:
-        notes += _GAIN.format(divisor)
-    if normalise.scale != 1 or normalise.center.any():
-        notes += str(normalise)
-    return Document(_STOCK.format(notes=notes), elements)
+        notes += _DIVISOR_NOTE.format(divisor)
+    if normalisation.scale != 1 or normalisation.center.any():
+        notes += str(normalisation)
+    return Document(_STOCK_COMMENT.format(notes=notes), elements)
 
 
 def _round_up_samples(samples: int, light_count: int) -> int:
-    """Round the number of samples per pixel up, so that each light gets the same number.
+    """Round up the number of samples per pixel, so that all lights get equally many.
 
-    Mitsuba's sampler "multijitter" chooses all lights equally often if the number of samples (1) is
-    a multiple of the number of lights, and (2) fills whole rows of a grid.
+    Mitsuba's sampler "multijitter" chooses all lights equally often if the number of samples is
+    divisible by (1) the number of lights, and (2) its own square root, rounded down.
 
     Parameters
     ----------
@@ -452,7 +463,7 @@ def _round_up_samples(samples: int, light_count: int) -> int:
     Returns
     -------
     count : int
-        The smallest suitable number that is at least `samples`; `samples` itself if there are no
+        The smallest such number that is at least `samples`; `samples` itself if there are no
         lights, or fewer samples than lights.
     """
     count = samples
@@ -461,14 +472,14 @@ def _round_up_samples(samples: int, light_count: int) -> int:
     return count
 
 
-def _stock_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Element:
-    """Convert the camera of a scene to Mitsuba's sensor "perspective".
+def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
+    """Convert a scene's camera to "perspective", Mitsuba's built-in sensor.
 
     Parameters
     ----------
     scene : Scene
         A scene with square pixels.
-    normalise : Normalisation
+    normalisation : Normalisation
         The translation and scaling to apply to all points and lengths.
     samples : int
         Number of samples per pixel.
@@ -476,17 +487,17 @@ def _stock_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Eleme
     Returns
     -------
     sensor : Element
-        The sensor, which is defined by its transform, field of view and principal point.
+        The sensor, defined by its transform, field of view and principal point.
 
     Raises
     ------
     ConversionError
-        If the field of view is 0 or close to 180 degrees in float32.
+        If the field of view is 0, or close to 180 degrees, when rounded to float32.
     """
-    window = camera_window(scene.camera)
+    window = compute_window(scene.camera)
     right, down, ahead = window.axes
     # Mitsuba's camera looks along +z, with +x to the left and +y up.
-    transform = np.column_stack([-right, -down, ahead, normalise(window.eye)])
+    transform = np.column_stack([-right, -down, ahead, normalisation(window.eye)])
     offset_right, offset_down, distance = window.center
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
@@ -495,66 +506,63 @@ def _stock_sensor(scene: Scene, normalise: Normalisation, samples: int) -> Eleme
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
     farthest_offset = np.abs(bounding_box(scene.surfaces) - window.eye).max(axis=0)
-    far_distance = normalise.scale * float(np.linalg.norm(farthest_offset)) or 1.0
-    return plugin(
+    far_distance = normalisation.scale * float(np.linalg.norm(farthest_offset)) or 1.0
+    return make_plugin(
         "sensor",
         "perspective",
-        matrix("to_world", [*transform, (0, 0, 0, 1)]),
-        _film_element(scene),
-        plugin("sampler", "multijitter", sample_count=samples),
+        make_matrix("to_world", [*transform, (0, 0, 0, 1)]),
+        _make_film(scene),
+        make_plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
         fov=fov,
-        # Rounding errors of 0 become 0.
+        # Rounded to 12 digits, so that an offset of 0 stays 0 despite rounding errors.
         principal_point_offset_x=round(float(offset_right / window.width), 12),
         principal_point_offset_y=round(float(offset_down / window.height), 12),
-        # The window hides nothing, regardless of its distance.
+        # Objects between the eye and the window are visible, too.
         near_clip=_NEAR_DISTANCE * far_distance,
         far_clip=2 * far_distance,
     )
 
 
-def _stock_light(
-    light: PointLight, normalise: Normalisation, divisor: float, points: Floats
+def _convert_light(
+    light: PointLight, normalisation: Normalisation, divisor: float, points: Floats
 ) -> Element:
-    """Convert a light to a Mitsuba light, which falls off with the square of the distance.
+    """Convert a light to a Mitsuba point light, which falls off with the squared distance.
 
-    At one distance, the Mitsuba light is as strong as the light of the scene.  That distance
-    minimises the sum of the squared errors of the irradiance at the given points.
+    At one distance, the Mitsuba light is as strong as the original.  This distance is chosen to
+    minimise the sum of the squared irradiance errors at the given points.
 
     Parameters
     ----------
     light : PointLight
         The light to convert.
-    normalise : Normalisation
-        The translation and scaling to apply to the light's position.
+    normalisation : Normalisation
+        The translation and scaling to apply to the light and to the points.
     divisor : float
-        Number by which all reflectances are divided; intensities are multiplied by it.
+        Number by which all reflectances are divided; the intensity is multiplied by it.
     points : (n, 3) float array
-        Points of visible surfaces, already translated and scaled.
+        Points of visible surfaces, in the coordinates of the scene.
 
     Returns
     -------
     emitter : Element
-        The plugin "point", with a comment that gives the distance.
+        A plugin of type "point", with a comment that gives the distance.
     """
-    position = normalise(np.array(light.position))
-    distance2 = ((points - position) ** 2).sum(axis=1)
-    # Distances relative to the largest do not overflow.  The minimum avoids a division by 0.
-    largest2 = float(distance2.max()) or 1.0
-    falloff = 1 / np.maximum(distance2 / largest2, 1e-12)
-    best_distance2 = largest2 * float(falloff.sum() / (falloff * falloff).sum())
-    # A diffuse surface reflects 1 / pi of its reflectance.
-    intensity = np.array(light.intensity) * (np.pi * divisor * best_distance2)
-    comment = Comment(f" right at a distance of {best_distance2**0.5:.4g} ")
-    point = xyz("point", "position", position)
-    return plugin("emitter", "point", comment, point, rgb("intensity", intensity))
+    position = normalisation(np.array(light.position))
+    squared_distance = ((normalisation(points) - position) ** 2).sum(axis=1)
+    # Dividing by the largest square avoids overflow; the minimum of 1e-12 avoids division by 0.
+    largest_square = float(squared_distance.max()) or 1.0
+    falloff = 1 / np.maximum(squared_distance / largest_square, 1e-12)
+    best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())
+    # Mitsuba's diffuse BSDF is the reflectance divided by pi.
+    intensity = np.array(light.intensity) * (np.pi * divisor * best_squared_distance)
+    comment = Comment(f" right at a distance of {best_squared_distance**0.5:.4g} ")
+    children = make_xyz("point", "position", position), make_rgb("intensity", intensity)
+    return make_plugin("emitter", "point", comment, *children)
 
 
-def reflectance_divisor(surfaces: Surfaces) -> float:
-    """Compute a number by which to divide all reflectances so that none exceeds 1.
-
-    Mitsuba allows no reflectance above 1.  The reflectances of a shader with a highlight are
-    doubled first, because the shader becomes a blend of two BSDFs, which halves both.
+def choose_reflectance_divisor(surfaces: Surfaces) -> float:
+    """Choose a number by which to divide all reflectances: Mitsuba allows none above 1.
 
     Parameters
     ----------
@@ -564,11 +572,10 @@ def reflectance_divisor(surfaces: Surfaces) -> float:
     Returns
     -------
     divisor : float
-        The largest reflectance of all shaders that a surface uses, but at least 1.
+        The largest reflectance of the shaders that surfaces use, but at least 1.
     """
-    used = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
-    largest = [float(np.max(_reflectances(s))) * (2 if _has_highlight(s) else 1) for s in used]
-    return max([1.0, *largest])
+    used_shaders = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
+    return max([1.0, *(float(np.max(_to_reflectances(shader))) for shader in used_shaders)])
 
 
 def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
@@ -582,13 +589,16 @@ def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
     Returns
     -------
     has_highlight : bool
-        True for a `Phong` shader with a specular colour other than black.
+        True for a `Phong` shader whose specular colour is not black.
     """
     return isinstance(shader, Phong) and any(shader.specular)
 
 
-def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
-    """Convert the colours of a shader to reflectances of Mitsuba's own BSDFs.
+def _to_reflectances(shader: Shader) -> tuple[Floats, Floats]:
+    """Convert the colours of a shader to reflectances of Mitsuba's built-in BSDFs.
+
+    A shader with a highlight becomes a blend of two BSDFs.  Their reflectances are doubled, because
+    the blend halves both.
 
     Parameters
     ----------
@@ -598,17 +608,17 @@ def _reflectances(shader: Shader) -> tuple[Floats, Floats]:
     Returns
     -------
     diffuse, specular : (3,) float arrays
-        Linear RGB reflectances of the diffuse BSDF, and of the Beckmann lobe that replaces the
+        Linear RGB reflectances of the diffuse BSDF, and of the Beckmann BSDF that replaces the
         highlight (black if there is no highlight).  They may exceed 1.
     """
     diffuse = np.array(shader.diffuse)
-    if not isinstance(shader, Phong):
+    if not _has_highlight(shader):
         return diffuse, np.zeros(3)
-    # The height of the stock lobe is its reflectance times (exponent + 2) / 8.
-    return diffuse, np.array(shader.specular) * 8 / (shader.exponent + 2)
+    # The maximum of the Beckmann BSDF is its reflectance times (exponent + 2) / 8.
+    return 2 * diffuse, 2 * np.array(shader.specular) * 8 / (shader.exponent + 2)
 
 
-def _stock_bsdf(shader: Shader, name: str, divisor: float) -> Element:
+def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
     """Convert a shader to a two-sided Mitsuba BSDF.
 
     Parameters
@@ -623,17 +633,17 @@ def _stock_bsdf(shader: Shader, name: str, divisor: float) -> Element:
     Returns
     -------
     bsdf : Element
-        A diffuse BSDF; for a shader with a highlight, a blend of diffuse and Beckmann BSDFs.
+        A diffuse BSDF; for a shader with a highlight, a blend of a diffuse and a Beckmann BSDF.
     """
-    diffuse, specular = _reflectances(shader)
+    diffuse, specular = _to_reflectances(shader)
     if _has_highlight(shader):
-        # The Beckmann lobe is as wide as the highlight.  A blend of weight 0.5 halves both BSDFs.
+        # With this roughness, the Beckmann lobe is as wide as the highlight.
         roughness = (2 / (shader.exponent + 2)) ** 0.5
-        color = rgb("specular_reflectance", 2 * specular / divisor)
-        material = {"material": "none", "distribution": "beckmann"}
-        lobe = plugin("bsdf", "roughconductor", color, **material, alpha=roughness)
-        matte = plugin("bsdf", "diffuse", rgb("reflectance", 2 * diffuse / divisor))
-        bsdf = plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
+        color = make_rgb("specular_reflectance", specular / divisor)
+        lobe_type = {"material": "none", "distribution": "beckmann"}
+        lobe = make_plugin("bsdf", "roughconductor", color, **lobe_type, alpha=roughness)
+        matte = make_plugin("bsdf", "diffuse", make_rgb("reflectance", diffuse / divisor))
+        bsdf = make_plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:
-        bsdf = plugin("bsdf", "diffuse", rgb("reflectance", diffuse / divisor))
-    return plugin("bsdf", "twosided", bsdf, name=name)
+        bsdf = make_plugin("bsdf", "diffuse", make_rgb("reflectance", diffuse / divisor))
+    return make_plugin("bsdf", "twosided", bsdf, name=name)

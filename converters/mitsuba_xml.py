@@ -1,4 +1,4 @@
-"""Build Mitsuba's scene files as trees of XML elements.
+"""Build Mitsuba scene files as trees of XML elements.
 
 Mitsuba computes with float32.  Numbers beyond the range of float32 would become infinite, so they
 are refused.
@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement
 
-__all__ = ["HEAD", "ConversionError", "Document", "matrix", "plugin", "rgb", "xyz"]
+__all__ = ["HEAD", "ConversionError", "Document", "make_matrix", "make_plugin", "make_rgb"]
+__all__ += ["make_xyz"]
 
 HEAD = "<!--\nWritten by converters.to_mitsuba"
 """The beginning of every converted scene."""
@@ -52,21 +53,21 @@ class Document:
 
 
 def _format_element(element: Element[Any], line_break: str = "\n") -> str:
-    """Format an XML element with all its descendants, about twice as fast as ElementTree does.
+    """Format an XML element and all its descendants, about twice as fast as ElementTree does.
 
-    Attribute values are not escaped, because those of converted scenes need no escaping.
+    Attribute values are not escaped, because converted scenes contain none that need escaping.
 
     Parameters
     ----------
     element : Element
         The element, or a comment.
     line_break : str
-        A line break and the indentation of the element.
+        A line break, followed by the indentation of the element.
 
     Returns
     -------
     text : str
-        The lines of the element, each after a line break.
+        The lines of the element, each preceded by a line break.
     """
     if element.tag is Comment:
         return f"{line_break}<!--{element.text}-->"
@@ -78,7 +79,7 @@ def _format_element(element: Element[Any], line_break: str = "\n") -> str:
     return f"{start_tag}>{children}{line_break}</{element.tag}>"
 
 
-def plugin(
+def make_plugin(
     tag: str,
     plugin_type: str,
     *children: Element[Any],
@@ -94,16 +95,16 @@ def plugin(
     plugin_type : str
         Mitsuba's name for the plugin, such as "perspective" or "diffuse".
     *children : Element
-        Child elements: parameters that consist of several numbers, and nested plugins.
+        Child elements: parameters with several numbers, and nested plugins.
     name : str, optional
         Identifier by which other plugins refer to this one.
     **parameters : bool, int, float or str
-        Parameters that consist of a single value.
+        Parameters with a single value.
 
     Returns
     -------
     element : Element
-        The new element.  It contains an element for each parameter, then the children.
+        The new element, which contains an element for each parameter, followed by the children.
 
     Raises
     ------
@@ -119,13 +120,13 @@ def plugin(
     return element
 
 
-def xyz(tag: str, name: str | None, components: Iterable[float]) -> Element:
+def make_xyz(tag: str, name: str | None, components: Iterable[float]) -> Element:
     """Create the XML element of a point or vector, with the attributes x, y and z.
 
     Parameters
     ----------
     tag : str
-        Kind of the element, such as "point", "vector" or "translate".
+        Tag of the element, such as "point", "vector" or "translate".
     name : str or None
         Name of the parameter; None for a step of a transform, which has no name.
     components : iterable of three floats
@@ -139,14 +140,14 @@ def xyz(tag: str, name: str | None, components: Iterable[float]) -> Element:
     Raises
     ------
     ConversionError
-        If a number is beyond the range of float32.
+        If a component is beyond the range of float32.
     """
     attributes = {} if name is None else {"name": name}
-    x, y, z = [_format_number(name or tag, number) for number in components]
+    x, y, z = [_format_number(name or tag, component) for component in components]
     return Element(tag, attributes, x=x, y=y, z=z)
 
 
-def rgb(name: str, color: Iterable[float]) -> Element:
+def make_rgb(name: str, color: Iterable[float]) -> Element:
     """Create the XML element of a colour.
 
     Parameters
@@ -169,8 +170,8 @@ def rgb(name: str, color: Iterable[float]) -> Element:
     return Element("rgb", name=name, value=_format_numbers(name, color))
 
 
-def matrix(name: str, rows: Iterable[Iterable[float]]) -> Element:
-    """Create the XML element of a transform that is given by a matrix.
+def make_matrix(name: str, rows: Iterable[Iterable[float]]) -> Element:
+    """Create the XML element of a transform from its matrix.
 
     Parameters
     ----------

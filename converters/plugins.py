@@ -1,4 +1,4 @@
-"""Mitsuba plugins with which Mitsuba computes the same picture as the tracer.
+"""Plugins with which Mitsuba computes the same picture as the tracer.
 
 They are (1) a sensor whose pixels need not be square, and whose rays start near the scene; (2) a
 point light whose intensity does not decrease with distance; (3) the BSDF of the scene format
@@ -6,7 +6,7 @@ point light whose intensity does not decrease with distance; (3) the BSDF of the
 the light of every emitter for each sample.
 
 Importing this module registers the plugins for the current variant, and for each variant that is
-set later.  If no variant is set, the fastest one that works here is chosen.
+set later.  If no variant is set, the fastest one that works on this machine is chosen.
 """
 
 # Mitsuba's type stubs describe one variant, but these classes run in every RGB variant.
@@ -47,7 +47,7 @@ class Window(mi.Sensor):
             _to_vector(props[name]) for name in ("eye", "corner", "right", "down", "low", "high")
         )
 
-    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+    def sample_ray(self, time, sample1, position, sample3, active=True):
         """Compute the ray from the eye through a point of the picture, in float64.
 
         Mitsuba calls this method.  The ray starts where it enters the box around the scene, or at
@@ -57,7 +57,7 @@ class Window(mi.Sensor):
         ----------
         time, sample1, sample3, active
             Not used.
-        sample2 : mitsuba.Point2f
+        position : mitsuba.Point2f
             The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
 
         Returns
@@ -67,25 +67,25 @@ class Window(mi.Sensor):
         weight : mitsuba.Spectrum
             1
         """
-        x, y = mi.Float64(sample2.x), mi.Float64(sample2.y)
+        x, y = mi.Float64(position.x), mi.Float64(position.y)
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
         # The slab method.  The inverse of 0 is huge but finite, because infinity times 0 is NaN.
         inverse = dr.rcp(dr.select(direction == 0, 1e-300, direction))
-        low, high = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
-        start = dr.maximum(dr.max(dr.minimum(low, high)), 0)
-        ray = mi.Ray3f(mi.Point3f(self.eye + start * direction), mi.Vector3f(direction))
+        to_low, to_high = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
+        start_distance = dr.maximum(dr.max(dr.minimum(to_low, to_high)), 0)
+        ray = mi.Ray3f(mi.Point3f(self.eye + start_distance * direction), mi.Vector3f(direction))
         return ray, mi.Spectrum(1)
 
-    def sample_ray_differential(self, time, sample1, sample2, sample3, active=True):
-        """Compute the ray from the eye through a point of the picture, without differentials.
+    def sample_ray_differential(self, time, sample1, position, sample3, active=True):
+        """Compute the ray from the eye through a point of the picture, as a `RayDifferential3f`.
 
-        Mitsuba calls this method.  It differs from `sample_ray` only in the type of the ray.
+        Mitsuba calls this method.  The ray is that of `sample_ray`, and has no differentials.
 
         Parameters
         ----------
         time, sample1, sample3, active
             Not used.
-        sample2 : mitsuba.Point2f
+        position : mitsuba.Point2f
             The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
 
         Returns
@@ -95,7 +95,7 @@ class Window(mi.Sensor):
         weight : mitsuba.Spectrum
             1
         """
-        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        ray, weight = self.sample_ray(time, sample1, position, sample3, active)
         return mi.RayDifferential3f(ray), weight
 
 
@@ -114,15 +114,15 @@ class UnattenuatedPoint(mi.Emitter):
         self.position = mi.Point3f(_to_vector(props["position"]))
         self.intensity = mi.Color3f(_to_vector(props["intensity"]))
 
-    def sample_direction(self, it, sample, active=True):
+    def sample_direction(self, hit, sample, active=True):
         """Compute the direction from a hit to the light, and the light's intensity.
 
         Mitsuba calls this method.
 
         Parameters
         ----------
-        it : mitsuba.Interaction3f
-            The hit: its position and time are used.
+        hit : mitsuba.Interaction3f
+            The point that is lit; only its position and time are used.
         sample : mitsuba.Point2f
             Not used: there is only one direction.
         active : mitsuba.Bool
@@ -130,26 +130,26 @@ class UnattenuatedPoint(mi.Emitter):
 
         Returns
         -------
-        ds : mitsuba.DirectionSample3f
-            Position of the light, and the direction and distance from the hit to the light.
+        light_sample : mitsuba.DirectionSample3f
+            Position of the light, and its direction and distance from the hit.
         intensity : mitsuba.Spectrum
             The light's intensity, or 0 where `active` is False.
         """
-        ds = mi.DirectionSample3f()
-        ds.p = self.position
-        ds.time = it.time
-        ds.delta = True
-        ds.pdf = 1
-        ds.uv = mi.Point2f(0)
-        to_light = self.position - it.p
-        # Divided by the largest component, so that no square overflows for distant lights.
-        largest = dr.max(dr.abs(to_light))
-        to_light /= dr.select(largest > 0, largest, 1)
-        length = dr.norm(to_light)
-        ds.dist = length * largest
-        ds.d = to_light / dr.select(length > 0, length, 1)
-        ds.n = mi.Normal3f(-ds.d)
-        return ds, dr.select(active, self.intensity, 0)
+        light_sample = mi.DirectionSample3f()
+        light_sample.p = self.position
+        light_sample.time = hit.time
+        light_sample.delta = True
+        light_sample.pdf = 1
+        light_sample.uv = mi.Point2f(0)
+        to_light = self.position - hit.p
+        # Dividing by the largest component keeps the squares from overflowing for distant lights.
+        largest_component = dr.max(dr.abs(to_light))
+        to_light /= dr.select(largest_component > 0, largest_component, 1)
+        scaled_length = dr.norm(to_light)
+        light_sample.dist = scaled_length * largest_component
+        light_sample.d = to_light / dr.select(scaled_length > 0, scaled_length, 1)
+        light_sample.n = mi.Normal3f(-light_sample.d)
+        return light_sample, dr.select(active, self.intensity, 0)
 
     def eval(self, si, active=True):
         """Return a radiance of 0, because no ray can hit a point light."""
@@ -178,47 +178,47 @@ class BlinnPhong(mi.BSDF):
         self.m_components = [flags]
         self.m_flags = flags
 
-    def eval(self, ctx, si, wo, active=True):
+    def eval(self, context, hit, to_light, active=True):
         """Evaluate Blinn-Phong shading, kd n.l + ks (n.h)^exponent, for two directions.
 
         Mitsuba calls this method, and expects the BSDF multiplied by the cosine n.l.  Here kd and
-        ks are the diffuse and the specular colour, n is the normal, l the direction to the light,
-        and h the half vector between the directions to the light and to the eye.
+        ks are the diffuse and specular colours, n is the normal, l the direction to the light, and
+        h the half vector between the directions to the light and to the eye.
 
         Parameters
         ----------
-        ctx : mitsuba.BSDFContext
+        context : mitsuba.BSDFContext
             Not used.
-        si : mitsuba.SurfaceInteraction3f
-            The hit; `si.wi` is the direction to the eye, relative to the surface.
-        wo : mitsuba.Vector3f
-            Direction to the light, relative to the surface.
+        hit : mitsuba.SurfaceInteraction3f
+            The point on the surface.  `hit.wi` is the direction to the eye, in the local frame of
+            the surface, whose z axis is the normal.
+        to_light : mitsuba.Vector3f
+            Direction to the light, in the same frame.
         active : mitsuba.Bool
             Whether the result is needed.
 
         Returns
         -------
-        value : mitsuba.Spectrum
-            The result; 0 where the light and the eye are on different sides of the surface, or
+        reflected : mitsuba.Spectrum
+            The shading; 0 where the light and the eye are on different sides of the surface, or
             `active` is False.
         """
-        h = dr.normalize(si.wi + wo)
-        # n.h is computed from its sine, which is accurate even if float32 rounds the cosine to 1.
-        cosine2 = 1 - mi.Float64(dr.square(h.x) + dr.square(h.y))
-        highlight = mi.Float(dr.power(dr.maximum(cosine2, 0), 0.5 * self.exponent))
-        value = self.diffuse * dr.abs(wo.z) + self.specular * highlight
-        is_same_side = si.wi.z * wo.z > 0
-        return dr.select(active & is_same_side, value, 0)
+        half_vector = dr.normalize(hit.wi + to_light)
+        # The sine gives n.h accurately even where float32 would round the cosine itself to 1.
+        squared_cosine = 1 - mi.Float64(dr.square(half_vector.x) + dr.square(half_vector.y))
+        highlight = mi.Float(dr.power(dr.maximum(squared_cosine, 0), 0.5 * self.exponent))
+        reflected = self.diffuse * dr.abs(to_light.z) + self.specular * highlight
+        is_same_side = hit.wi.z * to_light.z > 0
+        return dr.select(active & is_same_side, reflected, 0)
 
 
 class EveryLight(mi.SamplingIntegrator):
     """A Mitsuba integrator that adds the direct light of every emitter.
 
-    Shadow rays go from the light to the hit.  All shapes are closed and convex.  Therefore an
-    object that blocks a shadow ray lies above the tangent plane of the hit, and the object of the
-    hit lies below the plane.  So a hit is lit unless the first point on its shadow ray lies more
-    than a tolerance above the plane.  This method needs no offset from the surface, which would
-    move the edges of shadows.
+    Shadow rays go from the light to the hit.  All shapes are closed and convex, so the shape at
+    the hit lies below the hit's tangent plane, and a shape that blocks the light lies above it.  A
+    hit is therefore lit unless the shadow ray first meets a shape more than a tolerance above the
+    plane.  This needs no offset from the surface, which would move the edges of shadows.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Compute the radiance along a ray from the eye.
+        """Compute the radiance along a ray from the eye: the direct light of every emitter.
 
         Mitsuba calls this method.
 
@@ -256,33 +256,35 @@ class EveryLight(mi.SamplingIntegrator):
         Returns
         -------
         radiance : mitsuba.Spectrum
-            0 if the ray hits no surface.
+            The radiance; 0 if the ray hits no surface.
         is_valid : mitsuba.Bool
             Whether the ray hits a surface.
         aovs : list
             Empty: there are no other outputs.
         """
-        si = scene.ray_intersect(ray, active)
-        is_hit = si.is_valid()
+        hit = scene.ray_intersect(ray, active)
+        is_hit = hit.is_valid()
         if is_hit is False:
             # In a scalar variant, a ray that hits nothing has no BSDF.
             return mi.Spectrum(0), False, []
-        bsdf, box = si.bsdf(ray), scene.bbox()
+        bsdf, box = hit.bsdf(ray), scene.bbox()
         radiance = mi.Spectrum(0)
         for emitter in scene.emitters():
-            ds, intensity = emitter.sample_direction(si, mi.Point2f(0), is_hit)
-            reflectance = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), is_hit)
+            light_sample, intensity = emitter.sample_direction(hit, mi.Point2f(0), is_hit)
+            direction = light_sample.d
+            reflectance = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), is_hit)
             is_frontlit = is_hit & dr.any(reflectance > 0)
-            # The ray starts slightly in front of the light, which may lie on a surface.  If the
-            # light is outside the scene's bounding box, the ray starts just outside the box.
-            inverse = dr.rcp(dr.select(dr.abs(ds.d) > 1e-20, ds.d, 1e-20))
-            to_exit = dr.min(dr.maximum((box.min - si.p) * inverse, (box.max - si.p) * inverse))
+            # The shadow ray starts slightly in front of the light, which may lie on a surface.  If
+            # the light is outside the scene's bounding box, the ray starts just outside the box.
+            inverse = dr.rcp(dr.select(dr.abs(direction) > 1e-20, direction, 1e-20))
+            to_low, to_high = (box.min - hit.p) * inverse, (box.max - hit.p) * inverse
+            exit_distance = dr.min(dr.maximum(to_low, to_high))
             margin = 1e-3 * dr.max(box.max - box.min)
-            length = dr.minimum(ds.dist - self.tolerance, to_exit + margin)
-            shadow_ray = mi.Ray3f(si.p + length * ds.d, -ds.d)
+            ray_length = dr.minimum(light_sample.dist - self.tolerance, exit_distance + margin)
+            shadow_ray = mi.Ray3f(hit.p + ray_length * direction, -direction)
             first_hit = scene.ray_intersect_preliminary(shadow_ray, active=is_frontlit)
-            height = (length - first_hit.t) * dr.abs(dr.dot(ds.d, si.n))
-            is_lit = is_frontlit & (height <= self.tolerance)
+            height_above_plane = (ray_length - first_hit.t) * dr.abs(dr.dot(direction, hit.n))
+            is_lit = is_frontlit & (height_above_plane <= self.tolerance)
             radiance += dr.select(is_lit, reflectance * intensity, 0)
         return radiance, is_hit, []
 
@@ -293,7 +295,7 @@ for register, plugin, name in (
     (mi.register_bsdf, BlinnPhong, "blinn_phong"),
     (mi.register_integrator, EveryLight, "every_light"),
 ):
-    plugin.to_string = lambda self: f"{type(self).__name__}[]"  # what Mitsuba prints
+    plugin.to_string = lambda self: f"{type(self).__name__}[]"  # printed by Mitsuba
     register(name, plugin)
 
 # The base classes belong to one variant.  For another variant, the plugins are defined again.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from converters.camera import Floats
-from converters.flavours import SAMPLES, convert
+from converters.flavours import DEFAULT_SAMPLES, convert
 from converters.variant import ensure_variant, mi, use_variant
 from tracer import Scene
 from tracer.files import atomic_file
@@ -20,7 +20,7 @@ __all__ = ["Rendering", "load_converted", "render_mitsuba", "write_exr"]
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
-# Maximum number of samples in a picture: Mitsuba's counter of 32 bits would overflow.
+# Maximum number of samples in a picture: Mitsuba counts them with 32 bits.
 _MAX_SAMPLES = 2**32 - 1
 
 
@@ -34,7 +34,7 @@ class Rendering(NamedTuple):
     variant : str
         Name of the Mitsuba variant.
     seconds : float
-        Time of rendering, without loading the scene.
+        Rendering time, which does not include loading the scene.
     """
 
     image: Floats
@@ -56,8 +56,8 @@ def render_mitsuba(
     variant : str, optional
         Name of the Mitsuba variant; by default, the fastest that works on this machine.
     flavour : str
-        "exact" to reproduce the tracer's picture by this project's plugins, or "stock" for a
-        similar picture with square pixels by Mitsuba's own plugins.
+        "exact" to reproduce the tracer's picture with this project's plugins, or "stock" for a
+        similar picture, with square pixels, rendered by Mitsuba's built-in plugins.
 
     Returns
     -------
@@ -70,13 +70,13 @@ def render_mitsuba(
     ImportError
         If the variant does not work on this machine.
     ValueError
-        If there are more samples than Mitsuba can count, or the scene cannot be converted.
+        If the picture needs 2^32 samples or more, or the scene cannot be converted.
     """
-    per_side = isqrt((samples or SAMPLES[flavour]) - 1) + 1
-    sample_count = scene.width * scene.height * per_side**2
+    samples_per_side = isqrt((samples or DEFAULT_SAMPLES[flavour]) - 1) + 1
+    sample_count = scene.width * scene.height * samples_per_side**2
     if sample_count > _MAX_SAMPLES:
         raise ValueError(
-            f"{sample_count} samples are too many: Mitsuba takes {_MAX_SAMPLES} at most;"
+            f"{sample_count} samples are too many: Mitsuba allows at most {_MAX_SAMPLES};"
             " use fewer per pixel"
         )
     return load_converted(convert(scene, flavour, samples), variant)().image
@@ -95,25 +95,25 @@ def load_converted(text: str, variant: str | None = None) -> Callable[[], Render
     Returns
     -------
     render_loaded : callable
-        Called without arguments, it renders the scene and returns a `Rendering`: the image, the
-        variant and the time.  It can be called repeatedly.
+        A function without parameters that renders the scene and returns a `Rendering`: the image,
+        the variant and the time.  It can be called repeatedly.
 
     Raises
     ------
     ImportError
         If the variant does not work on this machine.
     """
-    chosen = use_variant(variant).variant
-    import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
+    chosen_variant = use_variant(variant).variant
+    import converters.plugins  # noqa: F401 (registers this project's plugins)
 
-    # Otherwise each process would warn that Python plugins are slow in scalar variants.
+    # Suppress Mitsuba's warning that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
     scene = mi.load_string(text)
 
     def render_loaded() -> Rendering:
         start = perf_counter()
         image = np.array(mi.render(scene), dtype=np.float64)
-        return Rendering(image, chosen, perf_counter() - start)
+        return Rendering(image, chosen_variant, perf_counter() - start)
 
     return render_loaded
 

@@ -46,7 +46,7 @@ __all__ += ["mitsuba_errors_as_failure", "skip_converted"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command: convert or render all scene files that its arguments name.
+    """Convert or render the scene files named on the command line.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    status : int
-        Exit status: 0, or `FAILED` (1) if a scene could not be read, converted or rendered, or a
-        file could not be written.  The other scenes are processed nevertheless.
+    exit_status : int
+        0, or `FAILED` (1) if a scene could not be read, converted or rendered, or a file could not
+        be written.  An error in one scene does not keep the others from being processed.
 
     Raises
     ------
@@ -66,20 +66,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SystemExit
         If the arguments are wrong.
     """
-    parser = _command_line_parser()
+    parser = _build_parser()
     options = parser.parse_args(arguments)
-    process_scene, default_flavour, ending, output_paths = (
-        (_render_file, "exact", ".mitsuba.png", _picture_paths)
+    process_scene, default_flavour, ending, find_output_paths = (
+        (_render_file, "exact", ".mitsuba.png", _derive_picture_paths)
         if options.render
-        else (_convert_file, "stock", ".mitsuba.xml", lambda target: (target,))
+        else (_convert_file, "stock", ".mitsuba.xml", lambda output_path: (output_path,))
     )
     options.flavour = options.flavour or default_flavour
     suffix = ending if options.flavour == default_flavour else f".{options.flavour}{ending}"
     scenes = skip_converted(options.scenes)
-    # A path such as / has no name to replace, but reading it fails later with a clear message.
+    # A path such as / has no name, but is accepted here: reading it fails with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
-    targets = choose_output_paths(
-        parser, [*map(str, scenes)], options.output, default_paths, output_paths
+    output_paths = choose_output_paths(
+        parser, [*map(str, scenes)], options.output, default_paths, find_output_paths
     )
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
@@ -87,21 +87,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         choose_variant(options.variant)
     make_output_folder(options.output)
     results = [
-        attempt(process_scene, scene, Path(target), options)
-        for scene, target in zip(scenes, targets, strict=True)
+        attempt(process_scene, scene, Path(output_path), options)
+        for scene, output_path in zip(scenes, output_paths, strict=True)
     ]
     return FAILED if any(isinstance(result, Failure) for result in results) else 0
 
 
-def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
-    """Set Mitsuba's variant, and print its name with the reason for choosing it.
+def choose_variant(variant: str | None, *, exit_status: int = FAILED) -> None:
+    """Set Mitsuba's variant, and print its name and the reason for choosing it.
 
     Parameters
     ----------
     variant : str or None
         Name of the requested variant; None for the fastest that works on this machine.
-    status : int
-        Exit status of the command in case of failure.
+    exit_status : int
+        Exit status of the command if Mitsuba cannot run.
 
     Raises
     ------
@@ -109,27 +109,28 @@ def choose_variant(variant: str | None, *, status: int = FAILED) -> None:
         If Mitsuba cannot run, or the requested variant does not work on this machine.
     """
     try:
-        import converters.rendering  # noqa: F401 (and all that it needs)
+        import converters.rendering  # noqa: F401 (fails if Mitsuba is missing)
         from converters.variant import use_variant
 
         choice = use_variant(variant)
     except (ImportError, OSError) as error:
         is_missing = isinstance(error, ModuleNotFoundError)
         remedy = "install it with pip install -e '.[reference]'" if is_missing else ""
-        raise Failure("", f"Mitsuba cannot run: {describe_cause(error)}", remedy, status) from error
+        problem = f"Mitsuba cannot run: {describe_cause(error)}"
+        raise Failure("", problem, remedy, exit_status) from error
     print_line(sys.stdout, f"Mitsuba variant {choice.variant}: {choice.reason}")
 
 
 @contextmanager
 def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> Iterator[None]:
-    """Turn errors that the converter or Mitsuba raises in a with block into a `Failure`.
+    """Convert errors that the converter or Mitsuba raises in a with block to a `Failure`.
 
     Parameters
     ----------
     path : str or path-like
         Path of the scene file, for the message.
     participle : str
-        Past participle for the message, such as "rendered": the file "cannot be rendered".
+        Past participle for the message, such as "rendered" for "cannot be rendered".
 
     Raises
     ------
@@ -145,9 +146,9 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted(paths: Sequence[str]) -> list[Path]:
-    """Exclude converted scenes from a list of paths, and print a line for each excluded path.
+    """Remove converted scenes from a list of paths, and print a line for each removed path.
 
-    The shell's pattern *.xml matches the results of earlier conversions, too.
+    The shell pattern *.xml matches the results of earlier conversions, too.
 
     Parameters
     ----------
@@ -156,52 +157,52 @@ def skip_converted(paths: Sequence[str]) -> list[Path]:
 
     Returns
     -------
-    kept : list of Path
-        The paths of all other files, in the same order.  Files that cannot be read are kept.
+    kept_paths : list of Path
+        The other paths, in the same order.  Paths of files that cannot be read are kept.
     """
-    kept = []
+    kept_paths = []
     for path in paths:
-        head = b""
+        first_bytes = b""
         with suppress(OSError, ValueError):
             if Path(path).is_file():
                 with Path(path).open("rb") as file:
-                    head = file.read(len(HEAD))
-        if head == HEAD.encode():
+                    first_bytes = file.read(len(HEAD))
+        if first_bytes == HEAD.encode():
             print_line(sys.stdout, printable(f"{path}: skipped, because it is a converted scene"))
         else:
-            kept.append(Path(path))
-    return kept
+            kept_paths.append(Path(path))
+    return kept_paths
 
 
-def _picture_paths(target: str) -> tuple[Path, Path]:
-    """Derive the paths of the PNG and the EXR of a rendering from its output path.
+def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
+    """Derive the paths of a PNG and an EXR file from one output path.
 
     Parameters
     ----------
-    target : str
-        The output path.  A suffix .png or .exr is replaced.  Any other suffix is kept, so that the
-        files of room.v1 and room.v2 have different paths.
+    output_path : str
+        The output path.  A suffix .png or .exr is replaced.  Any other suffix is kept, so that
+        room.v1 and room.v2 give different paths.
 
     Returns
     -------
     png, exr : Path
-        The paths.  One of them is `target` if `target` has the suffix .png or .exr.
+        The paths.  One of them is `output_path` if `output_path` has the suffix .png or .exr.
     """
-    path = Path(target)
+    path = Path(output_path)
     if path.suffix.lower() == ".exr":
         return path.with_suffix(".png"), path
     if path.suffix.lower() == ".png":
         return path, path.with_suffix(".exr")
-    return Path(target + ".png"), Path(target + ".exr")
+    return Path(output_path + ".png"), Path(output_path + ".exr")
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments for scene files, output path and Mitsuba variant to a command-line parser.
+    """Add arguments for scene files, an output path and a Mitsuba variant to a parser.
 
     Parameters
     ----------
     parser : argparse.ArgumentParser
-        The parser, to which SCENE.xml, -o and --variant are added.
+        The command-line parser, to which SCENE.xml, -o and --variant are added.
     """
     parser.add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml")
     parser.add_argument(
@@ -209,7 +210,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=parse_path,
         metavar="PATH",
-        help="the file to write, or a folder for those of several scenes;"
+        help="the file to write, or a folder if there are several scenes;"
         " a folder that ends in / is created if it is missing",
     )
     parser.add_argument(
@@ -217,7 +218,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _command_line_parser() -> CommandParser:
+def _build_parser() -> CommandParser:
     """Build the command-line parser of `python -m converters.to_mitsuba`."""
     parser = CommandParser(__name__)
     add_scene_arguments(parser)
@@ -293,9 +294,9 @@ def _render_file(path: Path, target: Path, options: argparse.Namespace) -> None:
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "rendered"):
         image = render_mitsuba(scene, options.samples, options.variant, options.flavour)
-    png, exr = _picture_paths(str(target))
-    for picture, write in ((png, write_png), (exr, write_exr)):
-        with errors_as_failure(picture, "written", "choose another with -o"):
-            write(picture, image)
+    png, exr = _derive_picture_paths(str(target))
+    for picture_path, write_picture in ((png, write_png), (exr, write_exr)):
+        with errors_as_failure(picture_path, "written", "choose another with -o"):
+            write_picture(picture_path, image)
     height, width, _ = image.shape
     print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))

@@ -21,7 +21,8 @@ try:
 except NameError as error:  # raised by Dr.Jit if a library of the system is missing
     raise ImportError(str(error.__context__ or error)) from error
 
-__all__ = ["LLVM", "SCALAR", "Choice", "ensure_variant", "fastest_variant", "mi", "use_variant"]
+__all__ = ["LLVM", "SCALAR", "Choice", "ensure_variant", "find_fastest_variant", "mi"]
+__all__ += ["use_variant"]
 
 # On one processor, Mitsuba's reader and writer of EXR files would wait forever for a second thread.
 if dr.thread_count() < 2:
@@ -58,7 +59,7 @@ class Choice(NamedTuple):
     reason: str
 
 
-def fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
+def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """Find the fastest Mitsuba variant that works on this machine.
 
     A child process tests the LLVM variant, because an unusable libLLVM may abort the process.
@@ -66,16 +67,16 @@ def fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     Parameters
     ----------
     kernel : str
-        Python code for the child process, which must fail if LLVM is unusable.
+        Python code that the child process executes; it must fail if LLVM is unusable.
     timeout : float
-        Seconds after which the child process is stopped, and LLVM is considered unusable.
+        Seconds after which the child process is stopped and LLVM is considered unusable.
 
     Returns
     -------
     choice : Choice
         The LLVM variant if the child process exits with status 0; otherwise the scalar variant.
     """
-    # The child has no home folder, where kernels of a good libLLVM may hide that this one is bad.
+    # Without a home folder, the child finds no cached kernels, which could hide a bad libLLVM.
     try:
         child = subprocess.run(
             [sys.executable, "-c", kernel],
@@ -95,11 +96,11 @@ def fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     return Choice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
 
 
-_cached_choice = cache(fastest_variant)
+_cached_choice = cache(find_fastest_variant)
 
 
 def use_variant(variant: str | None = None) -> Choice:
-    """Set the variant that Mitsuba uses in this process from now on.
+    """Set the variant that Mitsuba uses for the rest of this process.
 
     Parameters
     ----------
@@ -118,9 +119,9 @@ def use_variant(variant: str | None = None) -> Choice:
     """
     choice = _cached_choice()
     if variant is not None and variant != choice.variant:
-        available = [name for name in mi.variants() if name.endswith("_rgb")]
-        if variant not in available:
-            names = ", ".join(available)
+        rgb_variants = [name for name in mi.variants() if name.endswith("_rgb")]
+        if variant not in rgb_variants:
+            names = ", ".join(rgb_variants)
             raise ImportError(
                 f"{variant or repr(variant)} is not an RGB variant; choose one of {names}"
             )
@@ -132,9 +133,9 @@ def use_variant(variant: str | None = None) -> Choice:
 
 
 def ensure_variant() -> None:
-    """Set Mitsuba's variant for this process to the fastest that works, unless one is already set.
+    """Set the fastest Mitsuba variant that works, unless a variant is already set.
 
-    Mitsuba needs a variant before most of its operations.
+    Most Mitsuba operations require that a variant is set.
     """
     if mi.variant() is None:
         use_variant()

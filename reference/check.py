@@ -37,12 +37,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from converters.flavours import (
+    choose_reflectance_divisor,
     convert_exact,
     convert_stock,
-    reflectance_divisor,
     with_square_pixels,
 )
-from converters.mitsuba_xml import plugin
+from converters.mitsuba_xml import make_plugin
 from converters.rendering import Rendering, load_converted
 from converters.to_mitsuba import (
     add_scene_arguments,
@@ -382,7 +382,7 @@ def _render_diffuse_light(matte: Scene, variant: str | None) -> Floats:
     plugins = {element.get("type"): element for element in document.root.iter()}
     integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
     document.root.remove(integrator)
-    document.root.append(plugin("integrator", "aov", integrator, aovs="p:position"))
+    document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
     image = load_converted(str(document), variant)().image
@@ -391,7 +391,7 @@ def _render_diffuse_light(matte: Scene, variant: str | None) -> Floats:
     light_vector = hit_position - [float(position.get(axis, "")) for axis in "xyz"]
     distance2: Floats = (light_vector**2).sum(axis=2, keepdims=True)
     # Mitsuba's radiance at distance 1 for a reflectance of 1 and light at right angles.
-    divisor = np.pi * reflectance_divisor(matte.surfaces)
+    divisor = np.pi * choose_reflectance_divisor(matte.surfaces)
     unit_radiance = float(intensity.get("value", "").split()[0]) / divisor
     return radiance * distance2 / unit_radiance * light.intensity
 
@@ -583,7 +583,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
     scene_names = [*map(str, scenes)]
     outputs = choose_output_paths(command_parser, scene_names, options.output, default_paths)
-    choose_variant(options.variant, status=MISUSED)
+    choose_variant(options.variant, exit_status=MISUSED)
     make_output_folder(options.output)
     # Warnings, for example of a black picture, are omitted: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)

@@ -220,7 +220,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     output_name = arguments.output or str(BUILD / _NAME)
     output = Path(output_name, _NAME if is_folder(output_name) else "")
     forbid_overwriting_inputs(command_parser, [output], (*paths, TEMPLATE, *CHARTS.values()))
-    choose_variant(arguments.variant, status=MISUSED)
+    choose_variant(arguments.variant, exit_status=MISUSED)
     names_are_unique = len({path.stem for path in paths}) == len(paths)
     compared = []
     for path in track(paths, len(paths), "scenes"):

@@ -193,7 +193,7 @@ def test_streams(tmp_path, monkeypatch):
         load_scene(file)
     assert str(caught.value).startswith(f"{file.name}:1: not XML")
     monkeypatch.setattr("tracer.scene.elements.MAX_BYTES", 100)
-    assert errors("<scene>" + " " * 100) == ["has more than 100 bytes, which are allowed"]
+    assert errors("<scene>" + " " * 100) == ["has more than the 100 bytes allowed"]
 
 
 NAMES = [f"red{'d' * 10_000}{k}" for k in range(250)]

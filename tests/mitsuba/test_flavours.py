@@ -13,9 +13,15 @@ from running import run
 from scene_files import small_scene
 
 from converters import flavours
-from converters.camera import camera_window, visible_points
-from converters.flavours import SAMPLES, convert, convert_exact, convert_stock, with_square_pixels
-from converters.mitsuba_xml import ConversionError, plugin
+from converters.camera import compute_window, sample_visible_points
+from converters.flavours import (
+    DEFAULT_SAMPLES,
+    convert,
+    convert_exact,
+    convert_stock,
+    with_square_pixels,
+)
+from converters.mitsuba_xml import ConversionError, make_plugin
 from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
 from reference.check import check_scene
@@ -61,7 +67,7 @@ def test_the_exact_flavour_needs_an_rgb_variant(tmp_path):
     assert message in run(python=("-c", code), cwd=tmp_path)[2]
 
 
-@pytest.mark.parametrize("flavour", SAMPLES)
+@pytest.mark.parametrize("flavour", DEFAULT_SAMPLES)
 def test_shaders_that_no_surface_uses_are_not_converted(flavour):
     unused, used = Phong(exponent=1e39), Lambertian(diffuse=(0.1, 0.2, 0.3))
     surfaces = Surfaces(center=[(0, 0, 0)], radius=[1], shader_index=[1], shaders=[unused, used])
@@ -82,7 +88,7 @@ def test_more_samples_than_mitsuba_can_count_are_refused(monkeypatch):
 
 def test_a_parameter_that_is_not_a_number_is_refused():
     with pytest.raises(ConversionError, match="radius would be nan, and Mitsuba's"):
-        plugin("shape", "sphere", radius=float("nan"))
+        make_plugin("shape", "sphere", radius=float("nan"))
 
 
 @pytest.mark.parametrize(
@@ -262,19 +268,19 @@ def test_the_window_of_an_oblique_camera():
     """The expected numbers are computed by hand."""
     camera = Camera(view_point=(1, 2, 3), view_dir=(-3, 0, -4), proj_normal=(0, 0, 2),
                     proj_distance=10, view_width=4, view_height=2)  # fmt: skip
-    window = camera_window(camera)
+    window = compute_window(camera)
     np.testing.assert_allclose(window.axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
     np.testing.assert_allclose(window.center, [-6, 0, 8], atol=1e-14)
-    np.testing.assert_allclose(window.points(0, 0), [-8, 1, -8], atol=1e-14)
-    np.testing.assert_allclose(window.points(1, 0.5), [-4, 0, -8], atol=1e-14)
+    np.testing.assert_allclose(window.vectors_to(0, 0), [-8, 1, -8], atol=1e-14)
+    np.testing.assert_allclose(window.vectors_to(1, 0.5), [-4, 0, -8], atol=1e-14)
     # No square of a length overflows.
-    ahead = camera_window(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
+    ahead = compute_window(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
     np.testing.assert_allclose(ahead, [0.6, 0, -0.8], rtol=1e-15)
 
 
 def test_a_normalised_scene_is_centred_and_ten_units_large():
     scene = close_up(Sphere(center=(7, 8, -9), radius=1), view_dir=(7, 8, -14))
-    points = flavours.choose_normalisation(scene)(visible_points(scene))
+    points = flavours.choose_normalisation(scene)(sample_visible_points(scene))
     np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0, atol=1e-9)
     assert np.ptp(points, axis=0).max() == pytest.approx(10)
 
@@ -292,8 +298,8 @@ def test_a_room_is_normalised_by_what_is_visible_from_inside(room):
 
 def test_more_rays_are_traced_if_few_hit_a_surface():
     """Few of the first 12 x 12 rays hit the small ball; all of them hit the ball or the wall."""
-    assert len(visible_points(close_up(Sphere(radius=0.1)))) >= 12
+    assert len(sample_visible_points(close_up(Sphere(radius=0.1)))) >= 12
     wall = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
-    points = visible_points(close_up(Sphere(radius=0.45), wall))
+    points = sample_visible_points(close_up(Sphere(radius=0.45), wall))
     assert len(points) == 144
     assert 0 < np.isclose(points[:, 2], -1).sum() < 144

@@ -17,7 +17,7 @@ from probe import Surface
 
 import tracer.geometry.camera
 from converters import flavours
-from converters.camera import Window, camera_window
+from converters.camera import Window, compute_window
 from converters.flavours import convert_exact
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use_variant
@@ -188,7 +188,9 @@ def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
     """Put a mistake into the converter, or into the BSDF of the exact flavour."""
     if mistake in WRONG_WINDOWS:
         wrong = WRONG_WINDOWS[mistake]
-        monkeypatch.setattr(flavours, "camera_window", lambda camera: wrong(camera_window(camera)))
+        monkeypatch.setattr(
+            flavours, "compute_window", lambda camera: wrong(compute_window(camera))
+        )
     elif mistake in WRONG_SCENES:
         monkeypatch.setattr(
             check, "convert_exact", lambda scene: convert_exact(WRONG_SCENES[mistake](scene))

@@ -327,7 +327,9 @@ def _color_range_warnings(scene: Scene) -> Iterator[str]:
         ("intensity", light.intensity, "light", index) for index, light in enumerate(scene.lights)
     ]
     # Each shader is named by the first surface in the file that uses it.
-    shader_indices, users = np.unique(surfaces.shader_index[surfaces.file_order], return_index=True)
+    shader_indices, users = np.unique(
+        surfaces.shader_index[surfaces.array_index], return_index=True
+    )
     for shader_index, user in zip(shader_indices.tolist(), users.tolist(), strict=True):
         shader = surfaces.shaders[shader_index]
         colors.append(("diffuseColor", shader.diffuse, "surface", user))

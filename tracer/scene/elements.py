@@ -27,11 +27,11 @@ MAX_TOKEN_BYTES = 1 << 20
 MAX_DESCENDANTS = 64
 """Maximum number of elements inside one child of the scene, and of attributes of one element."""
 
-# Number of bytes that are parsed together, and of bytes before these that are kept to diagnose a
+# Number of bytes that are parsed together, and number of earlier bytes that are kept to diagnose a
 # syntax error.
 _CHUNK_BYTES, _KEPT_BYTES = 1 << 14, 1 << 12
 
-# Number of bytes after a chunk with a syntax error that are read to diagnose the error.
+# Number of bytes read after a chunk with a syntax error, to diagnose the error.
 _LOOKAHEAD_BYTES = 256
 
 # Elements that contain other elements, and no text.
@@ -47,22 +47,22 @@ class FatalError(Exception):
 
 
 class Element(list["Element"]):
-    """An XML element of the file, which is a list of its child elements.
+    """An XML element of a scene file: a list of its child elements.
 
     Attributes
     ----------
     tag : str
         The name of the element.
     attrib : dict of str
-        Values of the element's attributes by their names.
+        Values of the element's attributes, by name.
     line : int
         Line of the file where the element begins.
     text : str
-        The text inside the element.  In an element that must not contain text, the first piece of
-        text that was reported as an error.
+        The text inside the element.  If the element must not contain text, the first text that was
+        reported as an error.
     """
 
-    # The parser sets the slots one by one, which takes less time than a call of `__init__`.
+    # The parser sets the slots one by one, which is faster than calling `__init__`.
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
     attrib: dict[str, str]
@@ -71,9 +71,9 @@ class Element(list["Element"]):
 
 
 def open_scene(path: str) -> IO[bytes]:
-    """Open a scene file for reading, but only a regular file of at most 256 MiB (`MAX_BYTES`).
+    """Open a scene file for reading if it is a regular file of at most 256 MiB (`MAX_BYTES`).
 
-    Pipes, devices and other special files are refused, because reading them may never end.
+    Pipes, devices and other special files are refused, because reading them might never end.
 
     Parameters
     ----------
@@ -88,21 +88,21 @@ def open_scene(path: str) -> IO[bytes]:
     Raises
     ------
     FatalError
-        If the path is invalid, or names a folder, a special file, or a file that is too large.
+        If the path is invalid or names a folder, a special file, or a file that is too large.
     OSError
         If the file does not exist or cannot be opened.
     """
     try:
-        status = os.stat(path)
+        file_status = os.stat(path)
     except ValueError:
-        message = "a path cannot hold a NUL or half of a surrogate pair; check the path"
+        message = "a path cannot contain a NUL or half of a surrogate pair; check the path"
         raise FatalError(0, message) from None
-    if stat.S_ISDIR(status.st_mode):
+    if stat.S_ISDIR(file_status.st_mode):
         raise FatalError(0, "is a folder; name a scene file in it")
-    if not stat.S_ISREG(status.st_mode):
+    if not stat.S_ISREG(file_status.st_mode):
         raise FatalError(0, "is not a regular file; save the scene to one")
-    if status.st_size > MAX_BYTES:
-        raise FatalError(0, f"has {status.st_size} bytes; at most {MAX_BYTES} are allowed")
+    if file_status.st_size > MAX_BYTES:
+        raise FatalError(0, f"has {file_status.st_size} bytes; at most {MAX_BYTES} are allowed")
     return open(path, "rb")
 
 
@@ -112,18 +112,18 @@ class Parser:
     Parameters
     ----------
     read_child : callable
-        Called with one `Element`: first with the root after its start tag, when it has no children
-        yet; then with each child of the root after the child's end tag, with all its descendants.
+        A function of an `Element`.  It is first called with the root, which has no children yet;
+        then with each complete child of the root, which contains all its descendants.
     report_at : callable
-        Called for an element with text although text is not allowed in it.  The arguments are the
-        line of the text, the tag of the element, and the error message.
+        A function that is called if an element contains text that is not allowed.  Its arguments
+        are the line of the text, the tag of the element, and the error message.
 
     Attributes
     ----------
     open_elements : list of Element
-        Elements whose end tags have not been parsed yet, the root first.
+        Elements whose end tags have not been parsed yet, starting with the root.
     descendant_count : int
-        Number of elements so far inside the current child of the root.
+        Number of elements parsed so far inside the current child of the root.
     encoding : str
         Encoding given by the XML declaration, or "".
     byte_count : int
@@ -141,16 +141,16 @@ class Parser:
         self.byte_count, self.recent_bytes = 0, b""
         self.expat: Any = expat.ParserCreate()
         self.expat.buffer_text = True
-        self.expat.StartElementHandler = self._start_element
-        self.expat.EndElementHandler = self._end_element
-        self.expat.CharacterDataHandler = self._add_text
-        self.expat.XmlDeclHandler = self._store_encoding
-        self.expat.StartDoctypeDeclHandler = self._refuse_declarations
+        self.expat.StartElementHandler = self._handle_start_tag
+        self.expat.EndElementHandler = self._handle_end_tag
+        self.expat.CharacterDataHandler = self._handle_text
+        self.expat.XmlDeclHandler = self._handle_declaration
+        self.expat.StartDoctypeDeclHandler = self._handle_doctype
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a whole scene file, and pass each complete element to `read_child`.
+        """Parse a whole scene file, and pass each child of its root element to `read_child`.
 
-        A parser can parse only one file.
+        Each parser can parse only one file.
 
         Parameters
         ----------
@@ -160,15 +160,15 @@ class Parser:
         Raises
         ------
         FatalError
-            If the file is not well-formed XML, or exceeds a limit.  The elements before the error
-            have been passed on.
+            If the file is not well-formed XML, or exceeds a limit.  Elements before the error have
+            already been passed to `read_child`.
         TypeError
             If `file` returns text instead of bytes.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
             if not isinstance(chunk, bytes):
-                raise TypeError("a scene is read from a binary file, not from text")
+                raise TypeError("a scene must be read from a binary file, not from a text file")
             if not chunk:
                 raise FatalError(0, f"is empty; {SCENE_REMEDY}")
             while chunk:
@@ -187,8 +187,8 @@ class Parser:
         chunk : bytes
             The bytes; empty at the end of the file.
         file : binary file
-            The file, positioned after the chunk.  After a syntax error, some of the following bytes
-            are read to diagnose the error.
+            The file, positioned after the chunk.  If there is a syntax error, the next bytes are
+            read to diagnose it.
 
         Raises
         ------
@@ -200,33 +200,33 @@ class Parser:
         try:
             self.expat.Parse(chunk, not chunk)
         except expat.ExpatError as error:
-            raise self._diagnose(error, file.read(_LOOKAHEAD_BYTES)) from None
+            raise self._diagnose_syntax_error(error, file.read(_LOOKAHEAD_BYTES)) from None
         except (LookupError, ValueError, Warning):
             if self.open_elements:
                 raise
-            # Raised by the codec that the XML declaration names.
+            # The codec named in the XML declaration failed.
             raise FatalError(1, "not XML: unknown encoding; save the file as UTF-8") from None
-        # Versions of expat before 2.6 take quadratic time for one token.
+        # Versions of expat before 2.6 take quadratic time for a long token.
         if self.byte_count - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
             message = f"a tag or comment of more than {MAX_TOKEN_BYTES} bytes; make it shorter"
             raise FatalError(self.expat.CurrentLineNumber, message)
         if self.byte_count > MAX_BYTES:
-            raise FatalError(0, f"has more than {MAX_BYTES} bytes, which are allowed")
+            raise FatalError(0, f"has more than the {MAX_BYTES} bytes allowed")
 
-    def _diagnose(self, error: expat.ExpatError, following: bytes) -> FatalError:
-        """Convert a syntax error that expat reports to a `FatalError` with a suggested fix.
+    def _diagnose_syntax_error(self, error: expat.ExpatError, following_bytes: bytes) -> FatalError:
+        """Convert a syntax error found by expat to a `FatalError` with a suggested fix.
 
         Parameters
         ----------
         error : ExpatError
             The error from expat, the XML parser.
-        following : bytes
-            The bytes of the file after the current chunk.
+        following_bytes : bytes
+            The bytes that follow the current chunk in the file.
 
         Returns
         -------
         fatal_error : FatalError
-            The error to raise, with the line, the column and the suggested fix.
+            The error to raise; its message gives the column and a suggested fix.
 
         Raises
         ------
@@ -237,17 +237,17 @@ class Parser:
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
-        before, after = self.recent_bytes[:position], self.recent_bytes[position:] + following
+        before, after = self.recent_bytes[:position], self.recent_bytes[position:] + following_bytes
         context = before, after, self.open_elements, self.encoding
         remedy = suggest_syntax_fix(message, error.lineno, *context)
         place = f"at column {error.offset + 1}"
         return FatalError(error.lineno, f"not XML: {message} {place}; {remedy}")
 
-    def _start_element(self, tag: str, attrib: dict[str, str]) -> None:
+    def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
         """Handle a start tag: create an element, and add it to its parent.
 
-        The root of the file is passed to `read_child` immediately.  The root's children are not
-        added to the root, so that their memory can be freed when they are complete.
+        The root of the file is passed to `read_child` immediately.  Its children are not added to
+        it, so that each child's memory can be freed after the child has been read.
 
         Parameters
         ----------
@@ -259,8 +259,8 @@ class Parser:
         Raises
         ------
         FatalError
-            If the element has more than `MAX_DESCENDANTS` attributes, or a child of the root
-            contains more than `MAX_DESCENDANTS` elements.
+            If the element has more than `MAX_DESCENDANTS` attributes, or is one of more than
+            `MAX_DESCENDANTS` elements inside the same child of the root.
         """
         element = Element()
         element.tag, element.attrib = tag, attrib
@@ -280,25 +280,25 @@ class Parser:
             message = f"more than {MAX_DESCENDANTS} elements or attributes in it; {remedy}"
             raise FatalError(element.line, f"{shortened(child.tag)}: {message}")
 
-    def _end_element(self, _tag: str) -> None:
+    def _handle_end_tag(self, _tag: str) -> None:
         """Handle an end tag: close the innermost open element.
 
-        If the element is a child of the root, it is passed to `read_child`.
+        A child of the root is passed to `read_child`, because it is now complete.
         """
         element = self.open_elements.pop()
         if len(self.open_elements) == 1:
             self.read_child(element)
 
-    def _add_text(self, text: str) -> None:
+    def _handle_text(self, text: str) -> None:
         """Handle text between two tags: add it to the innermost open element.
 
-        White space between elements is ignored.  The first text in an element that must contain
-        only elements, such as <camera>, is reported as an error.
+        White space between elements is ignored.  In an element that must contain only elements,
+        such as <camera>, the first other text is reported as an error.
 
         Parameters
         ----------
         text : str
-            The text, or a piece of it: expat divides long texts.
+            The text, or part of it: expat divides long texts.
 
         Raises
         ------
@@ -315,28 +315,28 @@ class Parser:
                 raise FatalError(element.line, f"{shortened(element.tag)}: {message}")
         elif not element.text:
             element.text = text.lstrip()
-            # The event occurs at the end of the text, but the error is at its beginning.
+            # Expat is now at the end of the text, but the error is at its beginning.
             line = self.expat.CurrentLineNumber - element.text.count("\n")
             message = f"stray text {quoted(element.text.rstrip())}; remove it"
             self.report_at(line, element.tag, message)
 
-    def _store_encoding(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Handle the XML declaration: store its encoding, or "" if it gives none."""
+    def _handle_declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
+        """Handle the XML declaration: store its encoding, or "" if it declares none."""
         self.encoding = encoding or ""
 
-    def _refuse_declarations(
+    def _handle_doctype(
         self, _name: str, system_id: str | None, _public_id: str | None, has_declarations: int
     ) -> None:
-        """Handle a DOCTYPE: refuse it if it contains declarations, or refers to another file.
+        """Handle a DOCTYPE: refuse it if it contains declarations or refers to another file.
 
         Declarations can define entities, which are names for pieces of text.  Entities that contain
-        other entities can grow exponentially.  Entities from another file would be skipped
+        other entities can grow exponentially, and entities from another file would be ignored
         silently.
 
         Parameters
         ----------
         system_id : str or None
-            Name of the other file; None if the DOCTYPE refers to no file.
+            Name of the other file; None if the DOCTYPE does not refer to one.
         has_declarations : int
             Nonzero if the DOCTYPE contains declarations.
 

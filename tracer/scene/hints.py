@@ -17,7 +17,7 @@ from tracer.messages import quoted, shortened
 
 SCENE_REMEDY = "a scene file holds <scene> ... </scene>"
 
-# Maximum number of known names that are compared with an unknown one: about 30 us for each.
+# Maximum number of known names that are compared with an unknown one: each takes about 30 us.
 _MAX_COMPARED = 256
 
 # Maximum number of known names that a message lists.
@@ -33,7 +33,7 @@ _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <sha
 # character at the error.  The first row that matches is used.
 _SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
-    (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # it may be a picture
+    (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # for example, a picture
     ("", rb"", rb"[\x80-\xc1\xf5-\xff]|[\xc2-\xf4](?![\x80-\xbf])", "save the file as UTF-8"),
     (_UNCLOSED, rb"", rb"<!--", "end it with -->"),
     (_UNCLOSED, rb"", rb"<\?", "end it with ?>"),
@@ -52,7 +52,7 @@ _SYNTAX_REMEDIES = (
     (_INVALID, rb"", rb"", "in text, < is written &lt; and & is written &amp;"),
 )
 
-# Suggested fixes of errors for which expat's message alone shows the mistake.
+# Suggested fixes for errors whose cause expat's message shows.
 _MESSAGE_REMEDIES = {
     errors.XML_ERROR_BAD_CHAR_REF: "no character of XML has this number; remove it",
     errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "keep one of the two",
@@ -65,13 +65,13 @@ _MESSAGE_REMEDIES = {
     errors.XML_ERROR_XML_DECL: 'write it as <?xml version="1.0"?>, or leave it out',
 }
 
-# Suggested fixes for characters in numbers, by their categories in Unicode: format, dash and space.
+# Suggested fixes for characters in numbers, by Unicode category: format, dash and space.
 _CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
 _CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
 
 # Names of elements and attributes in other scene formats, in lower case, and their equivalents in
-# this one.  The first equivalent that is allowed in the element around the name is suggested.  Text
-# after a comma belongs to the suggestion.  "" means that there is no equivalent.
+# this one.  The first equivalent that is allowed in the surrounding element is suggested.  Any text
+# after a comma is part of the suggestion.  "" means that there is no equivalent.
 _EQUIVALENTS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
@@ -93,13 +93,13 @@ def suggest_syntax_fix(
     Parameters
     ----------
     message : str
-        The error message of expat, the XML parser.
+        The error message from expat, the XML parser.
     line : int
         Line of the error.
     before, after : bytes
-        Text of the file just before the error, and text from the error on.
+        Bytes of the file just before the error, and bytes from the error on.
     elements : sequence of Element
-        Elements that are open at the error, the root first.
+        Elements that are still open at the error, starting with the root.
     encoding : str
         Encoding that the file declares; "" if it declares none.
 
@@ -108,13 +108,13 @@ def suggest_syntax_fix(
     remedy : str
         The suggested fix, such as "close <light> of line 3".
     """
-    # The file is UTF-8, but declares another encoding.  Expat does not know the name "utf8".
+    # The file is in UTF-8, but declares another encoding.  (To expat, "utf8" is an unknown one.)
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
         return f'write encoding="UTF-8" in the first line, not {quoted(encoding)}'
-    for expected_message, end_of_before, start_of_after, remedy in _SYNTAX_REMEDIES:
+    for expected_message, before_pattern, after_pattern, remedy in _SYNTAX_REMEDIES:
         if expected_message in ("", message):
-            match = re.search(rb"(?s:%b)\Z" % end_of_before, before)
-            if match and re.match(start_of_after, after):
+            match = re.search(rb"(?s:%b)\Z" % before_pattern, before)
+            if match and re.match(after_pattern, after):
                 character = after.decode(errors="replace")[:1] or " "
                 description = f"{character!r} (U+{ord(character):04X})"
                 return remedy.format(line=line - match[0].count(b"\n"), character=description)
@@ -129,10 +129,10 @@ def suggest_syntax_fix(
 
 
 def suggest_name(name: str, allowed: Iterable[str]) -> tuple[str, str | None]:
-    """Suggest an allowed name to write in place of an unknown one.
+    """Suggest an allowed name in place of an unknown one.
 
-    Only the first `_MAX_COMPARED` allowed names are compared with the unknown name, ignoring case,
-    and only the first 37 characters of long names.
+    Names are compared without regard to case.  Only the first 256 allowed names are compared
+    (`_MAX_COMPARED`), and only the first 37 characters of each name.
 
     Parameters
     ----------
@@ -144,19 +144,19 @@ def suggest_name(name: str, allowed: Iterable[str]) -> tuple[str, str | None]:
     Returns
     -------
     remedy : str
-        "did you mean ...?" with the most similar allowed name.  If no allowed name is similar, a
-        list of at most `_MAX_LISTED` allowed names.  If no name is allowed, "remove it".
+        "did you mean ...?", with the most similar allowed name; if none is similar, a list of at
+        most `_MAX_LISTED` allowed names; if no name is allowed, "remove it".
     match : str or None
         The most similar allowed name; None if no allowed name is similar.
     """
     from difflib import get_close_matches  # only after an error: importing takes milliseconds
 
-    name_of_key = {shortened(word).lower(): word for word in islice(allowed, _MAX_COMPARED)}
+    name_of_key = {shortened(known).lower(): known for known in islice(allowed, _MAX_COMPARED)}
     for key in get_close_matches(shortened(name).lower(), name_of_key, n=1):
         return f"did you mean {quoted(name_of_key[key])}?", name_of_key[key]
-    names = [shortened(word) for word in sorted(name_of_key.values())]
-    more = ["..."] * (len(names) > _MAX_LISTED)
-    return f"known: {', '.join(names[:_MAX_LISTED] + more)}" if names else "remove it", None
+    names = [shortened(known) for known in sorted(name_of_key.values())]
+    ellipsis = ["..."] * (len(names) > _MAX_LISTED)
+    return f"known: {', '.join(names[:_MAX_LISTED] + ellipsis)}" if names else "remove it", None
 
 
 def suggest_tag(tag: str, allowed: Collection[str]) -> tuple[str, str | None]:
@@ -165,17 +165,17 @@ def suggest_tag(tag: str, allowed: Collection[str]) -> tuple[str, str | None]:
     Parameters
     ----------
     tag : str
-        The unknown tag, which may be that of another scene format.
+        The unknown tag, which may come from another scene format.
     allowed : collection of str
-        The tags that are allowed there.
+        The tags that are allowed in this place.
 
     Returns
     -------
     remedy : str
         The suggested fix.
     intended : str or None
-        What the author of the file probably meant: an allowed tag, or a text that names several
-        elements.  None if that is unclear.
+        What the author of the file probably meant: an allowed tag, or a phrase that names several
+        elements.  None if this is unclear.
     """
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:
@@ -191,8 +191,7 @@ def explain_invalid_number(word: str) -> str:
     Parameters
     ----------
     word : str
-        Either a word that is no decimal number, or a number so close to 0 that float64 would round
-        it to 0.
+        A word that is not a decimal number, or a decimal number that float64 would round to 0.
 
     Returns
     -------

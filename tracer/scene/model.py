@@ -50,19 +50,19 @@ def normalize(vector: ArrayLike) -> Floats:
     unit_vector : (3,) float array
         The unit vector with the same direction.
     """
-    array = np.asarray(vector, dtype=np.float64)
+    scaled = np.asarray(vector, dtype=np.float64)
     # Scale the vector so that the squares of its large components neither overflow nor underflow.
-    # A power of two is exact, so that pictures of scaled scenes stay bit-identical.
-    array = np.ldexp(array, -int(np.frexp(np.abs(array).max())[1]))
-    return array / np.sqrt(array @ array)
+    # Scaling by a power of two is exact, so that pictures of scaled scenes stay bit-identical.
+    scaled = np.ldexp(scaled, -int(np.frexp(np.abs(scaled).max())[1]))
+    return scaled / np.sqrt(scaled @ scaled)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera(Validated):
     """A perspective camera: an eye, and a window through which it views the scene.
 
-    The window is a rectangle in space that the picture fills.  It need not be perpendicular to the
-    direction of view.
+    The window is the rectangle in space that the picture fills.  It need not be perpendicular to
+    the direction of view.
 
     Parameters
     ----------
@@ -95,35 +95,35 @@ class Camera(Validated):
     view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
 
     @classmethod
-    def find_conflicts(cls, columns: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
+    def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
         """Find cameras whose vectors do not define a window.
 
-        The window is the rectangle in space that the picture fills.  `view_up` must not be parallel
-        to its normal, `proj_normal`, which must not be perpendicular to `view_dir`.
+        The window is the rectangle in space that the picture fills; `proj_normal` is its normal.
+        The normal must be neither parallel to `view_up` nor perpendicular to `view_dir`.
 
         Parameters
         ----------
-        columns : mapping of str to (n, 3) float array
-            The vectors of n cameras, one array for each field name.  The default of `proj_normal`
-            is `view_dir`; rows of NaN stand for it.
+        field_arrays : mapping of str to (n, 3) float array
+            The vectors of n cameras, by the names of their fields.  A row of NaN in "proj_normal"
+            stands for its default, `view_dir`.
 
         Yields
         ------
         index : int
-            Index of a camera with an error.
+            Index of the camera with the error, from 0 to n - 1.
         name : str
             Name of the field with the error.
         message : str
             What is wrong, without the name of the field.
         """
-        vectors = (columns[name] for name in ("view_up", "view_dir", "proj_normal"))
-        for index, (up, ahead, normal) in enumerate(zip(*vectors, strict=True)):
+        arrays = (field_arrays[name] for name in ("view_up", "view_dir", "proj_normal"))
+        for index, (view_up, view_dir, normal) in enumerate(zip(*arrays, strict=True)):
             normal_name = "proj_normal"
             if np.isnan(normal).all():
-                normal_name, normal = "view_dir", ahead
-            with np.errstate(all="ignore"):  # vectors may be zero, or not finite
-                up, ahead, normal = map(normalize, (up, ahead, normal))
-                sine, cosine = np.linalg.norm(np.cross(up, normal)), abs(normal @ ahead)
+                normal_name, normal = "view_dir", view_dir
+            with np.errstate(all="ignore"):  # vectors may be zero or not finite
+                view_up, view_dir, normal = map(normalize, (view_up, view_dir, normal))
+                sine, cosine = np.linalg.norm(np.cross(view_up, normal)), abs(normal @ view_dir)
             if sine < _MIN_SINE:
                 message = f"must not be parallel to {normal_name}; choose another view_up"
                 yield index, "view_up", message
@@ -144,7 +144,7 @@ class PointLight(Validated):
     Parameters
     ----------
     position : (float, float, float)
-        Where the light is.
+        Position of the light.
     intensity : (float, float, float)
         Linear RGB intensity.  The default is white, 1 1 1.
     line : int, optional
@@ -188,7 +188,7 @@ class Lambertian(Validated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phong(Validated):
-    """The shader of a shiny surface, a matte one with highlights (Blinn 1977).
+    """The shader of a shiny surface: a matte surface with highlights (Blinn 1977).
 
     Each light that is visible from a point of the surface adds I (kd n.l + ks (n.h)^exponent) to
     the radiance there.  I is the intensity of the light, n the unit normal, l the unit vector to
@@ -201,7 +201,7 @@ class Phong(Validated):
         The colours kd and ks: linear RGB, where 1 reflects all light.  The defaults are white and
         black.
     exponent : float
-        The larger the exponent, the smaller are the highlights.
+        Exponent of the highlights: the larger it is, the smaller they are.
     line : int, optional
         Line of the file where the shader begins; ignored by ==.
 
@@ -274,24 +274,24 @@ class Box(Validated):
     line: int | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def find_conflicts(cls, columns: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
+    def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
         """Find boxes with a coordinate of `min_pt` that exceeds that of `max_pt`.
 
         Parameters
         ----------
-        columns : mapping of str to (n, 3) float array
-            The corners of n boxes, in the entries "min_pt" and "max_pt".
+        field_arrays : mapping of str to (n, 3) float array
+            The corners of n boxes, under the names "min_pt" and "max_pt".
 
         Yields
         ------
         index : int
-            Index of a box with an error.
+            Index of the box with the error, from 0 to n - 1.
         name : str
             Name of the field with the error: "min_pt".
         message : str
             What is wrong, with the coordinates.
         """
-        min_pt, max_pt = columns["min_pt"], columns["max_pt"]
+        min_pt, max_pt = field_arrays["min_pt"], field_arrays["max_pt"]
         for index in np.flatnonzero((min_pt > max_pt).any(axis=1)).tolist():
             excesses = [
                 f"{axis} has {format_number(low)} > {format_number(high)}"
@@ -321,18 +321,18 @@ class Surfaces(Sequence[Sphere | Box]):
         For each surface, the index of its shader in `shaders`.
     file_index : (S + B,) array_like of int, optional
         For each surface, its index in the file: a permutation of 0 ... S + B - 1.  By default, the
-        order in the file is that of the arrays.  If a ray hits two surfaces at the same distance,
+        file has the same order as the arrays.  If a ray hits two surfaces at the same distance,
         the surface with the lower index is visible.
     shaders : tuple of Lambertian or Phong
         The shaders, each of which can belong to several surfaces.
     line : (S + B,) array_like of int, optional
-        For each surface, the line of the file where it begins; 0 if it is not from a file.  By
-        default, all lines are 0.
+        For each surface, the line of the file where it begins, or 0 if it is not from a file.  The
+        default is 0 for all.
 
     Raises
     ------
     SceneError
-        For arrays whose lengths do not match, or invalid numbers.
+        For arrays whose lengths do not match, or that contain invalid numbers.
     """
 
     def __init__(
@@ -365,44 +365,44 @@ class Surfaces(Sequence[Sphere | Box]):
         self.__setstate__(vars(self))
 
     def _find_array_errors(self) -> Iterator[str]:
-        """Check that the arrays of all surfaces have matching lengths, and contain valid indices.
+        """Find arrays that have the wrong length or contain invalid indices.
 
         Yields
         ------
         message : str
-            Name of an array with an error, and what is wrong with the array.
+            Name of an array, and what is wrong with it.
         """
-        needed = {"radius": (len(self.center), "as many as center")}
-        needed |= {"max_pt": (len(self.min_pt), "as many as min_pt")}
+        required_lengths = {"radius": (len(self.center), "as many as center")}
+        required_lengths |= {"max_pt": (len(self.min_pt), "as many as min_pt")}
         per_surface = len(self), "one for each surface"
-        needed |= dict.fromkeys(("shader_index", "file_index", "line"), per_surface)
-        for name, (needed_length, reason) in needed.items():
-            if (length := len(getattr(self, name))) != needed_length:
-                yield f"{name}: needs {needed_length}, {reason}; has {length}"
+        required_lengths |= dict.fromkeys(("shader_index", "file_index", "line"), per_surface)
+        for name, (required_length, reason) in required_lengths.items():
+            if (length := len(getattr(self, name))) != required_length:
+                yield f"{name}: needs {required_length}, {reason}; has {length}"
         shader_index, shader_count = self.shader_index, len(self.shaders)
         is_invalid = (shader_index < 0) | (shader_index >= shader_count)
         for invalid_index in shader_index[is_invalid].tolist()[:1]:
             yield f"shader_index: must be indices of {shader_count} shaders, has {invalid_index}"
-        count = len(self.file_index)
-        if not np.array_equal(np.sort(self.file_index), np.arange(count)):
-            yield f"file_index: must be a permutation of 0 ... {count - 1}"
+        surface_count = len(self.file_index)
+        if not np.array_equal(np.sort(self.file_index), np.arange(surface_count)):
+            yield f"file_index: must be a permutation of 0 ... {surface_count - 1}"
 
     def _find_number_errors(self) -> Iterator[tuple[int, str]]:
-        """Find the invalid numbers of all surfaces.
+        """Find surfaces with invalid numbers.
 
         Yields
         ------
         file_index : int
-            Index in the file of a surface with an error.
+            Position of the surface in the file, counted from 0.
         message : str
-            Name of a field of the surface, and what is wrong with the field.
+            Name of a field of the surface, and what is wrong with it.
         """
-        columns = {name: getattr(self, name) for name in ("center", "min_pt", "max_pt")}
-        columns["radius"] = self.radius[:, None]
-        first_index: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
-        for surface_type, first in first_index.items():
-            for index, name, message in schema.find_errors(surface_type, columns):
-                yield self.file_index.item(first + index), f"{name}: {message}"
+        field_arrays = {name: getattr(self, name) for name in ("center", "min_pt", "max_pt")}
+        field_arrays["radius"] = self.radius[:, None]
+        first_of_type: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
+        for surface_type, first_index in first_of_type.items():
+            for type_index, name, message in schema.find_errors(surface_type, field_arrays):
+                yield self.file_index.item(first_index + type_index), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
@@ -415,7 +415,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @classmethod
     def from_objects(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
-        """Store the numbers of Sphere and Box objects in arrays, in the same order.
+        """Store a sequence of spheres and boxes as arrays, keeping their order.
 
         Parameters
         ----------
@@ -425,7 +425,7 @@ class Surfaces(Sequence[Sphere | Box]):
         Returns
         -------
         packed : Surfaces
-            An equal sequence that stores its numbers in arrays.
+            An equal sequence, whose numbers are stored in arrays.
 
         Raises
         ------
@@ -435,23 +435,23 @@ class Surfaces(Sequence[Sphere | Box]):
         if isinstance(surfaces, Surfaces):
             return surfaces
         objects: tuple[Any, ...] = schema.list_validator(Sphere, Box)(surfaces, "surfaces")
-        # Shaders are identified by id(), which is fast.  Surfaces that share a shader still share
-        # it in the new instance.
+        # Identify shaders by id(): it is fast, and surfaces that share a shader object continue to
+        # share it.
         shaders = {id(surface.shader): surface.shader for surface in objects}
-        shader_index = {key: index for index, key in enumerate(shaders)}
-        array_order = sorted(range(len(objects)), key=lambda index: isinstance(objects[index], Box))
-        ordered = [objects[index] for index in array_order]
-        spheres: list[Any] = [surface for surface in ordered if isinstance(surface, Sphere)]
-        boxes = ordered[len(spheres) :]
+        shader_index = {shader_id: index for index, shader_id in enumerate(shaders)}
+        file_index = sorted(range(len(objects)), key=lambda index: isinstance(objects[index], Box))
+        sorted_surfaces = [objects[index] for index in file_index]
+        spheres: list[Any] = [item for item in sorted_surfaces if isinstance(item, Sphere)]
+        boxes = sorted_surfaces[len(spheres) :]
         return cls(
             center=[sphere.center for sphere in spheres],
             radius=[sphere.radius for sphere in spheres],
             min_pt=[box.min_pt for box in boxes],
             max_pt=[box.max_pt for box in boxes],
-            shader_index=[shader_index[id(surface.shader)] for surface in ordered],
-            file_index=array_order,
+            shader_index=[shader_index[id(surface.shader)] for surface in sorted_surfaces],
+            file_index=file_index,
             shaders=tuple(shaders.values()),
-            line=[surface.line or 0 for surface in ordered],
+            line=[surface.line or 0 for surface in sorted_surfaces],
         )
 
     def __len__(self) -> int:
@@ -463,21 +463,22 @@ class Surfaces(Sequence[Sphere | Box]):
         return len(self.radius)
 
     @cached_property
-    def file_order(self) -> NDArray[np.intp]:
-        """For each of S spheres and B boxes, its index in the arrays: (S + B,) int array.
+    def array_index(self) -> NDArray[np.intp]:
+        """For each surface in the order of the file, its index in the arrays: (S + B,) int array.
 
-        The array is in the order of the file, and is the inverse permutation of `file_index`.
+        The arrays contain S spheres, then B boxes.  This is the inverse permutation of
+        `file_index`, which maps indices in the arrays to indices in the file.
         """
-        order = np.argsort(self.file_index)
-        order.setflags(write=False)
-        return order
+        array_index = np.argsort(self.file_index)
+        array_index.setflags(write=False)
+        return array_index
 
     @overload
     def __getitem__(self, index: int) -> Sphere | Box: ...
     @overload
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
-        selected = self.file_order[index].tolist()
+        selected = self.array_index[index].tolist()
         if isinstance(index, slice):
             return tuple(map(self._make_surface, selected))
         return self._make_surface(selected)
@@ -486,7 +487,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _make_surface(self, index: int) -> Sphere | Box:
-        """Create the `Sphere` or `Box` object of one surface in the arrays.
+        """Create a `Sphere` or `Box` object from the numbers of one surface in the arrays.
 
         Parameters
         ----------
@@ -496,15 +497,15 @@ class Surfaces(Sequence[Sphere | Box]):
         Returns
         -------
         surface : Sphere or Box
-            A new object with the numbers, the shader and the line of the surface.
+            A new object with the numbers, shader and line of the surface.
         """
         shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
-        make, box_index = schema.construct_unchecked, index - self.sphere_count
+        construct, box_index = schema.construct_unchecked, index - self.sphere_count
         if box_index < 0:
             center, radius = tuple(self.center[index].tolist()), self.radius.item(index)
-            return make(Sphere, center=center, radius=radius, shader=shader, line=line)
+            return construct(Sphere, center=center, radius=radius, shader=shader, line=line)
         min_pt, max_pt = (tuple(pt[box_index].tolist()) for pt in (self.min_pt, self.max_pt))
-        return make(Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line)
+        return construct(Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -546,8 +547,8 @@ class Scene(Validated):
     camera: Camera = field(metadata=xml_field(schema.type_validator(Camera)))
     lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_validator(PointLight)))
     surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.from_objects(value)))
-    width: int = field(metadata=xml_field(schema.validate_pixel_count))
-    height: int = field(metadata=xml_field(schema.validate_pixel_count))
+    width: int = field(metadata=xml_field(schema.validate_picture_side))
+    height: int = field(metadata=xml_field(schema.validate_picture_side))
 
     # Not generated, because the parameters accept more types than the fields have.
     def __init__(
@@ -570,8 +571,8 @@ class Scene(Validated):
             raise schema.SceneError([f"width, height: {message}; {limit}"])
 
     def _repr_png_(self) -> bytes:
-        """Render the scene, and return a PNG file: notebooks call this to show the scene."""
-        # The only import from a higher layer: Jupyter calls this method of the scene itself.
+        """Render the scene to the bytes of a PNG file; notebooks call this to display the scene."""
+        # The only import from a higher layer, needed because Jupyter calls this method of a scene.
         from tracer.picture.render import to_png
 
         return to_png(self)

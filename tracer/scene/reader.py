@@ -31,7 +31,7 @@ from tracer.scene.tables import Table, parse_numbers
 MAX_ERRORS = 1_000
 """Maximum number of errors that are reported for a file."""
 
-# Maximum number of undefined shaders for which a similar name is searched: milliseconds for each.
+# Maximum number of undefined shaders for which similar names are searched: milliseconds for each.
 _MAX_SEARCHES = 32
 
 # Maximum number of words that are checked one by one in an element with invalid numbers.
@@ -60,13 +60,13 @@ def load_scene(source: FileOrPath) -> Scene:
     Parameters
     ----------
     source : str, bytes, path-like or binary file object
-        Path of a scene file, or a scene file that is open for reading.  A scene file contains at
-        most 256 MiB of XML, in the format that the README describes.
+        Path of a scene file, or a scene file that is open for reading.  It may contain at most
+        256 MiB of XML, in the format described in the README.
 
     Returns
     -------
     scene : Scene
-        The surfaces, lights and camera of the file, and the size of its picture.
+        The surfaces, lights, camera and picture size defined in the file.
 
     Raises
     ------
@@ -77,11 +77,11 @@ def load_scene(source: FileOrPath) -> Scene:
     """
     reader, source_object = _Reader(), cast(Any, source)
     is_stream = hasattr(source_object, "read")
-    name = getattr(source_object, "name", None) if is_stream else os.fsdecode(source_object)
-    if not isinstance(name, str):
-        name = "<stream>"
+    file_name = getattr(source_object, "name", None) if is_stream else os.fsdecode(source_object)
+    if not isinstance(file_name, str):
+        file_name = "<stream>"
     try:
-        with nullcontext(source_object) if is_stream else open_scene(name) as file:
+        with nullcontext(source_object) if is_stream else open_scene(file_name) as file:
             reader.read(file)
     except FatalError as error:
         reader.errors.append(error.args)
@@ -90,41 +90,41 @@ def load_scene(source: FileOrPath) -> Scene:
         reader.errors.append((0, f"cannot be read: {reason}; check the path and its permissions"))
     if not reader.errors:
         return reader.make_scene()
-    # Text from the file must not break a message into lines, or send control characters to the
+    # Text from the file must not add lines to the message, or send control characters to the
     # terminal.
     raise SceneFileError(
-        printable(f"{name or repr(name)}{f':{line}' if line else ''}: {message}")
+        printable(f"{file_name or repr(file_name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.errors, key=lambda error: error[0])
     )
 
 
 class _Reader:
-    """A reader of one scene file, which collects the elements in tables, then creates the scene.
+    """A reader of one scene file, which collects its elements in tables and then creates the scene.
 
     Attributes
     ----------
     errors : list of (int, str)
         Line and message of each error so far; line 0 if the error concerns the whole file.
     unique_elements : dict of str to Element
-        The elements that a file contains only once, by their tags: "scene" (the root), "camera" and
+        The elements that occur only once in a file, by tag: "scene" (the root), "camera" and
         "image".
     intended_tags : set of (str or None)
         Tags that the author of the file probably meant by unknown children of the scene.  An
         element with such a tag is not reported as missing.
     empty_scene : Scene
-        A scene that has the size of the picture, but no content.
+        A scene without content, which stores the size of the picture.
     cameras, lights : Table
-        The cameras, of which a valid file has one, and the lights.
+        The cameras (a valid file has exactly one) and the lights.
     shaders, surfaces : dict of str to Table
-        The shaders and surfaces, by the value of the attribute `type`, such as "Sphere".
+        The shaders and surfaces, by the value of their attribute `type`, such as "Sphere".
     surface_indices : iterator of int
-        The indices of the surfaces that are still to be read.
+        Indices for the surfaces that have not been read yet.
     shader_indices : dict of str to int
-        For each name of a shader, the shader's index.  A shader gets its index when its name first
-        occurs, in a reference or in a definition.
+        The index of each named shader.  A shader gets its index when its name first occurs, in a
+        reference or in a definition.
     definition_lines : array of int
-        For each shader, the line that defines it; 0 if no definition has been read yet.  Shader 0
-        is the default shader, white.
+        For each shader, the line that defines it, or 0 if its definition has not been read yet.
+        Shader 0 is the default shader, white.
     """
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ class _Reader:
         self.definition_lines = array("i", [1])
 
     def report_at(self, line: int, tag: str, message: str) -> None:
-        """Add an error to the list of errors in the file.
+        """Add an error to the list of errors, at a line of the file.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class _Reader:
         self.report_at(element.line, element.tag, message)
 
     def read(self, file: IO[bytes]) -> None:
-        """Read a scene file into tables of numbers, and collect its errors in `errors`.
+        """Read a scene file into tables of numbers, and store its errors in the list `errors`.
 
         Parameters
         ----------
@@ -185,34 +185,35 @@ class _Reader:
         ------
         FatalError
             If the file is not well-formed XML, exceeds a limit, or has more than `MAX_ERRORS`
-            errors.  The errors before it have been collected.
+            errors.  Errors found before this one are in the list.
         """
         try:
             Parser(self.read_child, self.report_at).parse(file)
         finally:
             tables = self.cameras, self.lights, *self.shaders.values(), *self.surfaces.values()
-            # After too many errors, nothing more is reported, and the last row may be incomplete.
+            # After too many errors, the numbers are not checked: the last row may be incomplete.
             for table in tables if len(self.errors) < MAX_ERRORS else ():
                 for error in table.find_errors():
                     self.report_at(*error)
-        self.report_missing()
+        self.report_missing_elements()
         self.report_undefined_shaders()
 
     def read_child(self, element: Element) -> None:
         """Add a child of the root element to the tables; at the first call, check the root itself.
 
-        Errors are added to the list of errors.
+        Errors in the element are added to the list of errors.
 
         Parameters
         ----------
         element : Element
-            At the first call, the root without its children.  At each later call, the next child of
+            At the first call, the root without its children; at each later call, the next child of
             the root with all its descendants.
 
         Raises
         ------
         FatalError
-            If the root is not that of a scene file, or there are more than `MAX_ERRORS` errors.
+            If the root element is not that of a scene file, or there are more than `MAX_ERRORS`
+            errors.
         """
         tag = element.tag
         if tag == "surface" and self.unique_elements:
@@ -231,7 +232,7 @@ class _Reader:
             self.read_row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
             root = self.unique_elements["scene"]
-            self.intended_tags.add(self.report_unknown(element, root, _SCENE_TAGS))
+            self.intended_tags.add(self.report_unknown_element(element, root, _SCENE_TAGS))
 
     def read_root(self, element: Element) -> None:
         """Check and store the root element of the file.
@@ -244,7 +245,7 @@ class _Reader:
         Raises
         ------
         FatalError
-            If the tag is not "scene", or if there is an attribute `version`, as in Mitsuba's scene
+            If the tag is not "scene", or there is an attribute `version`, as in Mitsuba's scene
             files.
         """
         if element.tag != "scene":
@@ -252,22 +253,21 @@ class _Reader:
         if "version" in element.attrib:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
             raise FatalError(element.line, message)
-        self.report_attributes(element)
+        self.report_unknown_attributes(element)
         self.unique_elements["scene"] = element
 
     def read_image(self, element: Element) -> None:
         """Read the size of the picture from the element <image>, and store it in `empty_scene`.
 
-        If the element is invalid, its errors are added to the list of errors, and the size is not
-        stored.
+        If the element is invalid, its errors are added to the list of errors instead.
         """
         self.read_children(element, {})
-        number = r"\s*([-+]?\d{1,18})"
-        match = re.fullmatch(rf"{number}\s{number}\s*", element.text, re.ASCII)
+        number_pattern = r"\s*([-+]?\d{1,18})"
+        match = re.fullmatch(rf"{number_pattern}\s{number_pattern}\s*", element.text, re.ASCII)
         if match is None:
             text = element.text.strip()
-            needed = "needs two whole numbers, width and height, as in 640 480"
-            message = f"{needed}; has {quoted(text)}"
+            requirement = "needs two whole numbers, width and height, as in 640 480"
+            message = f"{requirement}; has {quoted(text)}"
             self.report(element, message if text.isascii() else explain_invalid_number(text))
             return
         try:
@@ -279,9 +279,9 @@ class _Reader:
     def read_surface(self, element: Element) -> None:
         """Add a surface to the table of all surfaces of its type.
 
-        The surface may contain a shader, or a reference to a shader.  References are checked when
-        the whole file has been read, because a shader can be defined after the surface.  Other
-        errors are added to the list of errors.
+        The surface may contain a shader or a reference to one.  Errors are added to the list of
+        errors, but references are not checked until the whole file has been read, because a shader
+        may be defined after the surface.
 
         Parameters
         ----------
@@ -290,8 +290,8 @@ class _Reader:
         """
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
-            # The children of a surface of unknown type are not checked, but may define shaders.
-            self.report_type(element, self.surfaces)
+            # If the type is unknown, the children are not checked, but shaders are still defined.
+            self.reject_type(element, self.surfaces)
             for child in element:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
@@ -302,7 +302,7 @@ class _Reader:
         table.shader_lines.append(0 if shader is None else shader.line)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table of all shaders of its type, and report the shader's errors.
+        """Add a shader to the table of all shaders of its type, and report errors in it.
 
         Parameters
         ----------
@@ -323,14 +323,14 @@ class _Reader:
         else:
             self.definition_lines[index] = element.line
         if table is None:
-            self.report_type(element, self.shaders, "name")
+            self.reject_type(element, self.shaders, "name")
         else:
             table.index.append(index)
             self.read_row(table, element, "name", "type")
         return index
 
     def read_shader_or_reference(self, element: Element) -> int:
-        """Read the element <shader> of a surface, which defines a shader or refers to one by name.
+        """Read the <shader> of a surface, which defines a shader or refers to one by name.
 
         Parameters
         ----------
@@ -355,12 +355,12 @@ class _Reader:
         return self.find_shader_index(name)
 
     def find_shader_index(self, name: str | None) -> int:
-        """Look up the index of a shader by its name; assign the next free index to a new name.
+        """Return the index of a shader by name; a new name gets the next free index.
 
         Parameters
         ----------
         name : str or None
-            Name of the shader; None for a shader without a name, which always gets a new index.
+            Name of the shader, or None for a shader without a name, which always gets a new index.
 
         Returns
         -------
@@ -374,7 +374,7 @@ class _Reader:
         return index
 
     def read_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Add the numbers of an element to a table as a new row, and report the element's errors.
+        """Add the numbers of an element to a table as a new row, and report errors in the element.
 
         Parameters
         ----------
@@ -383,13 +383,12 @@ class _Reader:
         element : Element
             A camera, light, shader or surface.
         *attributes : str
-            Names of the attributes that are allowed in the element.
+            Names of the attributes that the element may have.
 
         Returns
         -------
         children : dict of str to Element
-            The known children of the element, by the names of the dataclass fields that they
-            define.
+            The known children of the element, by the dataclass fields that they define.
         """
         children, intended_names = self.read_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
@@ -407,7 +406,7 @@ class _Reader:
     def read_children(
         self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
     ) -> tuple[dict[str, Element], set[str | None]]:
-        """Map the children of an element to the dataclass fields that they define.
+        """Find the child that defines each dataclass field, among the children of an element.
 
         Unknown attributes, unknown children and duplicate children are reported as errors.
 
@@ -416,26 +415,27 @@ class _Reader:
         element : Element
             The element.
         field_of_tag : mapping of str to str
-            For each tag that a child may have, the name of the dataclass field that it defines.
+            For each tag that a child may have, the name of the dataclass field that the child
+            defines.
         *attributes : str
-            Names of the attributes that are allowed in the element.
+            Names of the attributes that the element may have.
 
         Returns
         -------
         children : dict of str to Element
-            The known children, by the names of the fields that they define.
+            The known children, by the fields that they define.
         intended_names : set of (str or None)
             The names that the author of the file probably meant by unknown attributes and tags.
-            Contains None if the intended name of an attribute or tag is unclear.
+            It contains None if the meaning of an attribute or tag is unclear.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
-            intended_names = self.report_attributes(element, attributes, field_of_tag)
+            intended_names = self.report_unknown_attributes(element, attributes, field_of_tag)
         children: dict[str, Element] = {}
         for child in element:
             field_name = field_of_tag.get(child.tag)
             if field_name is None:
-                intended_names.add(self.report_unknown(child, element, field_of_tag))
+                intended_names.add(self.report_unknown_element(child, element, field_of_tag))
             elif field_name in children:
                 self.report_duplicate(child, children[field_name])
             else:
@@ -443,40 +443,40 @@ class _Reader:
         return children, intended_names
 
     def read_numbers(self, element: Element, validator: Numbers) -> list[float]:
-        """Parse the numbers in an element such as <center>, and report the element's errors.
+        """Parse the numbers in an element such as <center>, and report errors in the element.
 
         Parameters
         ----------
         element : Element
             The element.
         validator : Numbers
-            Validator of the dataclass field that the element defines.  It gives the required count
-            of numbers; the numbers are validated later.
+            Validator of the dataclass field that the element defines.  Only its count of numbers is
+            used here; the numbers are validated later.
 
         Returns
         -------
         numbers : list of float
-            The numbers.  After an error, a list of the required length that contains only NaN.
+            The numbers, or a list of NaN of the required length if they are invalid.
         """
         if element or element.attrib:
             self.read_children(element, {})
         numbers = parse_numbers(element.text, validator.count)
         if numbers:
             return numbers
-        words = re.findall("[^ \t\r\n]+", element.text)  # str.split() knows more white space
+        words = re.findall("[^ \t\r\n]+", element.text)  # str.split() accepts more white space
         invalid_words = [word for word in words[:_MAX_CHECKED_WORDS] if not parse_numbers(word, 1)]
         for word in invalid_words:
             self.report(element, explain_invalid_number(word))
         if not invalid_words and not element:
-            self.report(element, f"{validator.needed}, has {len(words)}")
+            self.report(element, f"{validator.requirement}, has {len(words)}")
         return [np.nan] * validator.count
 
     # Errors in elements and attributes
 
-    def report_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
+    def reject_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
         """Report that the attribute `type` of a shader or surface is missing or unknown.
 
-        Other unknown attributes are reported, too.
+        Unknown attributes are reported, too.
 
         Parameters
         ----------
@@ -485,19 +485,19 @@ class _Reader:
         tables : mapping of str to Table
             A table for each allowed type.
         *attributes : str
-            Names of the attributes that are allowed in the element, in addition to `type`.
+            Names of the attributes that the element may have in addition to `type`.
         """
-        intended_names = self.report_attributes(element, (*attributes, "type"))
+        intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
         if unknown_type is not None:
             remedy, _ = suggest_name(unknown_type, tables)
             self.report(element, f"unknown type {quoted(unknown_type)}; {remedy}")
         elif "type" not in intended_names:
-            choice = " or ".join(f'type="{known_type}"' for known_type in tables)
-            self.report(element, f"has no type; add {choice}")
+            choices = " or ".join(f'type="{known_type}"' for known_type in tables)
+            self.report(element, f"has no type; add {choices}")
 
-    def report_unknown(
-        self, element: Element, parent: Element, tags: Collection[str]
+    def report_unknown_element(
+        self, element: Element, parent: Element, allowed_tags: Collection[str]
     ) -> str | None:
         """Report a child element with an unknown tag.
 
@@ -507,38 +507,38 @@ class _Reader:
             The child.
         parent : Element
             The element that contains the child.
-        tags : collection of str
-            Tags of the children that are allowed in the parent.
+        allowed_tags : collection of str
+            Tags that children of the parent may have.
 
         Returns
         -------
-        intended : str or None
-            The tag that the author of the file probably meant; None if that is unclear.
+        intended_tag : str or None
+            The tag that the author of the file probably meant, or None if this is unclear.
         """
         if element.tag in _SCENE_TAGS:
-            remedy, intended = f"close the {parent.tag} of line {parent.line} first", None
+            remedy, intended_tag = f"close the {parent.tag} of line {parent.line} first", None
         else:
-            remedy, intended = suggest_tag(element.tag, tags)
-        place = shortened(parent.attrib.get("type", parent.tag))
-        self.report(element, f"unknown in {place}; {remedy}")
-        return intended
+            remedy, intended_tag = suggest_tag(element.tag, allowed_tags)
+        parent_type = shortened(parent.attrib.get("type", parent.tag))
+        self.report(element, f"unknown in {parent_type}; {remedy}")
+        return intended_tag
 
     def report_duplicate(self, element: Element, earlier: Element) -> None:
-        """Report that an element defines what an earlier element has already defined.
+        """Report an element that defines the same thing as an earlier element.
 
         Parameters
         ----------
         element : Element
             The later element.
         earlier : Element
-            The earlier element.  It may have another tag, because <intensity> and <color> have the
+            The earlier element.  Its tag may be different, because <intensity> and <color> have the
             same meaning.
         """
-        given = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
-        self.report(element, f"{given} already, in line {earlier.line}; keep one of the two")
+        description = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
+        self.report(element, f"{description} already, in line {earlier.line}; keep one of the two")
 
-    def report_attributes(
-        self, element: Element, allowed: Sequence[str] = (), child_tags: Collection[str] = ()
+    def report_unknown_attributes(
+        self, element: Element, allowed_names: Sequence[str] = (), child_tags: Collection[str] = ()
     ) -> set[str | None]:
         """Report all unknown attributes of an element.
 
@@ -546,44 +546,44 @@ class _Reader:
         ----------
         element : Element
             The element.
-        allowed : sequence of str
-            Names of the attributes that are allowed in the element.
+        allowed_names : sequence of str
+            Names of the attributes that the element may have.
         child_tags : collection of str
-            Tags of the children that are allowed in the element.  An unknown attribute with a
-            similar name is probably a child that was written as an attribute by mistake.
+            Tags that children of the element may have.  An unknown attribute with a similar name
+            was probably meant to be such a child.
 
         Returns
         -------
         intended_names : set of (str or None)
             The attribute names and child tags that the author of the file probably meant by unknown
-            attributes.  Contains None if the intended name of an attribute is unclear.
+            attributes.  It contains None if the meaning of an attribute is unclear.
         """
         intended_names: set[str | None] = set()
         for name, value in element.attrib.items():
-            if name in allowed:
+            if name in allowed_names:
                 continue
-            remedy, intended = suggest_tag(name, (*allowed, *child_tags))
-            if intended == "shader":
+            remedy, intended_name = suggest_tag(name, (*allowed_names, *child_tags))
+            if intended_name == "shader":
                 remedy = f'write <shader ref="{shortened(value)}"/> in it'
-            elif intended in child_tags:
-                remedy = f"write <{intended}>{shortened(value)}</{intended}> in it"
-            elif intended is None:
-                remedy, _ = suggest_name(name, allowed)
-            intended_names.add(intended)
+            elif intended_name in child_tags:
+                remedy = f"write <{intended_name}>{shortened(value)}</{intended_name}> in it"
+            elif intended_name is None:
+                remedy, _ = suggest_name(name, allowed_names)
+            intended_names.add(intended_name)
             self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
         return intended_names
 
     # From tables to a scene
 
-    def report_missing(self) -> None:
-        """Report a missing camera or image element, unless it is probably one that is misspelt."""
+    def report_missing_elements(self) -> None:
+        """Report that the camera or image is missing, unless its tag is probably misspelt."""
         for tag in ("camera", "image"):
             if tag not in self.unique_elements and tag not in self.intended_tags:
                 message = f"has no {tag}; add <{tag}> ... </{tag}>"
                 self.report(self.unique_elements["scene"], message)
 
     def report_undefined_shaders(self) -> None:
-        """Report each reference to a shader that the file does not define, with a suggested fix.
+        """Report each reference to an undefined shader, with a suggested fix.
 
         Call this after the whole file has been read.
         """
@@ -592,7 +592,7 @@ class _Reader:
             return
         name_of_index = {index: name for name, index in self.shader_indices.items()}
         defined = {name: lines[index] for index, name in name_of_index.items() if lines[index]}
-        lookalikes = {normalize("NFC", name): line for name, line in defined.items()}
+        line_of_normal_form = {normalize("NFC", name): line for name, line in defined.items()}
         remedies: dict[str, str] = {}
         for table in self.surfaces.values():
             for line, index in zip(table.shader_lines, table.shader_index, strict=True):
@@ -600,22 +600,22 @@ class _Reader:
                     continue
                 name = name_of_index[index]
                 if name not in remedies:
-                    is_searched = defined and len(remedies) < _MAX_SEARCHES
-                    remedies[name] = suggest_name(name, defined)[0] if is_searched else "define it"
-                    if lookalike_line := lookalikes.get(normalize("NFC", name)):
+                    can_search = defined and len(remedies) < _MAX_SEARCHES
+                    remedies[name] = suggest_name(name, defined)[0] if can_search else "define it"
+                    if lookalike_line := line_of_normal_form.get(normalize("NFC", name)):
                         remedies[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
                 message = f"no shader is named {quoted(name)}; {remedies[name]}"
                 self.report_at(line, "shader", message)
 
     def make_scene(self) -> Scene:
-        """Create the scene from the tables of its surfaces, shaders, lights and cameras.
+        """Create the scene from the tables of surfaces, shaders, lights and cameras.
 
         Call this only after the whole file has been read without errors.
 
         Returns
         -------
         scene : Scene
-            The content of the file.
+            The scene that the file describes.
         """
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shaders.values():

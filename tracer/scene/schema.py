@@ -55,7 +55,7 @@ class SceneError(ValueError):
 
 
 def raise_if_any(lines: Iterable[str]) -> None:
-    """Raise a `SceneError` with the given lines as its message; do nothing if there are none."""
+    """Raise a `SceneError` with the given lines as its message, unless there are no lines."""
     if message_lines := tuple(lines):
         raise SceneError(message_lines)
 
@@ -64,16 +64,16 @@ _Validator: TypeAlias = Callable[[Any, str], Any]
 
 
 def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
-    """Create the metadata of a dataclass field: how to validate it, and how to find it in XML.
+    """Create the metadata of a dataclass field: its validator, and its XML tags.
 
     Parameters
     ----------
     validator : callable
-        Called with a value and the name of the field.  It returns the value to store in the field,
-        or raises `SceneError`.
+        A function of a value and the name of the field.  It returns the value to store in the
+        field, or raises `SceneError`.
     *tags : str
-        Tags of the XML elements that can contain the value in a scene file.  Files are written with
-        the first tag.
+        Tags of the XML elements that can contain the value in a scene file.  The first tag is used
+        for writing files.
 
     Returns
     -------
@@ -86,8 +86,8 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 class Validated:
     """A base class of frozen dataclasses that validate their fields, first singly, then together.
 
-    A subclass gives each field a validator by `xml_field`.  It overrides `find_conflicts` if valid
-    values can contradict each other.  The constructor raises `SceneError` for invalid values.
+    A subclass gives each field a validator with `xml_field`.  It overrides `find_conflicts` if
+    valid values can contradict each other.  The constructor raises `SceneError` for invalid values.
     """
 
     __slots__ = ("__weakref__",)
@@ -102,44 +102,44 @@ class Validated:
                 except SceneError as error:
                     lines += error.lines
         raise_if_any(lines)
-        row = {name: np.array([getattr(self, name)], float) for name in number_validators(self)}
+        row = {name: np.array([getattr(self, name)], float) for name in get_number_validators(self)}
         raise_if_any(f"{name}: {message}" for _, name, message in self.find_conflicts(row))
 
     @classmethod
-    def find_conflicts(cls, columns: Mapping[str, Floats]) -> Iterable[tuple[int, str, str]]:
-        """Find objects whose values are valid one by one, but contradict each other.
+    def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterable[tuple[int, str, str]]:
+        """Find objects whose values are valid individually but contradict each other.
 
         Parameters
         ----------
-        columns : mapping of str to (n, count) float array
-            For each field name, the numbers of this field in n objects: one row per object, with
-            NaN where an object has no value.
+        field_arrays : mapping of str to (n, count) float array
+            The numbers of n objects, by the names of their fields: one row per object, with NaN
+            where an object has no value.
 
         Returns
         -------
         errors : iterable of (int, str, str)
-            For each error, the index of the object, the name of the field, and the message.  This
-            base class finds no errors.
+            For each error, the index of the object, the name of the field, and the message.  Empty
+            unless a subclass overrides this method.
         """
         return ()
 
 
 def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instance:
-    """Construct an object of a frozen dataclass from values that are known to be valid.
+    """Create an instance of a frozen dataclass from values that are known to be valid.
 
-    The constructor of the dataclass, which would validate the values, is not called.
+    The constructor is not called, because it would validate the values again.
 
     Parameters
     ----------
     dataclass : type
-        The class.
+        The class to instantiate.
     **values : object
-        The values of all fields, by the names of the fields.
+        The values of all fields, by field name.
 
     Returns
     -------
     instance : object of the class
-        The new object.
+        The new instance.
     """
     instance = object.__new__(dataclass)
     for name, value in values.items():
@@ -147,8 +147,8 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
     return instance
 
 
-# A function that tests which numbers in an array (n, count) are invalid, and the message about an
-# invalid number, in which {} stands for the number.
+# A function that tests which numbers in an array (n, count) are invalid, and a message about an
+# invalid number, with {} in place of the number.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
 _MAX_TEXT = format_number(_MAX_VALUE)
@@ -170,18 +170,18 @@ class Numbers:
     count : int
         Number of numbers in the field.
     *rules : (callable, str)
-        Each rule is a pair of a function that tests which numbers in an array are invalid, and the
-        message about an invalid number, in which {} stands for the number.
+        Each rule is a pair of a function that tests which numbers in an array are invalid, and a
+        message about an invalid number, with {} in place of the number.
 
     Attributes
     ----------
-    needed : str
-        The required number of numbers, for messages: "needs 3 numbers".
+    requirement : str
+        The required count, as a phrase for messages: "needs 3 numbers".
     """
 
     def __init__(self, count: int, *rules: _Rule) -> None:
         self.count, self.rules = count, rules
-        self.needed = f"needs {count} number{'s' * (count > 1)}"
+        self.requirement = f"needs {count} number{'s' * (count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
         """Validate the value of a field, and convert it to Python floats.
@@ -189,30 +189,30 @@ class Numbers:
         Parameters
         ----------
         value : array_like
-            The value, which must consist of `count` numbers.
+            The value, which must consist of the required count of numbers.
         name : str
             Name of the field, for messages.
 
         Returns
         -------
         numbers : tuple of float, or float
-            A tuple of `count` floats, or a single float if `count` is 1.
+            A single float if one number is required, otherwise a tuple.
 
         Raises
         ------
         SceneError
-            If the value has more or fewer numbers, or a number violates a rule of this validator.
+            If the count is wrong, or a number violates a rule of this validator.
         """
-        array = _float_array(value, name)
+        array = _copy_floats(value, name)
         if array.size != self.count or array.ndim > 1:
-            actual = f"shape {array.shape}" if array.ndim > 1 else array.size
-            raise SceneError([f"{name}: {self.needed}, has {actual}"])
+            actual_size = f"shape {array.shape}" if array.ndim > 1 else array.size
+            raise SceneError([f"{name}: {self.requirement}, has {actual_size}"])
         row = array.reshape(1, self.count)
         raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Floats:
-        """Copy the values of a field in many objects into an array, after checking its shape only.
+        """Copy the values that a field has in many objects into an array, checking only the shape.
 
         Parameters
         ----------
@@ -231,13 +231,13 @@ class Numbers:
         SceneError
             If the shape is wrong, or the values are not real numbers.
         """
-        array = _float_array(values, name)
+        array = _copy_floats(values, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
-            raise SceneError([f"{name}: {self.needed} in each row, has shape {array.shape}"])
+            raise SceneError([f"{name}: {self.requirement} in each row, has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
     def find_errors(self, values: Floats) -> Iterator[tuple[int, str]]:
-        """Find the rows of an array in which a number violates a rule of this validator.
+        """Find the rows of an array that violate a rule of this validator.
 
         Parameters
         ----------
@@ -249,15 +249,15 @@ class Numbers:
         index : int
             Index of a row with an invalid number.
         message : str
-            What is wrong with the row, according to the first violated rule.
+            What is wrong with the row; only the first violated rule is reported.
         """
-        messages: dict[int, str] = {}
-        for find_invalid, message in self.rules:
+        message_of_row: dict[int, str] = {}
+        for find_invalid, template in self.rules:
             is_invalid = find_invalid(values)
             for index in np.flatnonzero(is_invalid.any(axis=1)).tolist():
                 first_invalid = values[index, is_invalid[index]][0]
-                messages.setdefault(index, message.format(format_number(first_invalid)))
-        yield from messages.items()
+                message_of_row.setdefault(index, template.format(format_number(first_invalid)))
+        yield from message_of_row.items()
 
 
 POINT = Numbers(3, _FINITE, _NOT_LARGE, _NOT_SMALL)
@@ -267,7 +267,7 @@ LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
 EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
-def number_validators(dataclass: Any) -> dict[str, Numbers]:
+def get_number_validators(dataclass: Any) -> dict[str, Numbers]:
     """Return the validators of all numeric fields of a dataclass.
 
     Parameters
@@ -278,38 +278,38 @@ def number_validators(dataclass: Any) -> dict[str, Numbers]:
     Returns
     -------
     validators : dict of str to Numbers
-        For the name of each field that consists of numbers, its validator.
+        Maps the name of each field that consists of numbers to its validator.
     """
-    validators = {field.name: field.metadata.get("validator") for field in fields(dataclass)}
-    return {name: value for name, value in validators.items() if isinstance(value, Numbers)}
+    validators = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
+    return {name: validator for name, validator in validators if isinstance(validator, Numbers)}
 
 
 def find_errors(
-    dataclass: type[Validated], columns: Mapping[str, Floats]
+    dataclass: type[Validated], field_arrays: Mapping[str, Floats]
 ) -> Iterator[tuple[int, str, str]]:
-    """Find the invalid and contradictory numbers of many objects.
+    """Find invalid or contradictory numbers in many objects of one class.
 
     Parameters
     ----------
     dataclass : subclass of Validated
         The class of the objects.
-    columns : mapping of str to (n, count) float array
-        For each field name, the numbers of this field in n objects: one row per object, with NaN
-        where an object has no value.
+    field_arrays : mapping of str to (n, count) float array
+        The numbers of n objects, by the names of their fields: one row per object, with NaN where
+        an object has no value.
 
     Yields
     ------
     index : int
-        Index of an object with an error, from 0 to n - 1.
+        Index of the object with the error, from 0 to n - 1.
     name : str
-        Name of the field.
+        Name of the field with the error.
     message : str
         What is wrong, without the name of the field.
     """
-    for name, validator in number_validators(dataclass).items():
-        for index, message in validator.find_errors(columns[name]):
+    for name, validator in get_number_validators(dataclass).items():
+        for index, message in validator.find_errors(field_arrays[name]):
             yield index, name, message
-    yield from dataclass.find_conflicts(columns)
+    yield from dataclass.find_conflicts(field_arrays)
 
 
 def copy_integers(values: ArrayLike, name: str) -> NDArray[np.intp]:
@@ -332,7 +332,7 @@ def copy_integers(values: ArrayLike, name: str) -> NDArray[np.intp]:
     SceneError
         If a value is not a whole number.
     """
-    floats = _float_array(values, name).ravel()
+    floats = _copy_floats(values, name).ravel()
     with np.errstate(invalid="ignore"):
         integers = floats.astype(np.intp)
     if not np.array_equal(integers, floats):
@@ -340,7 +340,7 @@ def copy_integers(values: ArrayLike, name: str) -> NDArray[np.intp]:
     return integers
 
 
-def validate_pixel_count(value: int, name: str) -> int:
+def validate_picture_side(value: int, name: str) -> int:
     """Validate the width or height of a picture, and convert it to a Python int.
 
     Parameters
@@ -352,7 +352,7 @@ def validate_pixel_count(value: int, name: str) -> int:
 
     Returns
     -------
-    count : int
+    pixel_count : int
         The same number as a Python int.
 
     Raises
@@ -361,18 +361,18 @@ def validate_pixel_count(value: int, name: str) -> int:
         If the value is not an integer from 1 to `MAX_PIXELS`.
     """
     try:
-        count = int(operator.index(value))  # products of NumPy integers may overflow
+        pixel_count = int(operator.index(value))  # products of NumPy integers may overflow
     except TypeError:
         raise SceneError([f"{name}: must be an int, is {value!r}"]) from None
-    if not 1 <= count <= MAX_PIXELS:
-        # float() and str() refuse numbers of many digits.
-        actual = f", is {count}" if abs(count) < 1e18 else ""
-        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{actual}"])
-    return count
+    if not 1 <= pixel_count <= MAX_PIXELS:
+        # Python refuses to format numbers of many digits.
+        actual_value = f", is {pixel_count}" if abs(pixel_count) < 1e18 else ""
+        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{actual_value}"])
+    return pixel_count
 
 
 def list_validator(*types: type) -> _Validator:
-    """Return a function that validates the types of the objects in a list.
+    """Return a function that checks the types of all objects in a list.
 
     Parameters
     ----------
@@ -382,10 +382,10 @@ def list_validator(*types: type) -> _Validator:
     Returns
     -------
     validate : callable
-        Called with an iterable of objects and the name of a field, it returns the objects as a
-        tuple.  It raises `SceneError` if an object has another type.
+        A function of an iterable of objects and the name of a field.  It returns the objects as a
+        tuple, or raises `SceneError` if an object is of another type.
     """
-    allowed = " or ".join(each.__name__ for each in types)
+    allowed_types = " or ".join(allowed_type.__name__ for allowed_type in types)
 
     def validate(values: Iterable[object], name: str) -> tuple[object, ...]:
         try:
@@ -393,15 +393,16 @@ def list_validator(*types: type) -> _Validator:
         except TypeError:
             message = f"{name}: must be a list, is of type {type(values).__name__}"
             raise SceneError([message]) from None
-        wrong = dict.fromkeys(type(item).__name__ for item in items if not isinstance(item, types))
-        raise_if_any(f"{name}: must be of type {allowed}, is of type {other}" for other in wrong)
+        wrong_types = (type(item).__name__ for item in items if not isinstance(item, types))
+        requirement = f"{name}: must be of type {allowed_types}"
+        raise_if_any(f"{requirement}, is of type {other}" for other in dict.fromkeys(wrong_types))
         return items
 
     return validate
 
 
 def type_validator(*types: type) -> _Validator:
-    """Return a function that validates the type of an object.
+    """Return a function that checks the type of an object.
 
     Parameters
     ----------
@@ -411,14 +412,14 @@ def type_validator(*types: type) -> _Validator:
     Returns
     -------
     validate : callable
-        Called with an object and the name of a field, it returns the object.  It raises
-        `SceneError` if the object has another type.
+        A function of an object and the name of a field.  It returns the object, or raises
+        `SceneError` if the object is of another type.
     """
     validate_list = list_validator(*types)
     return lambda value, name: validate_list([value], name)[0]
 
 
-def _float_array(value: ArrayLike, name: str) -> Floats:
+def _copy_floats(value: ArrayLike, name: str) -> Floats:
     """Copy real numbers into a float64 array of the same shape.
 
     Parameters

@@ -28,7 +28,7 @@ _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
 
 def parse_numbers(text: str, count: int) -> list[float]:
-    """Parse a text that must consist of decimal numbers, separated by white space.
+    """Parse decimal numbers that are separated by white space.
 
     Parameters
     ----------
@@ -40,8 +40,9 @@ def parse_numbers(text: str, count: int) -> list[float]:
     Returns
     -------
     numbers : list of float
-        The numbers.  Empty if the text is invalid: if (1) a word is no decimal number, (2) there
-        are more or fewer than `count` words, or (3) float64 would round a nonzero number to 0.
+        The numbers, or an empty list if the text is invalid: if (1) a word is not a decimal number,
+        (2) there are more or fewer than `count` words, or (3) float64 would round a nonzero number
+        to 0.
     """
     words = text.split()
     try:
@@ -69,9 +70,10 @@ class Column:
     validator : Numbers
         Validator of the field, which defines how many numbers a row has.
     tags : tuple of str
-        Allowed tags of the elements; nearly all fields have only one.
+        Tags that the elements may have; nearly all fields have only one tag.
     default : object
-        Value of the field if the element is absent; `dataclasses.MISSING` if it is required.
+        Value of the field if the element is absent; `dataclasses.MISSING` if the element is
+        required.
     default_row : list of float
         The numbers of an absent element: those of the default, or NaN if it has no numbers.
     numbers : array of double
@@ -90,16 +92,16 @@ class Column:
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append the numbers of one more object, which are those in one XML element.
+        """Append a row: the numbers that one XML element gives for the next object.
 
         Parameters
         ----------
         numbers : list of float
-            The numbers in the element; if the element is absent, `default_row`.
+            The numbers in the element, or `default_row` if the element is absent.
         line : int
-            Line of the element in the file; if the element is absent, 0.
+            Line of the element in the file, or 0 if the element is absent.
         tag : str
-            Tag of the element; if the element is absent, any tag that it may have.
+            Tag of the element, or any of its allowed tags if the element is absent.
         """
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
@@ -109,14 +111,14 @@ class Column:
         """Copy the numbers of all n objects into a float array with one row per object."""
         return np.reshape(self.numbers, (-1, self.validator.count))
 
-    def field_values(self) -> Iterable[Any]:
-        """Return the value of the field for each row, as the constructor of the dataclass takes it.
+    def list_values(self) -> Iterable[Any]:
+        """Return the value of the field in each row, in the form that the dataclass stores.
 
         Returns
         -------
         values : iterable
-            For each row, a tuple of floats, or a float if the field consists of one number.  If the
-            element is absent in all rows, the default of the field for each row.
+            A tuple of floats for each row, or a float if the field consists of one number.  If the
+            element is absent in all rows, the field's default for each row.
         """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
@@ -125,7 +127,7 @@ class Column:
 
 
 class Table:
-    """The objects of one dataclass in a scene file: a table with one row for each object.
+    """A table of the objects of one dataclass in a scene file, with one row for each object.
 
     Parameters
     ----------
@@ -135,7 +137,8 @@ class Table:
     Attributes
     ----------
     field_of_tag : dict of str to str
-        For each XML tag that may occur inside an object's element, the name of the object's field.
+        For each XML tag that may occur inside an object's element, the name of the dataclass field
+        that it defines.
     columns : dict of str to Column
         The column of each field that consists of numbers, by the field's name.
     lines : array of int
@@ -144,7 +147,7 @@ class Table:
         In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
     shader_index, shader_lines : array of int
         In a table of surfaces: for each row, the index of the surface's shader, and the line of the
-        element <shader> in the surface.  Both are 0 if the surface has no such element.
+        surface's element <shader>.  Both are 0 if the surface has no such element.
     """
 
     def __init__(self, dataclass: type[schema.Validated]) -> None:
@@ -169,21 +172,21 @@ class Table:
     def find_errors(self) -> Iterator[tuple[int, str, str]]:
         """Find the invalid and contradictory numbers of all objects in the table.
 
-        Values with NaN are skipped: their errors were reported when the file was read.
+        Values that contain NaN are skipped: their errors were reported while the file was read.
 
         Yields
         ------
         line : int
-            Line of the file with the invalid number.
+            Line of the invalid number in the file.
         tag : str
             Tag of the element that contains the number.
         message : str
-            What is wrong, with the names of XML elements instead of fields.
+            What is wrong.  It names XML elements, not dataclass fields.
         """
-        numbers = self.to_arrays()
-        for row, name, message in schema.find_errors(self.dataclass, numbers):
+        field_arrays = self.to_arrays()
+        for row, name, message in schema.find_errors(self.dataclass, field_arrays):
             column = self.columns[name]
-            if not np.isnan(numbers[name][row]).any():
+            if not np.isnan(field_arrays[name][row]).any():
                 line = column.lines[row] or self.lines[row]
                 # For example, view_dir becomes viewDir.
                 message = re.sub("_([a-z])", lambda match: match[1].upper(), message)
@@ -197,9 +200,9 @@ class Table:
         Yields
         ------
         instance : object of the dataclass
-            The objects, in the order of the rows.
+            The next object; the objects are in the order of the rows.
         """
-        values = {name: column.field_values() for name, column in self.columns.items()}
+        values = {name: column.list_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):
             values["line"] = self.lines
         for row in zip(*values.values(), strict=True):

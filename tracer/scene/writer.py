@@ -24,15 +24,15 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
     scene : Scene
         The scene to write.
     target : str, bytes, path-like or binary file object
-        Path of the file, or a file that is open for writing.  An existing scene file at the path is
-        replaced when the new file is complete.
+        Path of the file, or a file that is open for writing.  An existing scene file at this path
+        is replaced when the new file is complete.
 
     Raises
     ------
     OSError
         If the file cannot be written, or a file that is not a scene exists at the path.
     """
-    lines = (line.encode() for line in _scene_lines(scene))
+    lines = (line.encode() for line in _format_scene(scene))
     if not isinstance(target, (str, bytes, os.PathLike)):
         target.writelines(lines)
         return
@@ -44,7 +44,7 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
 
 
 def _is_scene(path: str) -> bool:
-    """Test whether a file is a scene file of the tracer, by its root element alone.
+    """Test whether the root element of a file is that of a scene file.
 
     Mitsuba's scene files have the same root element, but with an attribute `version`.
 
@@ -56,7 +56,7 @@ def _is_scene(path: str) -> bool:
     Returns
     -------
     is_scene : bool
-        True if the root element is <scene> without a version.  False if the root is another
+        True if the root element is <scene> without the attribute `version`; False if it is another
         element, or the file is not XML.
 
     Raises
@@ -64,7 +64,7 @@ def _is_scene(path: str) -> bool:
     OSError
         If the file cannot be read.
     """
-    from xml.etree import ElementTree as ET  # only if a file is replaced: importing takes time
+    from xml.etree import ElementTree as ET  # only for an existing file: importing takes time
 
     with open(path, "rb") as file:
         try:
@@ -74,10 +74,10 @@ def _is_scene(path: str) -> bool:
     return root.tag == "scene" and "version" not in root.attrib
 
 
-def _scene_lines(scene: Scene) -> Iterator[str]:
+def _format_scene(scene: Scene) -> Iterator[str]:
     """Format a scene as XML.
 
-    Each shader is written once, before the surfaces, which refer to it by a name.
+    Each shader is written once, before the surfaces, which refer to it by name.
 
     Parameters
     ----------
@@ -90,22 +90,22 @@ def _scene_lines(scene: Scene) -> Iterator[str]:
         The next line or lines of the file, with line breaks.
     """
     surfaces = scene.surfaces
-    yield f"<scene>\n  <camera>{_number_elements(scene.camera)} </camera>\n"
+    yield f"<scene>\n  <camera>{_format_numbers(scene.camera)} </camera>\n"
     yield f"  <image>{scene.width} {scene.height}</image>\n"
     for light in scene.lights:
-        yield f"  <light>{_number_elements(light)} </light>\n"
+        yield f"  <light>{_format_numbers(light)} </light>\n"
     for index in np.unique(surfaces.shader_index).tolist():
         shader = surfaces.shaders[index]
         start_tag = f'<shader name="shader{index}" type="{type(shader).__name__}">'
-        yield f"  {start_tag}{_number_elements(shader)} </shader>\n"
-    shader_index = surfaces.shader_index[surfaces.file_order]
+        yield f"  {start_tag}{_format_numbers(shader)} </shader>\n"
+    shader_index = surfaces.shader_index[surfaces.array_index]
     for index, surface in zip(shader_index, surfaces, strict=True):
         yield f'  <surface type="{type(surface).__name__}">\n    <shader ref="shader{index}"/>\n'
-        yield f"   {_number_elements(surface)}\n  </surface>\n"
+        yield f"   {_format_numbers(surface)}\n  </surface>\n"
     yield "</scene>\n"
 
 
-def _number_elements(scene_object: Any) -> str:
+def _format_numbers(scene_object: Any) -> str:
     """Format the numbers of a camera, light, shader or surface as XML elements.
 
     Parameters
@@ -118,10 +118,10 @@ def _number_elements(scene_object: Any) -> str:
     text : str
         One element for each field, all on one line, such as " <center>0 0 0</center>".
     """
-    texts = {
+    text_of_tag = {
         field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
         for field in fields(scene_object)
         if isinstance(field.metadata.get("validator"), Numbers)
         and (value := getattr(scene_object, field.name)) is not None
     }
-    return "".join(f" <{tag}>{text}</{tag}>" for tag, text in texts.items())
+    return "".join(f" <{tag}>{text}</{tag}>" for tag, text in text_of_tag.items())
