@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from running import run, start_process, workers_of
+from running import peak_memory, run, start_process, workers_of
 from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
@@ -172,6 +172,17 @@ def test_one_picture(tmp_path: Path, compare: Compare) -> None:
     assert compare(dark, right)[1][1] == "Light is half as bright as it should be."
     assert compare(dark, right, "-o", tmp_path / "new" / "c.png")[0] == 1
     assert (tmp_path / "new" / "c.png").exists()
+
+
+@pytest.mark.slow
+def test_a_large_picture_is_compared_in_limited_memory(tmp_path: Path) -> None:
+    """Through JPEG, all pixels are compared, and the page and the comparison picture show them."""
+    scene, size = tmp_path / "large.xml", "<image>2400 2400</image>"
+    scene.write_text(SCENE.read_text().replace("<image>300 300</image>", size))
+    picture = save(tmp_path / "a.jpg", to_codes(render(load_scene(scene))), quality=90)
+    arguments = picture, scene, "-o", tmp_path / "out.png", "--html", tmp_path / "page.html"
+    command = sys.executable, "-m", "reference.compare", *map(str, arguments)
+    assert peak_memory(*command) < 600  # MB
 
 
 @pytest.mark.parametrize(("share", "status"), [(0.008, 0), (0.02, 1)])
