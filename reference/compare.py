@@ -227,7 +227,7 @@ def _compare_with_progress_bar(
 def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
     """Return a key that sorts results: pictures by their paths, then missing ones by student.
 
-    Scenes of which no student has handed in a picture come last.
+    Scenes without any picture come last.
 
     Parameters
     ----------
@@ -294,9 +294,8 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
         Both pictures, as the HTML page needs them.  None if no page is requested, if the sizes
         differ, or if the picture cannot be compared.
     """
-    picture_name, reference_name = (
-        str(p) if p else None for p in (hand_in.picture, hand_in.reference)
-    )
+    paths = hand_in.picture, hand_in.reference
+    picture_name, reference_name = (str(path) if path else None for path in paths)
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
     missing_name = Path(hand_in.student, hand_in.scene) if hand_in.student else reference_name
     where = picture_name or str(missing_name)

@@ -190,8 +190,7 @@ def write_comparison(
     left_codes, right_codes : (height, width, 3) uint8 arrays
         8-bit codes of the two pictures.
     difference : (height, width) float32 array
-        For each pixel, by how much the left picture is brighter, in linear radiance; negative if
-        it is darker.
+        For each pixel, the difference in linear radiance; positive if the left picture is brighter.
     labels : (str, str)
         Titles of the two pictures.  Long titles are cut off.
 
@@ -246,8 +245,8 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     Parameters
     ----------
     difference : (height, width) float32 array
-        For each pixel, by how much the first picture is brighter than the second, in linear
-        radiance; negative if it is darker.
+        For each pixel, the difference in linear radiance; positive if the first picture is
+        brighter.
 
     Returns
     -------
