@@ -22,10 +22,9 @@ four, products with Z, rounding errors) to the radius, with its largest absolute
 Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  A product of
 enclosures adds at most three products to each coefficient, and its radius consists of products of
 sums of at most seven terms.  So its rounding error is less than 30 e times the sum of all
-|a_i b_j|.  Its radius is widened by
-`ROUNDING`, which is 900 e, times this sum.  Sums of enclosures, and products of an enclosure with a
-number, err by e of each coefficient and widen nothing: at most four of them follow a product, whose
-widening of 900 e covers them.
+|a_i b_j|.  Its radius is widened by `ROUNDING`, which is 900 e, times this sum.  Sums of
+enclosures, and products of an enclosure with a number, err by e of each coefficient and widen
+nothing: at most four of them follow a product, whose widening of 900 e covers them.
 """
 
 from __future__ import annotations
