@@ -634,11 +634,11 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
         If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
     result = check(path, options.variant, options.flavour)
-    tracer_codes, mitsuba_codes = to_codes(result.tracer), to_codes(result.mitsuba.image)
+    pair = to_codes(result.tracer), to_codes(result.mitsuba.image)
     difference = largest_difference(result.tracer - result.mitsuba.image)
     labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
     with errors_as_failure(comparison_path, "written", OTHER_NAME):
-        write_comparison(comparison_path, tracer_codes, mitsuba_codes, difference, labels)
+        write_comparison(comparison_path, pair, difference, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {comparison_path}"))
     return result

@@ -367,6 +367,6 @@ def _compare_files(
         labels = printable(picture_path.name), printable(reference_path.name)
         with errors_as_failure(output, "written", OTHER_NAME, error_types=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, picture.codes, solution.codes, difference, labels)
+            write_comparison(output, (picture.codes, solution.codes), difference, labels)
         result = result._replace(comparison=str(output))
     return result, pair

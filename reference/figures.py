@@ -173,11 +173,7 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
 
 
 def write_comparison(
-    path: str | Path,
-    left_codes: Codes,
-    right_codes: Codes,
-    difference: Differences,
-    labels: tuple[str, str],
+    path: str | Path, pair: tuple[Codes, Codes], difference: Differences, labels: tuple[str, str]
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
@@ -187,12 +183,12 @@ def write_comparison(
     ----------
     path : str or Path
         The file to write.  Only an existing PNG file is replaced.
-    left_codes, right_codes : (height, width, 3) uint8 arrays
-        8-bit codes of the two pictures.
+    pair : tuple of two (height, width, 3) uint8 arrays
+        8-bit codes of the left and the right picture.
     difference : (height, width) float32 array
         For each pixel, the difference in linear radiance; positive if the left picture is brighter.
-    labels : (str, str)
-        Titles of the two pictures.  Long titles are cut off.
+    labels : tuple of two str
+        Titles of the left and the right picture.  Long titles are cut off.
 
     Raises
     ------
@@ -208,8 +204,8 @@ def write_comparison(
     panel_height = zoom * height + 2 * _LABEL_HEIGHT
     size = 3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
-    pictures = (left_codes, right_codes, difference_codes)
-    for k, (codes, title, legend) in enumerate(zip(pictures, titles, legends, strict=True)):
+    columns = zip((*pair, difference_codes), titles, legends, strict=True)
+    for k, (codes, title, legend) in enumerate(columns):
         panel = Image.new("RGB", (panel_width, panel_height), _PAPER_COLOR)
         draw = ImageDraw.Draw(panel)
         draw.text((0, 0), title, fill=_INK_COLOR, font=font)

@@ -91,7 +91,7 @@ def test_comparison_shows_sign_and_size(width: int, tmp_path: Path) -> None:
     a[:, 200:] -= 0.02
     a[19, 150] += 0.4
     difference, labels = largest_difference(a - b), ("A" * 200, "B")
-    write_comparison(tmp_path / "out.png", to_codes(a), to_codes(b), difference, labels)
+    write_comparison(tmp_path / "out.png", (to_codes(a), to_codes(b)), difference, labels)
     shown = read_picture(tmp_path / "out.png").codes
     # A long name stays in its column.
     assert (shown[:32, width + 8 : width + 16] == 250).all()
