@@ -15,6 +15,7 @@ cell.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -322,9 +323,60 @@ class CellSurfaces(NamedTuple):
             ray, inverse_t = self.trace_rays(visible_index[batch])
             hidden_inverse_t = hidden_depth.take(batch).evaluate(ray)
             yield self.cell[visible_index[batch]], inverse_t - hidden_inverse_t
-        # A crease of a box may be hidden although its other face is visible in the cell.
-        is_close |= hidden_hits.prepared.is_eye_inside[hidden_hits.hit_object]
-        yield from self._edges_with_faces(hidden_hits, visible_index, is_close)
+        yield from self._intersections_with_other_faces(hidden_hits, visible_index, is_close)
+
+    def _intersections_with_other_faces(
+        self, hidden_hits: Hits, visible_index: Ints, is_close: Bools
+    ) -> Iterator[EdgeValues]:
+        """Yield the edges where visible surfaces of cells may meet other faces of hidden boxes.
+
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  Behind
+        it, the same ray has a hidden hit on a face of a box.  A crease between this face and
+        another face of the box may be hidden as well, so the other face may be visible in the cell
+        although no sample hits it.  The face of the hidden hit is one of those tested, so its edge
+        may be yielded a second time.
+
+        Parameters
+        ----------
+        hidden_hits : Hits
+            The n hidden hits.  Hits on spheres are skipped.
+        visible_index : (n,) int array
+            Index of the visible hit on the same ray as each hidden hit.
+        is_close : (n,) bool array
+            Whether the face of the hidden hit may meet the visible surface in the cell.  Other hits
+            are skipped, except for those on boxes that contain the eye.
+
+        Yields
+        ------
+        cell : (k,) int array
+            Index of the cell of each edge.
+        values : (6, k) float array
+            Values of the edge function (a smooth function that is zero at the edge) at six points
+            of the cell: the centre; the centres of the right, left, lower and upper side; and the
+            lower right corner.  The function is the difference of 1 / t of the visible surface and
+            the face, where a ray meets each of them at t times the ray.
+        """
+        prepared, hit_object = hidden_hits.prepared, hidden_hits.hit_object
+        frame, boxes = prepared.frame, prepared.boxes
+        angle = _half_diagonal(frame, self.cell_width)
+        is_candidate = is_close | prepared.is_eye_inside[hit_object]
+        on_box = indices(is_candidate & boxes.objects.contains(hit_object))
+        hit_object, visible = hit_object[on_box], visible_index[on_box]
+        from_eye, distance = take3(hidden_hits.from_eye, on_box), hidden_hits.distance[on_box]
+        visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
+        box_index = boxes.objects.positions(hit_object)
+        is_eye_inside = prepared.is_eye_inside[hit_object]
+        for axis in range(3):
+            height = frame.scene_component(from_eye, axis)
+            low, high = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
+            is_high = is_eye_inside == (height > 0)
+            face_height = np.where(is_high, high, low) - frame.eye[axis]
+            # The ray meets the plane of the face at this factor times the hidden hit.
+            factor = face_height / height
+            radius, n_dot_v = factor * from_eye[2] * angle, np.abs(height) / distance
+            max_gap = footprint + _footprint_on_face(radius, n_dot_v, angle)
+            is_near = np.abs(factor * distance - visible_distance) <= max_gap
+            yield from self._intersections_with_planes(axis, visible, face_height, is_near)
 
     def creases(self) -> Iterator[EdgeValues]:
         """Yield the creases near hits: the edges between two visible faces of the same box.
@@ -341,27 +393,41 @@ class CellSurfaces(NamedTuple):
             lower right corner.  The function is the difference of 1 / t of the two faces, where a
             ray meets each of them at t times the ray.
         """
-        every_hit = np.arange(self.cell.size)
-        is_candidate = np.ones(self.cell.size, dtype=np.bool_)
-        return self._edges_with_faces(self.hits, every_hit, is_candidate)
+        prepared, frame = self.hits.prepared, self.hits.prepared.frame
+        corners = prepared.boxes.min_pt, prepared.boxes.max_pt
+        for group, axis in product(self.hits.groups, range(3)):
+            is_other_face = group.face != axis
+            if not group.shape.is_planar or not np.any(is_other_face):
+                continue
+            hit_index = np.arange(group.interval.start, group.interval.stop)
+            height = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
+            box_index = prepared.boxes.objects.positions(group.run_object)
+            for corner, sign in zip(corners, (-1, 1), strict=True):
+                run_height = corner[axis, box_index] - frame.eye[axis]
+                is_visible = prepared.is_eye_inside[group.run_object] | (sign * run_height < 0)
+                is_visible = group.repeat_runs(is_visible & is_other_face)
+                face_height = group.repeat_runs(run_height)
+                is_near = np.abs(height - face_height) < self.footprint[group.interval]
+                is_near &= is_visible
+                yield from self._intersections_with_planes(axis, hit_index, face_height, is_near)
 
-    def _edges_with_faces(
-        self, box_hits: Hits, visible_index: Ints, is_candidate: Bools
+    def _intersections_with_planes(
+        self, axis: int, hit_index: Ints, face_height: Floats, is_near: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where the visible surfaces of cells may meet faces of boxes.
+        """Yield the edges where visible surfaces of cells may meet planes of box faces.
 
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The ray
-        through this hit also hits a box: the visible object itself, or one behind it.  Other faces
-        of the box may be visible in the cell although no sample hits them.
+        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
 
         Parameters
         ----------
-        box_hits : Hits
-            The n hits on the boxes.  Hits on spheres are skipped.
-        visible_index : (n,) int array
-            Index of the visible hit on the same ray as each hit.
-        is_candidate : (n,) bool array
-            Whether to search for edges with the faces of the hit's box.
+        axis : int
+            Axis of the scene to which all planes are perpendicular: 0, 1 or 2.
+        hit_index : (n,) int array
+            For each of n pairs, the index of the visible hit.
+        face_height : (n,) float array
+            Coordinate of each pair's plane along the axis, minus that of the eye.
+        is_near : (n,) bool array
+            Whether the plane may meet the visible surface in the cell.  Other pairs are skipped.
 
         Yields
         ------
@@ -371,34 +437,12 @@ class CellSurfaces(NamedTuple):
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
             lower right corner.  The function is the difference of 1 / t of the visible surface and
-            the face, where a ray meets each of them at t times the ray.
+            the plane, where a ray meets each of them at t times the ray.
         """
-        prepared, hit_object = box_hits.prepared, box_hits.hit_object
-        frame, boxes = prepared.frame, prepared.boxes
-        angle = _half_diagonal(frame, self.cell_width)
-        on_box = indices(is_candidate & boxes.objects.contains(hit_object))
-        hit_object, visible = hit_object[on_box], visible_index[on_box]
-        from_eye, distance = take3(box_hits.from_eye, on_box), box_hits.distance[on_box]
-        # If the visible hit is on the box, its face has no edge with itself.
-        is_same_box = self.hits.hit_object[visible] == hit_object
-        visible_face = np.where(is_same_box, self.hits.hit_face[visible], -1)
-        visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
-        box_index = boxes.objects.positions(hit_object)
-        is_eye_inside = prepared.is_eye_inside[hit_object]
-        for axis in range(3):
-            height = frame.scene_component(from_eye, axis)
-            low, high = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
-            is_high = is_eye_inside == (height > 0)
-            face_height = np.where(is_high, high, low) - frame.eye[axis]
-            # The ray meets the plane of the face at this factor times the hit.
-            factor = face_height / height
-            radius, n_dot_v = factor * from_eye[2] * angle, np.abs(height) / distance
-            max_gap = footprint + _footprint_on_face(radius, n_dot_v, angle)
-            is_near = np.abs(factor * distance - visible_distance) <= max_gap
-            for batch in index_batches(indices(is_near & (visible_face != axis))):
-                ray, inverse_t = self.trace_rays(visible[batch])
-                face_inverse_t = frame.scene_component(ray, axis) / face_height[batch]
-                yield self.cell[visible[batch]], inverse_t - face_inverse_t
+        for batch in index_batches(indices(is_near)):
+            ray, inverse_t = self.trace_rays(hit_index[batch])
+            face_component = self.hits.prepared.frame.scene_component(ray, axis)
+            yield self.cell[hit_index[batch]], inverse_t - face_component / face_height[batch]
 
     def shadow_silhouettes(
         self, light_position: Floats, edge_triples: Ints
