@@ -69,7 +69,7 @@ def parse_tolerance(text: str) -> float:
     with suppress(ValueError):
         if (number := float(text)) >= 0:
             return number
-    raise argparse.ArgumentTypeError(f"must be 0 or more, is {text}")
+    raise argparse.ArgumentTypeError(f"must be 0 or more, not {text}")
 
 
 def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:

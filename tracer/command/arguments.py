@@ -101,7 +101,7 @@ def parse_positive_int(argument: str) -> int:
     """
     if not re.fullmatch("[1-9][0-9]{0,8}", argument):
         rule = "must be a whole number from 1 to 999999999"
-        raise argparse.ArgumentTypeError(f"{rule}, is {argument!r}")
+        raise argparse.ArgumentTypeError(f"{rule}, not {argument!r}")
     return int(argument)
 
 

@@ -142,7 +142,7 @@ def _int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
     def parse(argument: str) -> tuple[int, ...]:
         match = re.fullmatch(pattern, argument)
         if match is None:
-            raise argparse.ArgumentTypeError(f"must be {rule}, is {argument!r}")
+            raise argparse.ArgumentTypeError(f"must be {rule}, not {argument!r}")
         return tuple(int(digits) for digits in match.groups() if digits is not None)
 
     return parse

@@ -141,7 +141,7 @@ def render(
     if not isinstance(scene, Scene):
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
     if not (executor is None or callable(getattr(executor, "submit", None))):
-        raise TypeError(f"executor must be a concurrent.futures.Executor, is {executor!r}")
+        raise TypeError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
     job = RenderJob(scene, samples, offset)
     if job.seconds < MIN_SHARED_SECONDS:
         executor = None
@@ -250,9 +250,9 @@ def _samples_per_side(samples: SupportsIndex) -> int:
     try:
         sample_count = int(operator.index(samples))  # NumPy integers overflow
     except TypeError:
-        raise TypeError(f"samples must be an int, is {samples!r}") from None
+        raise TypeError(f"samples must be an int, not {samples!r}") from None
     if sample_count < 1:
-        raise ValueError(f"samples must be at least 1, is {sample_count}")
+        raise ValueError(f"samples must be at least 1, not {sample_count}")
     if sample_count > _MAX_SAMPLES:
         raise ValueError(f"samples must be at most {_MAX_SAMPLES}")
     return isqrt(sample_count - 1) + 1
@@ -299,7 +299,7 @@ class RenderJob:
         self._per_side = _samples_per_side(samples)
         shift = np.asarray(offset, dtype=np.float64)
         if shift.shape != (2,) or not np.isfinite(shift).all():
-            raise ValueError(f"offset must be two finite numbers, is {offset!r}")
+            raise ValueError(f"offset must be two finite numbers, not {offset!r}")
         right, down = shift.tolist()
         self.prepared = PreparedScene(scene, (right, down))
         is_antialiased = self._per_side > 1

@@ -148,7 +148,7 @@ class Parser:
         self.expat.StartDoctypeDeclHandler = self._handle_doctype
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a whole scene file, and pass each child of its root element to `read_child`.
+        """Parse a whole scene file, and call `read_child` for each child of its root element.
 
         Each parser can parse only one file.
 
@@ -275,7 +275,7 @@ class Parser:
         else:
             self.descendant_count = 0
         if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_DESCENDANTS:
-            child = open_elements[:2][-1]
+            child = open_elements[:2][-1]  # the child of the root, or the root itself
             remedy = f"close <{shortened(child.tag)}> of line {child.line} earlier, or remove it"
             message = f"more than {MAX_DESCENDANTS} elements or attributes in it; {remedy}"
             raise FatalError(element.line, f"{shortened(child.tag)}: {message}")

@@ -382,7 +382,7 @@ class Surfaces(Sequence[Sphere | Box]):
         shader_index, shader_count = self.shader_index, len(self.shaders)
         is_invalid = (shader_index < 0) | (shader_index >= shader_count)
         for invalid_index in shader_index[is_invalid].tolist()[:1]:
-            yield f"shader_index: must be indices of {shader_count} shaders, has {invalid_index}"
+            yield f"shader_index: must be indices of {shader_count} shaders, not {invalid_index}"
         surface_count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(surface_count)):
             yield f"file_index: must be a permutation of 0 ... {surface_count - 1}"

@@ -90,8 +90,7 @@ def load_scene(source: FileOrPath) -> Scene:
         reader.errors.append((0, f"cannot be read: {reason}; check the path and its permissions"))
     if not reader.errors:
         return reader.make_scene()
-    # Text from the file must not add lines to the message, or send control characters to the
-    # terminal.
+    # `printable` escapes line breaks and control characters, which may come from the file.
     raise SceneFileError(
         printable(f"{file_name or repr(file_name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.errors, key=lambda error: error[0])
@@ -174,7 +173,9 @@ class _Reader:
         self.report_at(element.line, element.tag, message)
 
     def read(self, file: IO[bytes]) -> None:
-        """Read a scene file into tables of numbers, and store its errors in the list `errors`.
+        """Read a scene file into the tables of cameras, lights, shaders and surfaces.
+
+        Errors in the file are added to the list `errors`.
 
         Parameters
         ----------
@@ -199,15 +200,15 @@ class _Reader:
         self.report_undefined_shaders()
 
     def read_child(self, element: Element) -> None:
-        """Add a child of the root element to the tables; at the first call, check the root itself.
+        """Read the root element at the first call, and one of its children at each later call.
 
-        Errors in the element are added to the list of errors.
+        A child becomes a row in the table of cameras, lights, shaders or surfaces.  Its errors are
+        added to the list of errors.
 
         Parameters
         ----------
         element : Element
-            At the first call, the root without its children; at each later call, the next child of
-            the root with all its descendants.
+            The root without its children, or a child of the root with all its descendants.
 
         Raises
         ------
@@ -277,7 +278,7 @@ class _Reader:
                 self.report(element, line)
 
     def read_surface(self, element: Element) -> None:
-        """Add a surface to the table of all surfaces of its type.
+        """Add a surface to the table for its type, such as "Sphere".
 
         The surface may contain a shader or a reference to one.  Errors are added to the list of
         errors, but references are not checked until the whole file has been read, because a shader
@@ -290,7 +291,7 @@ class _Reader:
         """
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
-            # If the type is unknown, the children are not checked, but shaders are still defined.
+            # The children are not checked, but shaders among them are still defined.
             self.reject_type(element, self.surfaces)
             for child in element:
                 if child.tag == "shader":
@@ -302,7 +303,7 @@ class _Reader:
         table.shader_lines.append(0 if shader is None else shader.line)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table of all shaders of its type, and report errors in it.
+        """Add a shader to the table for its type, and report the shader's errors.
 
         Parameters
         ----------
@@ -312,14 +313,14 @@ class _Reader:
         Returns
         -------
         index : int
-            Index of the shader among all shaders.
+            Index of the shader in the list of all shaders.
         """
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
         index = self.find_shader_index(name)
         if name is not None and self.definition_lines[index]:
-            earlier = f"the shader in line {self.definition_lines[index]}"
-            self.report(element, f"the name {quoted(name)} is taken by {earlier}; choose another")
+            owner = f"the shader in line {self.definition_lines[index]}"
+            self.report(element, f"the name {quoted(name)} is taken by {owner}; choose another")
         else:
             self.definition_lines[index] = element.line
         if table is None:
@@ -340,7 +341,7 @@ class _Reader:
         Returns
         -------
         index : int
-            Index of the shader among all shaders.
+            Index of the shader in the list of all shaders.
         """
         name = element.attrib.get("ref")
         if name is not None:
@@ -355,7 +356,7 @@ class _Reader:
         return self.find_shader_index(name)
 
     def find_shader_index(self, name: str | None) -> int:
-        """Return the index of a shader by name; a new name gets the next free index.
+        """Return the index of a named shader, and assign the next free index to a new name.
 
         Parameters
         ----------
@@ -365,7 +366,7 @@ class _Reader:
         Returns
         -------
         index : int
-            Index of the shader among all shaders.
+            Index of the shader in the list of all shaders.
         """
         new_index = len(self.definition_lines)
         index = new_index if name is None else self.shader_indices.setdefault(name, new_index)
@@ -388,7 +389,7 @@ class _Reader:
         Returns
         -------
         children : dict of str to Element
-            The known children of the element, by the dataclass fields that they define.
+            Maps the name of each dataclass field to the child of the element that defines it.
         """
         children, intended_names = self.read_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
@@ -406,7 +407,7 @@ class _Reader:
     def read_children(
         self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
     ) -> tuple[dict[str, Element], set[str | None]]:
-        """Find the child that defines each dataclass field, among the children of an element.
+        """Find out which child of an element defines which dataclass field.
 
         Unknown attributes, unknown children and duplicate children are reported as errors.
 
@@ -415,15 +416,14 @@ class _Reader:
         element : Element
             The element.
         field_of_tag : mapping of str to str
-            For each tag that a child may have, the name of the dataclass field that the child
-            defines.
+            Maps each tag that a child may have to the name of the field that the child defines.
         *attributes : str
             Names of the attributes that the element may have.
 
         Returns
         -------
         children : dict of str to Element
-            The known children, by the fields that they define.
+            Maps the name of each field to the child that defines it.
         intended_names : set of (str or None)
             The names that the author of the file probably meant by unknown attributes and tags.
             It contains None if the meaning of an attribute or tag is unclear.
@@ -458,7 +458,7 @@ class _Reader:
         numbers : list of float
             The numbers, or a list of NaN of the required length if they are invalid.
         """
-        if element or element.attrib:
+        if element or element.attrib:  # children and attributes are errors here
             self.read_children(element, {})
         numbers = parse_numbers(element.text, validator.count)
         if numbers:
@@ -468,13 +468,13 @@ class _Reader:
         for word in invalid_words:
             self.report(element, explain_invalid_number(word))
         if not invalid_words and not element:
-            self.report(element, f"{validator.requirement}, has {len(words)}")
+            self.report(element, f"{validator.requirement}, but has {len(words)}")
         return [np.nan] * validator.count
 
     # Errors in elements and attributes
 
     def reject_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
-        """Report that the attribute `type` of a shader or surface is missing or unknown.
+        """Report that the type of a shader or surface is missing or unknown.
 
         Unknown attributes are reported, too.
 
@@ -523,19 +523,19 @@ class _Reader:
         self.report(element, f"unknown in {parent_type}; {remedy}")
         return intended_tag
 
-    def report_duplicate(self, element: Element, earlier: Element) -> None:
+    def report_duplicate(self, element: Element, original: Element) -> None:
         """Report an element that defines the same thing as an earlier element.
 
         Parameters
         ----------
         element : Element
             The later element.
-        earlier : Element
+        original : Element
             The earlier element.  Its tag may be different, because <intensity> and <color> have the
             same meaning.
         """
-        description = "given" if earlier.tag == element.tag else f"{earlier.tag} is given"
-        self.report(element, f"{description} already, in line {earlier.line}; keep one of the two")
+        description = "given" if original.tag == element.tag else f"{original.tag} is given"
+        self.report(element, f"{description} already, in line {original.line}; keep one of the two")
 
     def report_unknown_attributes(
         self, element: Element, allowed_names: Sequence[str] = (), child_tags: Collection[str] = ()
@@ -576,7 +576,7 @@ class _Reader:
     # From tables to a scene
 
     def report_missing_elements(self) -> None:
-        """Report that the camera or image is missing, unless its tag is probably misspelt."""
+        """Report a missing camera or image, unless its tag was probably misspelt."""
         for tag in ("camera", "image"):
             if tag not in self.unique_elements and tag not in self.intended_tags:
                 message = f"has no {tag}; add <{tag}> ... </{tag}>"
@@ -587,7 +587,7 @@ class _Reader:
 
         Call this after the whole file has been read.
         """
-        lines = self.definition_lines
+        lines = self.definition_lines  # 0 if a shader is undefined
         if 0 not in lines:
             return
         name_of_index = {index: name for name, index in self.shader_indices.items()}

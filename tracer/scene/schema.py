@@ -157,8 +157,8 @@ _FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
 _NOT_LARGE: _Rule = (lambda x: abs(x) > _MAX_VALUE, f"{{}} is too large; {_LIMITS}")
 _NOT_HUGE: _Rule = (lambda x: x > _MAX_VALUE, f"{{}} is too large; it is at most {_MAX_TEXT}")
 _NOT_SMALL: _Rule = (lambda x: (abs(x) < _MIN_LENGTH) & (x != 0), f"{{}} is too small; {_LIMITS}")
-_NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must not be negative, has {}")
-_POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, is {}")
+_NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must be 0 or more, not {}")
+_POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, not {}")
 _NOT_ZERO: _Rule = (lambda x: (x == 0) & ~x.any(1, keepdims=True), "must not be the zero vector")
 
 
@@ -206,7 +206,7 @@ class Numbers:
         array = _copy_floats(value, name)
         if array.size != self.count or array.ndim > 1:
             actual_size = f"shape {array.shape}" if array.ndim > 1 else array.size
-            raise SceneError([f"{name}: {self.requirement}, has {actual_size}"])
+            raise SceneError([f"{name}: {self.requirement}, but has {actual_size}"])
         row = array.reshape(1, self.count)
         raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
@@ -233,16 +233,18 @@ class Numbers:
         """
         array = _copy_floats(values, name)
         if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
-            raise SceneError([f"{name}: {self.requirement} in each row, has shape {array.shape}"])
+            raise SceneError([f"{name}: {self.requirement} per row, but has shape {array.shape}"])
         return array.reshape((-1, self.count) if self.count > 1 else -1)
 
-    def find_errors(self, values: Floats) -> Iterator[tuple[int, str]]:
+    def find_errors(self, rows: Floats) -> Iterator[tuple[int, str]]:
         """Find the rows of an array that violate a rule of this validator.
+
+        A rule tests for one kind of invalid number, such as negative numbers.
 
         Parameters
         ----------
-        values : (n, count) float array
-            The values that a field has in n objects.
+        rows : (n, count) float array
+            The values of a field in n objects, one row for each object.
 
         Yields
         ------
@@ -253,9 +255,9 @@ class Numbers:
         """
         message_of_row: dict[int, str] = {}
         for find_invalid, template in self.rules:
-            is_invalid = find_invalid(values)
+            is_invalid = find_invalid(rows)
             for index in np.flatnonzero(is_invalid.any(axis=1)).tolist():
-                first_invalid = values[index, is_invalid[index]][0]
+                first_invalid = rows[index, is_invalid[index]][0]
                 message_of_row.setdefault(index, template.format(format_number(first_invalid)))
         yield from message_of_row.items()
 
@@ -363,10 +365,10 @@ def validate_picture_side(value: int, name: str) -> int:
     try:
         pixel_count = int(operator.index(value))  # products of NumPy integers may overflow
     except TypeError:
-        raise SceneError([f"{name}: must be an int, is {value!r}"]) from None
+        raise SceneError([f"{name}: must be an int, not {value!r}"]) from None
     if not 1 <= pixel_count <= MAX_PIXELS:
-        # Python refuses to format numbers of many digits.
-        actual_value = f", is {pixel_count}" if abs(pixel_count) < 1e18 else ""
+        # Python cannot format integers that have too many digits.
+        actual_value = f", not {pixel_count}" if abs(pixel_count) < 1e18 else ""
         raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{actual_value}"])
     return pixel_count
 
@@ -391,11 +393,11 @@ def list_validator(*types: type) -> _Validator:
         try:
             items = tuple(values)
         except TypeError:
-            message = f"{name}: must be a list, is of type {type(values).__name__}"
+            message = f"{name}: must be a list, not of type {type(values).__name__}"
             raise SceneError([message]) from None
         wrong_types = (type(item).__name__ for item in items if not isinstance(item, types))
         requirement = f"{name}: must be of type {allowed_types}"
-        raise_if_any(f"{requirement}, is of type {other}" for other in dict.fromkeys(wrong_types))
+        raise_if_any(f"{requirement}, not {other}" for other in dict.fromkeys(wrong_types))
         return items
 
     return validate
@@ -449,5 +451,5 @@ def _copy_floats(value: ArrayLike, name: str) -> Floats:
     except OverflowError:
         message = "must be finite"
     except (TypeError, ValueError):
-        message = f"must be given in numbers, is {reprlib.repr(value)}"
+        message = f"must consist of numbers, not {reprlib.repr(value)}"
     raise SceneError([f"{name}: {message}"])
