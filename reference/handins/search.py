@@ -554,11 +554,12 @@ class Search:
             The causes (tuples of keywords of mistakes that are made together); or, if no cause
             explains the hand-in, the cause with the most similar picture as a hint.
         """
-        singles, pairs = self._select_best(self.renderer.single_mistakes), list[Cause]()
+        singles = self._add_rounding(self._select_best(self.renderer.single_mistakes))
+        pairs = list[Cause]()
         causes = self._select_reportable(singles)
         min_count: float = self._count_unexplained(causes[0]) if causes else np.inf
         if min_count > _MAX_UNEXPLAINED:
-            pairs = self._select_best_pairs()
+            pairs = self._add_rounding(self._select_best_pairs())
             needed = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
             if needed and _MIN_RATIO * self._count_unexplained(needed[0]) <= min_count:
                 causes = needed
@@ -568,9 +569,8 @@ class Search:
         ):
             return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), count)
         # A pair is the hint only if it leaves less than half the pixels of a single mistake.
-        hint = min(causes[:1] or singles[:1] + pairs[:1], default=(), key=lambda cause: (
-            len(remove_variants(cause)) * self._count_unexplained(cause)))  # fmt: skip
-        hint, *_ = self._add_rounding([hint])
+        hint = min(causes[:1] or singles + pairs, default=(), key=lambda cause: (
+            (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
         count = self._count_unexplained_in_full(hint)
         if 2 * count > self.wrong_count:
             return Finding((), self.wrong_count)
@@ -618,11 +618,11 @@ class Search:
         Parameters
         ----------
         cause : tuple of str
-            Keywords of two mistakes.  The keyword of a variant of a correct tracer, in which the
-            mistakes have another picture, may follow.
+            Keywords of two mistakes.  Two keywords may follow: a variant of a correct tracer, in
+            which the mistakes have another picture, and a mistake of rounding.
         """
         unexplained, keywords = self._count_unexplained(cause), remove_variants(cause)
-        for keyword in keywords:
+        for keyword in set(keywords).difference(mistakes.ROUNDINGS):
             others = tuple(other for other in cause if other != keyword)
             if self._count_unexplained(others) - unexplained < max(_MIN_RATIO * unexplained, 1):
                 return False
@@ -636,7 +636,7 @@ class Search:
         return counts[0] >= min(_MIN_SHOWN_SURFACES, counts[1])
 
     def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes that may be reported, and add mistakes of rounding to them.
+        """Select the causes that may be reported.
 
         A cause may be reported if (1) it leaves at most 3 % of the wrong pixels unexplained; (2) no
         other cause leaves far fewer; and (3) no other cause is exact, to a single level, in far
@@ -658,7 +658,7 @@ class Search:
         if not causes:
             return []
         limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = self._add_rounding([c for c in causes if self._count_unexplained(c) < limit])
+        causes = [cause for cause in causes if self._count_unexplained(cause) < limit]
         max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         causes = [c for c in causes if not any(map(self.renderer.is_fitted, c))] or causes

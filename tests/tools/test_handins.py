@@ -251,6 +251,18 @@ def test_half_a_truth_is_a_hint() -> None:
     assert "--pixel" not in str(diagnosis)
 
 
+def test_a_mistake_in_few_pixels_is_found_beside_cut_levels() -> None:
+    """Missing highlights show in few pixels; some levels are cut off by one more."""
+    source = student.source_with("specular-none", "levels-truncated")
+    source = source.replace("(i + 0.5)", "i").replace("(j + 0.5)", "(j + 1)")
+    name = "sticks-axonometric"
+    codes = student.render_with_source(source, scene(name))
+    few = np.random.default_rng(1).random(codes.shape[:2]) < 0.01
+    codes[few] -= codes[few] > 0
+    kind = solution(name).diagnose(Picture(codes)).kind
+    assert "pixel-lower-left+specular-none+levels-truncated" in kind.split("|")
+
+
 def test_a_picture_of_another_size_than_a_picture() -> None:
     alone = Solution(Picture(solution("room").codes))
     diagnosis = alone.diagnose(Picture(np.arange(36, dtype=np.uint8).reshape(3, 4, 3)))
