@@ -124,9 +124,9 @@ def bounding_box(surfaces: Surfaces) -> Floats:
         The minimum coordinates in the first row, and the maximum coordinates in the second.  All
         are 0 if there are no surfaces.
     """
-    radius = surfaces.radius[:, None]
-    low = np.concatenate([surfaces.center - radius, surfaces.min_pt])
-    high = np.concatenate([surfaces.center + radius, surfaces.max_pt])
+    radii = surfaces.radius[:, None]
+    low = np.concatenate([surfaces.center - radii, surfaces.min_pt])
+    high = np.concatenate([surfaces.center + radii, surfaces.max_pt])
     return np.array([low.min(axis=0), high.max(axis=0)]) if len(low) else np.zeros((2, 3))
 
 

@@ -502,7 +502,7 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
         raise ConversionError(
-            f"its field of view would be {fov:g} degrees, and Mitsuba needs more than 0 and at most"
+            f"its field of view would be {fov:g} degrees, but Mitsuba needs more than 0 and at most"
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
     farthest_offset = np.abs(bounding_box(scene.surfaces) - window.eye).max(axis=0)

@@ -217,7 +217,7 @@ def _format_number(name: str, value: float) -> str:
     """
     if not abs(value) <= _MAX_FLOAT32:
         raise ConversionError(
-            f"{name} would be {value:g}, and Mitsuba's numbers end at {_MAX_FLOAT32:.2g};"
+            f"{name} would be {value:g}, but Mitsuba's numbers end at {_MAX_FLOAT32:.2g};"
             " keep the numbers of the scene closer to 1"
         )
     return repr(float(value))

@@ -87,7 +87,7 @@ def test_more_samples_than_mitsuba_can_count_are_refused(monkeypatch):
 
 
 def test_a_parameter_that_is_not_a_number_is_refused():
-    with pytest.raises(ConversionError, match="radius would be nan, and Mitsuba's"):
+    with pytest.raises(ConversionError, match="radius would be nan, but Mitsuba's"):
         make_plugin("shape", "sphere", radius=float("nan"))
 
 

@@ -129,7 +129,7 @@ def test_rendering_ends_on_one_processor(small_file):
         assert "WARN" not in out
 
 
-NUMBERS = "and Mitsuba's numbers end at 3.4e+38; keep the numbers of the scene closer to 1"
+NUMBERS = "but Mitsuba's numbers end at 3.4e+38; keep the numbers of the scene closer to 1"
 
 
 @pytest.mark.parametrize(

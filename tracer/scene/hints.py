@@ -128,7 +128,7 @@ def suggest_syntax_fix(
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
 
-def suggest_name(name: str, allowed: Iterable[str]) -> tuple[str, str | None]:
+def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | None]:
     """Suggest an allowed name in place of an unknown one.
 
     Names are compared without regard to case.  Only the first 256 allowed names are compared
@@ -138,7 +138,7 @@ def suggest_name(name: str, allowed: Iterable[str]) -> tuple[str, str | None]:
     ----------
     name : str
         The unknown name, which may be misspelt.
-    allowed : iterable of str
+    allowed_names : iterable of str
         The allowed names.
 
     Returns
@@ -146,27 +146,27 @@ def suggest_name(name: str, allowed: Iterable[str]) -> tuple[str, str | None]:
     remedy : str
         "did you mean ...?", with the most similar allowed name; if none is similar, a list of at
         most `_MAX_LISTED` allowed names; if no name is allowed, "remove it".
-    match : str or None
-        The most similar allowed name; None if no allowed name is similar.
+    similar_name : str or None
+        The most similar allowed name, or None if none is similar.
     """
     from difflib import get_close_matches  # only after an error: importing takes milliseconds
 
-    name_of_key = {shortened(known).lower(): known for known in islice(allowed, _MAX_COMPARED)}
+    name_of_key = {shortened(word).lower(): word for word in islice(allowed_names, _MAX_COMPARED)}
     for key in get_close_matches(shortened(name).lower(), name_of_key, n=1):
         return f"did you mean {quoted(name_of_key[key])}?", name_of_key[key]
-    names = [shortened(known) for known in sorted(name_of_key.values())]
+    names = [shortened(word) for word in sorted(name_of_key.values())]
     ellipsis = ["..."] * (len(names) > _MAX_LISTED)
     return f"known: {', '.join(names[:_MAX_LISTED] + ellipsis)}" if names else "remove it", None
 
 
-def suggest_tag(tag: str, allowed: Collection[str]) -> tuple[str, str | None]:
+def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | None]:
     """Suggest what to write in place of an unknown tag.
 
     Parameters
     ----------
     tag : str
         The unknown tag, which may come from another scene format.
-    allowed : collection of str
+    allowed_tags : collection of str
         The tags that are allowed in this place.
 
     Returns
@@ -180,9 +180,9 @@ def suggest_tag(tag: str, allowed: Collection[str]) -> tuple[str, str | None]:
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:
             return "remove it", None
-        if equivalent.startswith("<") or equivalent.split(",")[0] in allowed:
+        if equivalent.startswith("<") or equivalent.split(",")[0] in allowed_tags:
             return f"write {equivalent}", equivalent
-    return suggest_name(tag, allowed)
+    return suggest_name(tag, allowed_tags)
 
 
 def explain_invalid_number(word: str) -> str:
@@ -205,7 +205,7 @@ def explain_invalid_number(word: str) -> str:
             description = f"U+{ord(character):04X}, {unicodedata.name(character, '?')}"
             return f"{quoted(word)} contains {description}; {remedy}"
     if "," in word:
-        return f"{quoted(word)} contains a comma; separate numbers by spaces, and write 1.5 for 1,5"
+        return f"{quoted(word)} contains a comma; put spaces between numbers, and write 1.5 for 1,5"
     if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", word, re.ASCII):
         return f"{quoted(word)} is too small, and would count as 0; write 0 in its place"
     return f"{quoted(word)} is not a decimal number; write it as 2, -.5 or 1e-3"

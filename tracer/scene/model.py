@@ -128,7 +128,7 @@ class Camera(Validated):
                 message = f"must not be parallel to {normal_name}; choose another view_up"
                 yield index, "view_up", message
             if cosine < _MIN_COSINE:
-                message = "must not be perpendicular to view_dir: no ray would meet it"
+                message = "must not be perpendicular to view_dir: no ray would meet the window"
                 yield index, "proj_normal", message
 
     @property
@@ -275,7 +275,7 @@ class Box(Validated):
 
     @classmethod
     def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
-        """Find boxes with a coordinate of `min_pt` that exceeds that of `max_pt`.
+        """Find boxes whose `min_pt` exceeds `max_pt` in any coordinate.
 
         Parameters
         ----------
@@ -372,11 +372,11 @@ class Surfaces(Sequence[Sphere | Box]):
         message : str
             Name of an array, and what is wrong with it.
         """
-        required_lengths = {"radius": (len(self.center), "as many as center")}
-        required_lengths |= {"max_pt": (len(self.min_pt), "as many as min_pt")}
+        requirements = {"radius": (len(self.center), "as many as center")}
+        requirements |= {"max_pt": (len(self.min_pt), "as many as min_pt")}
         per_surface = len(self), "one for each surface"
-        required_lengths |= dict.fromkeys(("shader_index", "file_index", "line"), per_surface)
-        for name, (required_length, reason) in required_lengths.items():
+        requirements |= dict.fromkeys(("shader_index", "file_index", "line"), per_surface)
+        for name, (required_length, reason) in requirements.items():
             if (length := len(getattr(self, name))) != required_length:
                 yield f"{name}: needs {required_length}, {reason}; has {length}"
         shader_index, shader_count = self.shader_index, len(self.shaders)
@@ -439,6 +439,7 @@ class Surfaces(Sequence[Sphere | Box]):
         # share it.
         shaders = {id(surface.shader): surface.shader for surface in objects}
         shader_index = {shader_id: index for index, shader_id in enumerate(shaders)}
+        # In the arrays, all spheres come before all boxes.
         file_index = sorted(range(len(objects)), key=lambda index: isinstance(objects[index], Box))
         sorted_surfaces = [objects[index] for index in file_index]
         spheres: list[Any] = [item for item in sorted_surfaces if isinstance(item, Sphere)]
@@ -464,10 +465,10 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """For each surface in the order of the file, its index in the arrays: (S + B,) int array.
+        """The permutation from the order of the file to that of the arrays: (S + B,) int array.
 
-        The arrays contain S spheres, then B boxes.  This is the inverse permutation of
-        `file_index`, which maps indices in the arrays to indices in the file.
+        Item i is the index of the file's i-th surface in the arrays, which contain S spheres, then
+        B boxes.  This is the inverse permutation of `file_index`.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)

@@ -49,7 +49,7 @@ def parse_numbers(text: str, count: int) -> list[float]:
         numbers = [*map(float, words)] if len(words) == count and _is_decimal(text) else []
     except ValueError:
         return []
-    if 0 in numbers and _may_underflow(text):
+    if 0 in numbers and _may_underflow(text):  # a nonzero number may have become 0
         is_exact = (number or _is_zero(word) for number, word in zip(numbers, words, strict=True))
         return numbers if all(is_exact) else []
     return numbers
@@ -92,7 +92,7 @@ class Column:
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append a row: the numbers that one XML element gives for the next object.
+        """Append a row with the numbers of the next object, which come from one XML element.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class Table:
         Yields
         ------
         instance : object of the dataclass
-            The next object; the objects are in the order of the rows.
+            The object of the next row.
         """
         values = {name: column.list_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):

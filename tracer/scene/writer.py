@@ -17,7 +17,7 @@ from tracer.scene.schema import Numbers, format_number
 
 
 def save_scene(scene: Scene, target: FileOrPath) -> None:
-    """Write a scene to a file from which `load_scene` reads an equal scene.
+    """Write a scene to a file, from which `load_scene` can restore it.
 
     Parameters
     ----------
@@ -87,20 +87,21 @@ def _format_scene(scene: Scene) -> Iterator[str]:
     Yields
     ------
     lines : str
-        The next line or lines of the file, with line breaks.
+        The next part of the file, with line breaks.
     """
     surfaces = scene.surfaces
     yield f"<scene>\n  <camera>{_format_numbers(scene.camera)} </camera>\n"
     yield f"  <image>{scene.width} {scene.height}</image>\n"
     for light in scene.lights:
         yield f"  <light>{_format_numbers(light)} </light>\n"
-    for index in np.unique(surfaces.shader_index).tolist():
-        shader = surfaces.shaders[index]
-        start_tag = f'<shader name="shader{index}" type="{type(shader).__name__}">'
+    for shader_index in np.unique(surfaces.shader_index).tolist():
+        shader = surfaces.shaders[shader_index]
+        start_tag = f'<shader name="shader{shader_index}" type="{type(shader).__name__}">'
         yield f"  {start_tag}{_format_numbers(shader)} </shader>\n"
-    shader_index = surfaces.shader_index[surfaces.array_index]
-    for index, surface in zip(shader_index, surfaces, strict=True):
-        yield f'  <surface type="{type(surface).__name__}">\n    <shader ref="shader{index}"/>\n'
+    shader_indices = surfaces.shader_index[surfaces.array_index]
+    for shader_index, surface in zip(shader_indices, surfaces, strict=True):
+        yield f'  <surface type="{type(surface).__name__}">\n'
+        yield f'    <shader ref="shader{shader_index}"/>\n'
         yield f"   {_format_numbers(surface)}\n  </surface>\n"
     yield "</scene>\n"
 
