@@ -32,8 +32,8 @@ class Window(NamedTuple):
     eye : (3,) float array
         Position of the eye.
     axes : (3, 3) float array
-        Unit vectors in rows: to the right and down, along the window's edges, and ahead,
-        perpendicular to the window.
+        Unit vectors in rows: right and down, along the window's edges, and forward, perpendicular
+        to the window.
     center : (3,) float array
         Vector from the eye to the window's centre, in components along the axes.
     width, height : float
@@ -60,10 +60,10 @@ class Window(NamedTuple):
         vectors : (..., 3) float array
             The vectors, in the coordinate system of the scene.
         """
-        right, down, ahead = self.axes
+        right, down, forward = self.axes
         offset_right = self.center[0] + (np.asarray(x)[..., None] - 0.5) * self.width
         offset_down = self.center[1] + (np.asarray(y)[..., None] - 0.5) * self.height
-        vectors: Floats = offset_right * right + offset_down * down + self.center[2] * ahead
+        vectors: Floats = offset_right * right + offset_down * down + self.center[2] * forward
         return vectors
 
 
@@ -85,9 +85,9 @@ def compute_window(camera: Camera) -> Window:
     """
     view_direction = _normalize(camera.view_dir)
     normal = _normalize(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
-    ahead = normal if normal @ view_direction > 0 else -normal
-    right = _normalize(np.cross(ahead, _normalize(camera.view_up)))
-    axes = np.array([right, np.cross(ahead, right), ahead])
+    forward = normal if normal @ view_direction > 0 else -normal
+    right = _normalize(np.cross(forward, _normalize(camera.view_up)))
+    axes = np.array([right, np.cross(forward, right), forward])
     center = axes @ view_direction * camera.proj_distance
     return Window(np.array(camera.view_point), axes, center, camera.view_width, camera.view_height)
 

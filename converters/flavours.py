@@ -219,7 +219,7 @@ def _convert_surfaces(
     half_size = (surfaces.max_pt - surfaces.min_pt) * (normalisation.scale / 2)
     largest_coordinate = np.abs(normalisation(bounding_box(surfaces))).max()
     half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest_coordinate
-    # Mitsuba's cube, which extends from -1 to 1 along each axis, is scaled and moved.
+    # Scale and move Mitsuba's cube, which extends from -1 to 1 along each axis.
     centers = (normalisation(surfaces.min_pt) + normalisation(surfaces.max_pt)) / 2
     for scale, center in zip(half_size.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
@@ -240,7 +240,7 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
 
     Returns
     -------
-    names : list of str
+    bsdf_names : list of str
         For each shader, the name of its BSDF.
     shader_of_name : dict of str to Shader
         For each name, its shader.  Shaders that no surface uses are omitted.
@@ -248,9 +248,9 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     name_of_shader: dict[Shader, str] = {}
     for shader in surfaces.shaders:
         name_of_shader.setdefault(shader, f"bsdf{len(name_of_shader)}")
-    names = [name_of_shader[shader] for shader in surfaces.shaders]
+    bsdf_names = [name_of_shader[shader] for shader in surfaces.shaders]
     used_shaders = (surfaces.shaders[index] for index in np.unique(surfaces.shader_index))
-    return names, {name_of_shader[shader]: shader for shader in used_shaders}
+    return bsdf_names, {name_of_shader[shader]: shader for shader in used_shaders}
 
 
 _EXACT_COMMENT = """
@@ -355,7 +355,7 @@ def with_square_pixels(scene: Scene) -> Scene:
 
     Returns
     -------
-    square : Scene
+    square_scene : Scene
         A copy of the scene with square pixels; `scene` itself if its pixels are square already.
 
     Raises
@@ -367,7 +367,7 @@ def with_square_pixels(scene: Scene) -> Scene:
     row_count = scene.width * camera.view_height / camera.view_width
     if not scene.width * row_count <= _MAX_PIXELS:
         raise ConversionError(
-            f"Mitsuba's pixels are square, and {row_count:.3g} rows of {scene.width} are too many;"
+            f"Mitsuba's pixels are square, but {scene.width} x {row_count:.3g} are too many;"
             " make viewWidth larger or viewHeight smaller"
         )
     height = max(1, round(row_count))
@@ -495,9 +495,9 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
         If the field of view is 0, or close to 180 degrees, when rounded to float32.
     """
     window = compute_window(scene.camera)
-    right, down, ahead = window.axes
+    right, down, forward = window.axes
     # Mitsuba's camera looks along +z, with +x to the left and +y up.
-    transform = np.column_stack([-right, -down, ahead, normalisation(window.eye)])
+    transform = np.column_stack([-right, -down, forward, normalisation(window.eye)])
     offset_right, offset_down, distance = window.center
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:

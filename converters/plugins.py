@@ -271,19 +271,19 @@ class EveryLight(mi.SamplingIntegrator):
         radiance = mi.Spectrum(0)
         for emitter in scene.emitters():
             light_sample, intensity = emitter.sample_direction(hit, mi.Point2f(0), is_hit)
-            direction = light_sample.d
-            reflectance = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(direction), is_hit)
+            to_light = light_sample.d
+            reflectance = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(to_light), is_hit)
             is_frontlit = is_hit & dr.any(reflectance > 0)
             # The shadow ray starts slightly in front of the light, which may lie on a surface.  If
             # the light is outside the scene's bounding box, the ray starts just outside the box.
-            inverse = dr.rcp(dr.select(dr.abs(direction) > 1e-20, direction, 1e-20))
+            inverse = dr.rcp(dr.select(dr.abs(to_light) > 1e-20, to_light, 1e-20))
             to_low, to_high = (box.min - hit.p) * inverse, (box.max - hit.p) * inverse
             exit_distance = dr.min(dr.maximum(to_low, to_high))
             margin = 1e-3 * dr.max(box.max - box.min)
             ray_length = dr.minimum(light_sample.dist - self.tolerance, exit_distance + margin)
-            shadow_ray = mi.Ray3f(hit.p + ray_length * direction, -direction)
+            shadow_ray = mi.Ray3f(hit.p + ray_length * to_light, -to_light)
             first_hit = scene.ray_intersect_preliminary(shadow_ray, active=is_frontlit)
-            height_above_plane = (ray_length - first_hit.t) * dr.abs(dr.dot(direction, hit.n))
+            height_above_plane = (ray_length - first_hit.t) * dr.abs(dr.dot(to_light, hit.n))
             is_lit = is_frontlit & (height_above_plane <= self.tolerance)
             radiance += dr.select(is_lit, reflectance * intensity, 0)
         return radiance, is_hit, []

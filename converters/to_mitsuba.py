@@ -236,14 +236,14 @@ def _build_parser() -> CommandParser:
     return parser
 
 
-def _convert_file(path: Path, target: Path, options: argparse.Namespace) -> None:
+def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
     """Convert a scene file to a Mitsuba scene file, and print a line with the path of the result.
 
     Parameters
     ----------
-    path : Path
+    scene_path : Path
         Path of the scene file.
-    target : Path
+    output_path : Path
         Path of the file to write.
     options : argparse.Namespace
         The parsed command line: `flavour` is "stock" or "exact", and `samples` is the number of
@@ -257,26 +257,26 @@ def _convert_file(path: Path, target: Path, options: argparse.Namespace) -> None
     from converters.flavours import convert
     from tracer import load_scene
 
-    with errors_as_failure(path, "read", memory_remedy="split the scene"):
-        scene = load_scene(path)
-    with mitsuba_errors_as_failure(path, "converted"):
+    with errors_as_failure(scene_path, "read", memory_remedy="split the scene"):
+        scene = load_scene(scene_path)
+    with mitsuba_errors_as_failure(scene_path, "converted"):
         text = convert(scene, options.flavour, options.samples)
     with (
-        errors_as_failure(target, "written", "choose another with -o"),
-        atomic_file(target, HEAD.encode()) as file,
+        errors_as_failure(output_path, "written", "choose another with -o"),
+        atomic_file(output_path, HEAD.encode()) as file,
     ):
         file.write(text.encode())
-    print_line(sys.stdout, printable(f"{target}: {options.flavour} flavour"))
+    print_line(sys.stdout, printable(f"{output_path}: {options.flavour} flavour"))
 
 
-def _render_file(path: Path, target: Path, options: argparse.Namespace) -> None:
+def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
     """Render a scene file with Mitsuba to a PNG and an EXR, and print a line with their paths.
 
     Parameters
     ----------
-    path : Path
+    scene_path : Path
         Path of the scene file.
-    target : Path
+    output_path : Path
         Path of the PNG or of the EXR; the other picture is written next to it.
     options : argparse.Namespace
         The parsed command line: `flavour` is "stock" or "exact".  `samples` is the number of
@@ -290,11 +290,11 @@ def _render_file(path: Path, target: Path, options: argparse.Namespace) -> None:
     from converters.rendering import render_mitsuba, write_exr
     from tracer import load_scene, write_png
 
-    with errors_as_failure(path, "read", memory_remedy="split the scene"):
-        scene = load_scene(path)
-    with mitsuba_errors_as_failure(path, "rendered"):
+    with errors_as_failure(scene_path, "read", memory_remedy="split the scene"):
+        scene = load_scene(scene_path)
+    with mitsuba_errors_as_failure(scene_path, "rendered"):
         image = render_mitsuba(scene, options.samples, options.variant, options.flavour)
-    png, exr = _derive_picture_paths(str(target))
+    png, exr = _derive_picture_paths(str(output_path))
     for picture_path, write_picture in ((png, write_png), (exr, write_exr)):
         with errors_as_failure(picture_path, "written", "choose another with -o"):
             write_picture(picture_path, image)

@@ -142,7 +142,7 @@ NUMBERS = "but Mitsuba's numbers end at 3.4e+38; keep the numbers of the scene c
         ("exact", "<viewPoint>5 4 3", "<viewPoint>5e69 4 3", f"eye would be 2.5e+70, {NUMBERS}"),
         ("stock", "<viewPoint>5 4 3", "<viewPoint>5e69 4 3", f"to_world would be 5e+69, {NUMBERS}"),
         ("stock", "<viewWidth>2.5", "<viewWidth>1e-70",
-         "Mitsuba's pixels are square, and 1e+72 rows of 40 are too many;"
+         "Mitsuba's pixels are square, but 40 x 1e+72 are too many;"
          " make viewWidth larger or viewHeight smaller"),
     ],
 )  # fmt: skip
