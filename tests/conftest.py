@@ -87,7 +87,7 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Divide pictures into many tiles, and share even the smallest pictures with an executor."""
     monkeypatch.setattr(render, "MIN_SHARED_SECONDS", 0)
     monkeypatch.setattr(render, "_MAX_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render, "_CLASSIFIED_FACTOR", 1)
+    monkeypatch.setattr(render, "_ADAPTIVE_FACTOR", 1)
 
 
 @pytest.fixture

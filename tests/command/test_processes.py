@@ -94,7 +94,7 @@ def test_a_program_with_threads_is_not_forked():
     thread = threading.Thread(target=wait.wait)
     thread.start()
     try:
-        executor: Any = WorkerPool(1)._new_executor()
+        executor: Any = WorkerPool(1)._create_executor()
         assert executor._mp_context.get_start_method() == "spawn"
     finally:
         wait.set()

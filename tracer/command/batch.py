@@ -154,12 +154,12 @@ class Batch:
         """
         self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
         # The last scenes are fewer than the processes, so the large ones among them are shared.
-        unshared_count = len(jobs) - len(jobs) % (self._pool.workers + 1)
+        unshared_count = len(jobs) - len(jobs) % (self._pool.worker_count + 1)
         items = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
         items[unshared_count:] = jobs[unshared_count:]
         # This process repeats what a worker could not do, for example for lack of memory.
         render_in_worker = partial(_render_in_worker, self._settings)
-        self._work = Distribution(self._render, render_in_worker, items, self._pool.workers)
+        self._work = Distribution(self._render, render_in_worker, items, self._pool.worker_count)
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._work, strict=True):
                 self._finished_count += 1

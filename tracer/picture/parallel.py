@@ -62,7 +62,7 @@ class Executor(Protocol):
         Returns
         -------
         future : Future
-            The future of what the function returns.
+            Receives the result of the call, or the exception that it raises.
         """
 
 
@@ -70,8 +70,7 @@ class Executor(Protocol):
 class Distribution(Generic[_Item, _Result]):
     """A list of items that this process and an executor process together.
 
-    Iterate over the instance once: that does the work, and yields the results in the order of the
-    items.
+    Iterate over the instance once: this processes all items, and yields their results in order.
 
     This process and the executor both take items from the front of the list.  When no item is left
     to take, this process repeats the items that the executor has not finished, first those that no
@@ -89,10 +88,10 @@ class Distribution(Generic[_Item, _Result]):
         executor uses other processes, the function, the items and the results must be picklable.
     items : sequence
         The items to process.
-    workers : int
+    worker_count : int
         Number of workers of the executor, which determines how many items are submitted to it.
     executor : Executor, optional
-        Processes a part of the items.  By default, this process does all the work.
+        Processes some of the items.  By default, this process does all the work.
     accepts : callable
         Validates a result of the executor: called with the item and the result.  If it returns
         False, this process processes the item instead.  By default, all results are accepted.
@@ -105,7 +104,7 @@ class Distribution(Generic[_Item, _Result]):
     function: Callable[[_Item], _Result]
     remote_function: Callable[[_Item], _Result]
     items: Sequence[_Item]
-    workers: int
+    worker_count: int
     executor: Executor | None = None
     accepts: Callable[[_Item, Any], bool] = lambda _item, _result: True
 
@@ -116,7 +115,7 @@ class Distribution(Generic[_Item, _Result]):
     _futures: dict[int, Future[_Result]] = field(default_factory=dict, init=False)
     _results: dict[int, _Result] = field(default_factory=dict, init=False)
     # The longest time, in seconds, that an item has taken in this process.
-    _max_seconds: float = field(default=0.0, init=False)
+    _max_item_seconds: float = field(default=0.0, init=False)
 
     def __iter__(self) -> Iterator[_Result]:
         """Process all items, and yield their results in the order of the items.
@@ -126,13 +125,13 @@ class Distribution(Generic[_Item, _Result]):
         Yields
         ------
         result : object
-            What `function` or `remote_function` returned for the next item.
+            The result of `function` or `remote_function` for the next item.
         """
         try:
             for index in range(len(self.items)):
                 while index not in self._results:
                     self.submit()
-                    self._process_next()
+                    self._process_next_item()
                     self._collect_results()
                 yield self._results.pop(index)
         finally:
@@ -140,87 +139,89 @@ class Distribution(Generic[_Item, _Result]):
                 future.cancel()
 
     def submit(self) -> None:
-        """Submit items to the executor until there are enough to keep all its workers busy.
+        """Submit enough items to the executor to keep all its workers busy.
 
-        The iteration calls this before each item that this process processes.  If one item takes
-        long, `function` should also call this method from time to time.
+        The iteration calls this method before it processes an item.  If an item takes long,
+        `function` should also call this method from time to time.
 
-        If the executor raises an error, this method ends silently and sets `executor` to None, so
-        that this process does all the remaining work.
+        An error of the executor is not raised.  Instead, `executor` is set to None, so that this
+        process does all the remaining work.
         """
         if self.executor is None:
             return
         unfinished_count = sum(not future.done() for future in self._futures.values())
-        # Not more than the workers' share of the remaining items: this process needs work, too.
-        share = (len(self.items) - self._next_index) * self.workers // (self.workers + 1)
+        # At most the workers' share of the remaining items, because this process needs work, too.
+        remaining_count = len(self.items) - self._next_index
+        worker_share = remaining_count * self.worker_count // (self.worker_count + 1)
+        missing_count = _ITEMS_PER_WORKER * self.worker_count - unfinished_count
         try:
-            for _ in range(min(_ITEMS_PER_WORKER * self.workers - unfinished_count, share)):
+            for _ in range(min(missing_count, worker_share)):
                 item = self.items[self._next_index]
                 future = self.executor.submit(self.remote_function, item)
                 self._futures[self._next_index] = future
                 self._next_index += 1
-        except Exception:  # a worker has died, none can be started, or anything else
+        except Exception:  # for example, a worker has died, or none can be started
             self.executor = None
 
-    def _process_next(self) -> None:
+    def _process_next_item(self) -> None:
         """Process the next item in this process, or repeat one that the executor has not finished.
 
-        Do nothing if all items are finished, or if a worker finishes an item while this process
-        waits for it.
+        Before repeating an item that a worker has begun, wait for the workers.  If any of them
+        finishes an item during that time, or if all items are finished, process nothing.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
-            self._process(self._next_index - 1)
+            self._process_item(self._next_index - 1)
         elif self._futures:
-            # The item submitted last is the least likely to have been begun.
+            # The item submitted last is the least likely to have been begun by a worker.
             index, future = next(reversed(self._futures.items()))
             if future.cancel() or not self._wait_for_any():
                 del self._futures[index]
-                self._process(index)
+                self._process_item(index)
 
-    def _process(self, index: int) -> None:
-        """Process the item with the given index in this process, and measure the time it takes."""
-        start = perf_counter()
+    def _process_item(self, index: int) -> None:
+        """Process the item with the given index in this process, and measure how long it takes."""
+        start_time = perf_counter()
         self._results[index] = self.function(self.items[index])
-        self._max_seconds = max(self._max_seconds, perf_counter() - start)
+        self._max_item_seconds = max(self._max_item_seconds, perf_counter() - start_time)
 
     def _collect_results(self) -> None:
         """Store the results of all items that the executor has finished.
 
-        If an item was cancelled, or has an exception or a result that `accepts` refuses, process it
-        in this process.
+        An item is processed in this process instead if it was cancelled, its future has an
+        exception, or `accepts` rejects its result.
         """
         for index in [index for index, future in self._futures.items() if future.done()]:
             future = self._futures.pop(index)
-            # An exception may be a worker's KeyboardInterrupt: it must not be raised here.
+            # The exception may be a worker's KeyboardInterrupt, which must not be raised here.
             has_result = not future.cancelled() and future.exception() is None
             if has_result and self.accepts(self.items[index], future.result()):
                 self._results[index] = future.result()
             else:
-                self._process(index)
+                self._process_item(index)
 
     def _wait_for_any(self) -> bool:
-        """Wait until the executor finishes any of the submitted items.
+        """Wait until the executor finishes at least one of the submitted items.
 
-        The maximum wait is the longest time that an item has taken in this process.
+        Wait for at most the longest time that an item has taken in this process.
 
         Returns
         -------
         is_any_done : bool
-            True if at least one submitted item is finished; False if the time is up.
+            Whether at least one submitted item is finished.
         """
         from concurrent.futures import FIRST_COMPLETED, wait
 
         futures = self._futures.values()
-        return bool(wait(futures, self._max_seconds, return_when=FIRST_COMPLETED).done)
+        return bool(wait(futures, self._max_item_seconds, return_when=FIRST_COMPLETED).done)
 
 
 class WorkerPool:
     """The worker processes of a command, which are started when the first work is submitted.
 
     Use this only from the command line.  On Linux, the pool forks the calling process if that has a
-    single thread; a forked worker already has all modules, and whatever the calling process has
-    prepared.  When the pool is closed, it kills all children of the calling process that
+    single thread; a forked worker already has all modules, and all data that the calling process
+    has prepared.  Closing the pool kills all children of the calling process that
     `multiprocessing` has started.
 
     Workers end by themselves if the calling process has ended.  They ignore SIGINT: when the user
@@ -229,19 +230,19 @@ class WorkerPool:
 
     Parameters
     ----------
-    workers : int
+    worker_count : int
         Number of worker processes.
     initializer : callable, optional
         Called without arguments in each worker before any work.
 
     Attributes
     ----------
-    workers : int
+    worker_count : int
         Number of worker processes.
     """
 
-    def __init__(self, workers: int, initializer: Callable[[], None] | None = None) -> None:
-        self.workers, self._initializer = workers, initializer
+    def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:
+        self.worker_count, self._initializer = worker_count, initializer
         self._executor: ProcessPoolExecutor | None = None
         self._start_count = 0
 
@@ -253,29 +254,29 @@ class WorkerPool:
         Parameters
         ----------
         fn : callable
-            The function to call.  It, its arguments and its result must be picklable.
+            The function to call.  The function, its arguments and its result must be picklable.
         *args : object
-            Its arguments.
+            The arguments.
 
         Returns
         -------
         future : Future
-            The future of what the function returns.
+            Receives the result of the call, or the exception that it raises.
 
         Raises
         ------
         OSError, ImportError
-            If the system has no semaphores, or too few files can be open.
+            If the system has no semaphores, or too many files are open.
         RuntimeError
-            If no worker can be started, or workers have been started `_MAX_STARTS` times.
+            If no worker can be started, or workers have already been started `_MAX_STARTS` times.
         """
         if self._executor is None:
             if self._start_count == _MAX_STARTS:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._start_count += 1
-            self._executor = self._new_executor()
-        # A worker that starts inherits the blocked signal: if the user presses Ctrl-C before the
-        # worker can ignore it, Python would print a traceback.
+            self._executor = self._create_executor()
+        # A new worker inherits the blocked signal: if the user pressed Ctrl-C before the worker
+        # ignored SIGINT, Python would print a traceback.
         if sys.platform != "win32":
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -287,35 +288,36 @@ class WorkerPool:
             if sys.platform != "win32":
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
-    def _new_executor(self) -> ProcessPoolExecutor:
-        """Create an executor whose processes are forked if this is safe, and spawned otherwise.
+    def _create_executor(self) -> ProcessPoolExecutor:
+        """Create an executor that forks its processes if this is safe, and spawns them otherwise.
 
-        This method also changes global settings: Python's resource tracker no longer prints
-        warnings, and exceptions in threads are no longer printed.
+        This method also changes global settings: warnings of Python's resource tracker, and
+        exceptions in threads, are no longer printed.
 
         Returns
         -------
         executor : ProcessPoolExecutor
-            It starts its processes when the first work is submitted.
+            The executor, which starts its processes when work is first submitted.
         """
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
-        # It is not safe to fork while other threads run: they may hold locks.
+        # Forking is not safe while other threads run, because they may hold locks.
         method = "fork" if sys.platform == "linux" and threading.active_count() == 1 else "spawn"
         context = multiprocessing.get_context(method)
         # If a signal ends the command, Python's resource tracker removes the semaphores of spawned
-        # workers.  It must not print a warning of that.
+        # workers.  It must not print a warning about this.
         sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
         # If the system has no thread left, a thread of the pool fails.  This process then does all
-        # the work, so nobody needs to know.
+        # the work, so the user need not know.
         threading.excepthook = lambda _: None
-        return ProcessPoolExecutor(self.workers, context, _begin_worker, (self._initializer,))
+        return ProcessPoolExecutor(self.worker_count, context, _begin_worker, (self._initializer,))
 
     def close(self) -> None:
-        """Kill the workers, and wait at most `_MAX_END_SECONDS` until their executor has ended.
+        """Kill the workers, and wait up to `_MAX_END_SECONDS` for their executor to shut down.
 
-        Unfinished work is lost.  Without workers, do nothing.  Later work starts new workers.
+        Unfinished work is lost.  If there are no workers, nothing is done.  Work that is submitted
+        later starts new workers.
         """
         if self._executor is None:
             return
@@ -323,23 +325,23 @@ class WorkerPool:
 
         for process in multiprocessing.active_children():
             process.kill()
-        shut_down = threading.Thread(target=self._executor.shutdown, daemon=True)
+        shutdown_thread = threading.Thread(target=self._executor.shutdown, daemon=True)
         self._executor = None
         with suppress(RuntimeError):  # the system has no thread left
-            shut_down.start()
-            shut_down.join(_MAX_END_SECONDS)
+            shutdown_thread.start()
+            shutdown_thread.join(_MAX_END_SECONDS)
 
 
 def _begin_worker(initializer: Callable[[], None] | None) -> None:
-    """Prepare a new worker process: ignore SIGINT, and end with the parent process.
+    """Make a new worker process ignore SIGINT, and end when its parent process ends.
 
-    This is the first call in each worker process.  It starts a thread that waits for the end of the
-    parent; if the thread cannot be started, the worker ends immediately with status 1.
+    Each worker calls this function first.  A thread waits for the end of the parent; if the thread
+    cannot be started, the worker ends immediately with exit status 1.
 
     Parameters
     ----------
     initializer : callable or None
-        Called without arguments at the end.
+        Called at the end, without arguments.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -353,8 +355,8 @@ def _begin_worker(initializer: Callable[[], None] | None) -> None:
 def end_with_parent() -> None:
     """Wait until the parent process has ended, then end this process with exit status 1.
 
-    This process's part files (incomplete output files) are removed before it ends.  If
-    `multiprocessing` has not started this process, return immediately.
+    Before this process ends, its part files (incomplete output files) are removed.  If this process
+    was not started by `multiprocessing`, return immediately.
     """
     import multiprocessing
 

@@ -5,11 +5,11 @@ tile
     that its arrays stay in the CPU cache, and so large that the overhead of NumPy calls is
     negligible.  Its pixels depend only on the scene, the samples and the offset, so the picture is
     the same to the last bit, whichever process renders the tile.
-classified
-    A picture is classified if pixels are sampled adaptively: edges are found first, and only pixels
-    that edges cross are sampled more than once.  Otherwise all pixels have the same samples.
+adaptive
+    A picture is adaptive if edges are found first, and only pixels that edges cross are sampled
+    more than once.  Otherwise all pixels have the same samples.
 
-A `RenderJob` is a picture to render.  Other processes receive only its arguments, and each of them
+A `RenderJob` is a picture to render.  Other processes receive only its arguments, and each process
 prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
 them with any executor.  `render_tiles` yields the tiles encoded for a file, and can share them with
 the worker pool of a command.
@@ -45,19 +45,19 @@ from tracer.world.prepared_scene import PreparedScene
 _QUIET = np.errstate(all="ignore")
 
 # Maximum number of samples in a tile, which limits memory, and the factor by which it is larger if
-# the picture is classified: few pixels are divided there, and the arrays of their samples should be
+# the picture is adaptive: few pixels are divided there, and the arrays of their samples should be
 # long, too.
-_MAX_TILE_SAMPLES, _CLASSIFIED_FACTOR = 3 * CACHE_SIZE, 4
+_MAX_TILE_SAMPLES, _ADAPTIVE_FACTOR = 3 * CACHE_SIZE, 4
 
 # Maximum estimated seconds for a tile, so that a bar shows progress and processes share the work
-# evenly; and minimum estimated seconds for a tile of a shared picture: below, the overhead of NumPy
-# calls and of communication counts.
+# evenly; and minimum estimated seconds for a tile of a shared picture, because the overhead of
+# NumPy calls and of communication is significant in smaller tiles.
 _MAX_TILE_SECONDS, _MIN_TILE_SECONDS = 0.2, 0.02
 
 # Number of samples per pixel for which the maximum time of a tile is halved.  With more samples, a
 # few pixels take most of the time, so some tiles exceed their estimates by more.  None of 90 tiles
 # of three scenes took more than 0.3 s at 20,000 and 40,000 samples; without this, some took 0.75 s.
-_UNEVEN_SAMPLES = 10_000
+_HALVING_SAMPLES = 10_000
 
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
 _TILES_PER_PROCESSOR = 4
@@ -67,18 +67,18 @@ _TILES_PER_PROCESSOR = 4
 # estimate; for 300 lights and one object, 0.1 times.
 _SECONDS_PER_SAMPLE = 4e-8
 
-# Estimated number of samples in a pixel of a classified picture, if n x n samples are requested:
+# Estimated number of samples in a pixel of an adaptive picture, if n x n samples are requested:
 # the first number, plus n + n^2 / (the fourth number) for each edge in the pixel.  The number of
 # edges is estimated as the second number divided by the square root of the number of pixels, plus
 # the third number times the density of pairs of silhouettes.  For 30 pictures of 80 x 45 to
 # 1280 x 720 pixels and n = 2 to 200, the measured time was 0.25 to 2.2 times the estimate.
-_CLASSIFIED_SAMPLES, _EDGES, _EDGES_PER_SILHOUETTE_PAIR, _CROWDED_SIDE = 2.5, 330, 400, 100
+_ADAPTIVE_SAMPLES, _EDGE_FACTOR, _PAIR_FACTOR, _SQUARE_DIVISOR = 2.5, 330, 400, 100
 
-# Maximum estimated number of samples in a pixel of a classified picture, divided by n^2.  Pixels
+# Maximum estimated number of samples in a pixel of an adaptive picture, divided by n^2.  Pixels
 # with many edges are sampled on a lattice, however many edges there are.  Without this limit,
 # pictures of 1,000 objects at 64 samples took twice as long: they were divided into more tiles, and
 # the pixels around each tile are classified, too.
-_MAX_CLASSIFIED_FACTOR = 2
+_MAX_ADAPTIVE_FACTOR = 2
 
 MIN_POOL_SECONDS, MIN_SHARED_SECONDS = 0.1, 0.03
 """Minimum estimated time of rendering, in seconds, for which starting a pool is worth it, and for
@@ -88,7 +88,7 @@ which sharing a picture with an executor that runs already is worth it."""
 _MAX_SAMPLES = 999_999_999
 
 # Maximum number of jobs that a process caches: several pictures may be rendered at the same time on
-# one executor, and to prepare a scene for each tile would take longer than to render the tile.
+# one executor, and preparing a scene for each tile would take longer than rendering the tile.
 _MAX_CACHED_JOBS = 4
 
 Rectangle: TypeAlias = tuple[slice, slice]
@@ -113,11 +113,11 @@ def render(
         is at most that of a grid of n x n samples in every pixel, and usually much smaller.  With 1
         sample, rays pass through the centres of the pixels.
     executor : concurrent.futures.Executor, optional
-        Renders a part of the picture in other processes: a ProcessPoolExecutor, or an executor of
-        Dask or loky.  By default, and if the picture is so small that sharing it takes longer, the
+        Renders part of the picture in other processes: a ProcessPoolExecutor, or an executor from
+        Dask or loky.  If it is omitted, or the picture is too small to be worth sharing, the
         calling process renders the whole picture.
     offset : (float, float)
-        Distance, in pixels, by which every sample is moved to the right, and down.
+        Distances to the right and down, in pixels, by which every sample is shifted.
 
     Returns
     -------
@@ -146,19 +146,19 @@ def render(
     if job.seconds < MIN_SHARED_SECONDS:
         executor = None
     tiles = job.tiles(shared=executor is not None)
-    # NumPy gets zeros from calloc: pages of memory in which nothing is rendered cost nothing.
+    # NumPy gets zeros from calloc, so memory pages that stay black cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
 
-    def render_here(rectangle: Rectangle) -> None:
+    def render_into_image(rectangle: Rectangle) -> None:
         job.render_tile(rectangle, out=image[rectangle])
 
-    def accepts(rectangle: Rectangle, result: object) -> bool:
+    def fits_tile(rectangle: Rectangle, result: object) -> bool:
         return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
 
-    radiance_of_tiles = Distribution[Rectangle, Any](
-        render_here, job.render_tile, tiles, count_processors(), executor, accepts
+    remote_radiances = Distribution[Rectangle, Any](
+        render_into_image, job.render_tile, tiles, count_processors(), executor, fits_tile
     )
-    for rectangle, radiance in zip(tiles, radiance_of_tiles, strict=True):
+    for rectangle, radiance in zip(tiles, remote_radiances, strict=True):
         if radiance is not None:
             image[rectangle] = radiance
     for warning in scene_warnings(scene, job.prepared, Exposure.from_radiance(image)):
@@ -167,9 +167,9 @@ def render(
 
 
 def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
-    """Render a scene, and return the picture as the bytes of a PNG file.
+    """Render a scene to the bytes of a PNG file.
 
-    To render many pictures, let each process of a pool render whole pictures::
+    To render many scenes, let each process of a pool render whole pictures::
 
         pool.map(partial(tracer.to_png, samples=4), scenes)
 
@@ -183,7 +183,7 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
     Returns
     -------
     png : bytes
-        The content of an 8-bit RGB PNG file, as `write_png` writes it.
+        The content of an 8-bit RGB PNG file, as written by `write_png`.
 
     Raises
     ------
@@ -199,36 +199,36 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
 def render_tiles(
     job: RenderJob, pool: WorkerPool | None = None, encode: Callable[..., Any] = compress_tile
 ) -> Iterator[tuple[Any, Exposure]]:
-    """Render a picture, and yield its encoded tiles from top to bottom and from left to right.
+    """Render a picture and yield its encoded tiles, from top to bottom and left to right.
 
     Parameters
     ----------
     job : RenderJob
         The picture to render.
     pool : WorkerPool, optional
-        Worker processes, which render a part of the tiles.  By default, this process renders the
-        whole picture.
+        Worker processes that render some of the tiles.  By default, this process renders all of
+        them.
     encode : callable
-        Encodes a tile in the process that has rendered it.  It is called with the radiance of the
-        tile, an array (rows, columns, 3), and `from_left`: whether the tile begins at the left side
-        of the picture.  By default, it encodes for a PNG file.  The function and its results must
-        be picklable.
+        Encodes a tile in the process that has rendered it.  The arguments are the tile's radiance,
+        an array (rows, columns, 3), and the keyword `from_left`: whether the tile begins at the
+        left edge of the picture.  The function and its results must be picklable.  By default,
+        tiles are compressed for a PNG file.
 
     Yields
     ------
     data : object
-        What `encode` returned for a tile (a rectangle of pixels).
+        The result of `encode` for one tile (a rectangle of pixels).
     exposure : Exposure
-        Counts of pixels, lit pixels and clipped pixels in the tile.
+        Counts of all, lit and clipped pixels in the tile.
     """
-    workers = pool.workers if pool else 0
+    worker_count = pool.worker_count if pool else 0
     render_tile = partial(job.render_encoded_tile, encode)
-    tiles = job.tiles(shared=workers > 0)
-    yield from Distribution(render_tile, render_tile, tiles, workers, pool)
+    tiles = job.tiles(shared=worker_count > 0)
+    yield from Distribution(render_tile, render_tile, tiles, worker_count, pool)
 
 
-def _samples_per_side(samples: SupportsIndex) -> int:
-    """Compute the smallest n for which n x n samples are at least the requested number.
+def _compute_samples_per_side(samples: SupportsIndex) -> int:
+    """Compute the smallest n such that n x n is at least the requested number of samples.
 
     Parameters
     ----------
@@ -237,8 +237,8 @@ def _samples_per_side(samples: SupportsIndex) -> int:
 
     Returns
     -------
-    per_side : int
-        The number n of samples along each side of a pixel.
+    samples_per_side : int
+        The number n.
 
     Raises
     ------
@@ -261,7 +261,7 @@ def _samples_per_side(samples: SupportsIndex) -> int:
 class RenderJob:
     """A picture to render, which can be divided into tiles (rectangles of pixels).
 
-    To pickle a job is to pickle its arguments.  The process that unpickles the job prepares the
+    A pickled job contains only its arguments.  The process that unpickles the job prepares the
     scene again, unless it has rendered the same job recently.
 
     Parameters
@@ -271,7 +271,7 @@ class RenderJob:
     samples : int
         Number of samples per pixel, as in `render`.
     offset : (float, float)
-        Distance, in pixels, by which every sample is moved to the right, and down.
+        Distances to the right and down, in pixels, by which every sample is shifted.
 
     Attributes
     ----------
@@ -296,46 +296,46 @@ class RenderJob:
         offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
     ) -> None:
         self._arguments = scene, samples, offset
-        self._per_side = _samples_per_side(samples)
-        shift = np.asarray(offset, dtype=np.float64)
-        if shift.shape != (2,) or not np.isfinite(shift).all():
+        self._samples_per_side = per_side = _compute_samples_per_side(samples)
+        sample_shift = np.asarray(offset, dtype=np.float64)
+        if sample_shift.shape != (2,) or not np.isfinite(sample_shift).all():
             raise ValueError(f"offset must be two finite numbers, not {offset!r}")
-        right, down = shift.tolist()
+        right, down = sample_shift.tolist()
         self.prepared = PreparedScene(scene, (right, down))
-        is_antialiased = self._per_side > 1
-        has_lattice = is_antialiased and is_supersampling_cheaper(self.prepared, self._per_side)
-        self._is_classified = is_antialiased and not has_lattice
-        self._lattice = Lattice.at_least(self._per_side) if has_lattice else CENTERS
-        max_samples = _MAX_TILE_SAMPLES * (_CLASSIFIED_FACTOR if self._is_classified else 1)
+        is_antialiased = per_side > 1
+        uses_lattice = is_antialiased and is_supersampling_cheaper(self.prepared, per_side)
+        self._is_adaptive = is_antialiased and not uses_lattice
+        self._lattice = Lattice.at_least(per_side) if uses_lattice else CENTERS
+        max_samples = _MAX_TILE_SAMPLES * (_ADAPTIVE_FACTOR if self._is_adaptive else 1)
         self._max_samples = self.prepared.batch_size(max_samples)
         self.seconds = self._seconds_per_pixel * scene.width * scene.height
 
     @cached_property
     def _seconds_per_pixel(self) -> float:
-        """Rough estimate of the time, in seconds, that one process needs for one pixel.
+        """Estimate the rendering time of one pixel in one process, in seconds.
 
-        It is the estimated number of samples in the pixel, times the number of lights, times the
-        average number of objects that the ray through a sample meets, times a constant.
+        The estimate is the product of the number of samples in the pixel, the number of lights, the
+        average number of objects that a ray meets, and a constant.
         """
         prepared, sample_count = self.prepared, float(self._lattice.size)
-        if self._is_classified:
+        if self._is_adaptive:
             pixel_count = prepared.frame.width * prepared.frame.height
-            pair_density = prepared.bounds.silhouette_density(prepared.frame)
-            edge_count = _EDGES / sqrt(pixel_count) + _EDGES_PER_SILHOUETTE_PAIR * pair_density
-            samples_per_edge = self._per_side + self._per_side**2 / _CROWDED_SIDE
-            max_samples = _MAX_CLASSIFIED_FACTOR * self._per_side**2
-            sample_count = _CLASSIFIED_SAMPLES + min(edge_count * samples_per_edge, max_samples)
+            silhouette_density = prepared.bounds.silhouette_density(prepared.frame)
+            edge_count = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_density
+            samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
+            max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
+            sample_count = _ADAPTIVE_SAMPLES + min(edge_count * samples_per_edge, max_samples)
         seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared.light_count)
         return sample_count * seconds_per_hit * prepared.depth_complexity
 
     def tiles(self, *, shared: bool) -> list[Rectangle]:
-        """Divide the picture into tiles: rectangles of whole rows, or parts of one row.
+        """Divide the picture into tiles, each of whole rows or part of one row.
 
         Parameters
         ----------
         shared : bool
-            Whether several processes render tiles.  If so, tiles may be smaller, so that each
-            processor gets several tiles.
+            Whether several processes render the tiles.  If so, the tiles may be smaller, so that
+            each processor gets several.
 
         Returns
         -------
@@ -344,42 +344,42 @@ class RenderJob:
         """
         width, height = self.prepared.frame.width, self.prepared.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
-        max_seconds = _MAX_TILE_SECONDS / (1 + self._per_side**2 / _UNEVEN_SAMPLES)
-        tile_size = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
+        max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
+        tile_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
         if shared:
-            balanced_size = width * height / (_TILES_PER_PROCESSOR * count_processors())
-            tile_size = min(tile_size, max(_MIN_TILE_SECONDS * pixels_per_second, balanced_size))
-        row_ranges = _divide(height, max(1, int(tile_size / width)))
-        return list(product(row_ranges, _divide(width, max(1, int(tile_size)))))
+            fair_share = width * height / (_TILES_PER_PROCESSOR * count_processors())
+            tile_pixels = min(tile_pixels, max(_MIN_TILE_SECONDS * pixels_per_second, fair_share))
+        row_ranges = _divide_range(height, max(1, int(tile_pixels / width)))
+        return list(product(row_ranges, _divide_range(width, max(1, int(tile_pixels)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Define what pickle stores: only the arguments, not the prepared scene."""
-        return _job_from_pickle, (self.pickled_arguments,)
+        """Make pickle store only the job's arguments, not the prepared scene."""
+        return _unpickle_job, (self.pickled_arguments,)
 
     @cached_property
     def pickled_arguments(self) -> bytes:
-        """The pickled arguments (scene, samples, offset), which identify the job in any process."""
+        """Pickle the arguments (scene, samples, offset), which identify the job in any process."""
         return pickle.dumps(self._arguments)
 
     def render_encoded_tile(
         self, encode: Callable[..., Any], rectangle: Rectangle
     ) -> tuple[Any, Exposure]:
-        """Render one tile, and encode it for a file.
+        """Render a tile and encode it for a file.
 
         Parameters
         ----------
         encode : callable
-            Called with the radiance of the tile, an array (rows, columns, 3), and `from_left`:
-            whether the tile begins at the left side of the picture.  Returns the encoded pixels.
+            Encodes a tile.  The arguments are the tile's radiance, an array (rows, columns, 3), and
+            the keyword `from_left`: whether the tile begins at the left edge of the picture.
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
 
         Returns
         -------
         data : object
-            What `encode` returned.
+            The result of `encode`.
         exposure : Exposure
-            Counts of pixels, lit pixels and clipped pixels in the tile.
+            Counts of all, lit (not black) and clipped (brighter than 1) pixels in the tile.
         """
         radiance = self.render_tile(rectangle)
         data = encode(radiance, from_left=rectangle[1].start == 0)
@@ -387,15 +387,15 @@ class RenderJob:
 
     @_QUIET
     def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
-        """Render one tile, and return its linear RGB radiance.
+        """Render a tile and return its linear RGB radiance.
 
         Parameters
         ----------
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
         out : (rows, columns, 3) float array, optional
-            Receives the radiance.  It must be all zeros: pixels in which no object is visible are
-            not written.
+            Array to store the radiance in.  It must contain zeros, because pixels that show no
+            object are not written.
 
         Returns
         -------
@@ -404,32 +404,32 @@ class RenderJob:
         """
         keep_heap()
         rows, columns = rectangle
-        size = rows.stop - rows.start, columns.stop - columns.start
-        radiance = np.zeros((*size, 3)) if out is None else out
+        tile_shape = rows.stop - rows.start, columns.stop - columns.start
+        radiance = np.zeros((*tile_shape, 3)) if out is None else out
         visible_rows, visible_columns = map(_intersect, rectangle, self.prepared.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
-        visible_radiance = radiance[_count_from_tile_start(visible_rows, rows)]
-        if self._is_classified:
-            visible_radiance[:, _count_from_tile_start(visible_columns, columns)] = refine_pixels(
-                self.prepared, visible_rows, visible_columns, self._per_side
+        visible_radiance = radiance[_to_tile_range(visible_rows, rows)]
+        if self._is_adaptive:
+            visible_radiance[:, _to_tile_range(visible_columns, columns)] = refine_pixels(
+                self.prepared, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance
         samples = self._lattice.samples(visible_rows, columns)
         if self._lattice.size > 1:
             sample_radiance = radiance_at(self.prepared, samples)
-            visible_radiance[:] = self._lattice.mean(sample_radiance, size[1])
+            visible_radiance[:] = self._lattice.mean(sample_radiance, tile_shape[1])
         else:
             radiance_at(self.prepared, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
 
 @lru_cache(_MAX_CACHED_JOBS)
-def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
-    """Create a render job from its pickled arguments, or return the same job as last time.
+def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
+    """Create a render job from its pickled arguments, or return the cached job.
 
-    The latest `_MAX_CACHED_JOBS` jobs of this process are cached: a job prepares its scene, and
-    that may take longer than to render a tile.
+    The last `_MAX_CACHED_JOBS` jobs of this process are cached, because creating a job prepares its
+    scene, which may take longer than rendering a tile.
 
     Parameters
     ----------
@@ -439,57 +439,57 @@ def _job_from_pickle(pickled_arguments: bytes) -> RenderJob:
     Returns
     -------
     job : RenderJob
-        The job.  Equal arguments give the same object as long as it is cached.
+        The job: the same object for equal arguments, as long as it is cached.
     """
     return RenderJob(*pickle.loads(pickled_arguments))
 
 
 def _intersect(first: slice, second: slice) -> slice:
-    """Intersect two ranges.
+    """Return the overlap of two ranges.
 
     Parameters
     ----------
     first, second : slice
-        The ranges, from `start` to `stop`.
+        The ranges, each with a start and a stop.
 
     Returns
     -------
     overlap : slice
-        The numbers that are in both ranges.  If there are none, its stop is at most its start.
+        The range of the numbers in both ranges.  If there are none, its stop is at most its start.
     """
     return slice(max(first.start, second.start), min(first.stop, second.stop))
 
 
-def _count_from_tile_start(pixel_range: slice, tile_range: slice) -> slice:
-    """Count a range of picture rows or columns from the start of a tile.
+def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
+    """Convert a range of rows or columns from picture to tile coordinates.
 
     For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
 
     Parameters
     ----------
-    pixel_range : slice
-        The range of rows or columns, counted from the start of the picture.
+    picture_range : slice
+        Rows or columns, counted from the start of the picture.
     tile_range : slice
-        The rows or columns of the tile, counted from the start of the picture.  They contain the
-        range.
+        All rows or columns of the tile, counted from the start of the picture.  They contain
+        `picture_range`.
 
     Returns
     -------
-    relative_range : slice
-        The same rows or columns, counted from the start of the tile.
+    range_in_tile : slice
+        The rows or columns of `picture_range`, counted from the start of the tile.
     """
-    return slice(pixel_range.start - tile_range.start, pixel_range.stop - tile_range.start)
+    return slice(picture_range.start - tile_range.start, picture_range.stop - tile_range.start)
 
 
-def _divide(length: int, max_length: int) -> list[slice]:
+def _divide_range(length: int, max_length: int) -> list[slice]:
     """Divide the range from 0 to `length` into consecutive slices of almost equal lengths.
 
     Parameters
     ----------
     length : int
-        Length of the whole range; at least 1.
+        Length of the range, at least 1.
     max_length : int
-        Maximum length of a slice; at least 1.
+        Maximum length of a slice, at least 1.
 
     Returns
     -------
@@ -497,5 +497,5 @@ def _divide(length: int, max_length: int) -> list[slice]:
         As few slices as possible, in ascending order.  Their lengths differ by at most 1.
     """
     slice_count = -(-length // max_length)
-    bounds = [length * k // slice_count for k in range(slice_count + 1)]
+    bounds = [length * index // slice_count for index in range(slice_count + 1)]
     return [slice(start, stop) for start, stop in pairwise(bounds)]
