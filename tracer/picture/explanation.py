@@ -31,7 +31,7 @@ __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
 
 @dataclass(frozen=True)
 class SurfaceRef:
-    """A reference to a surface of a scene, which shows where the surface is in the file.
+    """A reference to a surface of a scene, which shows where the file defines the surface.
 
     ``str(ref)`` is, for example, "Sphere 0 (line 12)".
 
@@ -144,19 +144,22 @@ class Explanation:
         return "\n".join(self._text_lines())
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """Show the explanation as text in IPython and in notebooks, which call this method.
+        """Show the explanation as text in IPython and notebooks, which call this method.
 
         Parameters
         ----------
         printer : IPython.lib.pretty.PrettyPrinter
-            Receives the text.
+            Printer that the text is written to.
         cycle : bool
-            Ignored: an explanation does not contain itself.
+            Ignored, because an explanation does not contain itself.
         """
         printer.text(str(self))
 
     def _text_lines(self) -> Iterator[str]:
-        """Yield the explanation as text, line by line, without line breaks."""
+        """Yield the lines of text of the explanation, without line breaks.
+
+        kd and ks are the diffuse and specular colours of the surface.
+        """
         yield f"pixel     {self.x},{self.y}"
         yield f"ray       from {_format_vector(self.eye)} towards {_format_vector(self.direction)}"
         yield f"surface   {self.surface or 'none: the ray meets nothing'}"
@@ -172,36 +175,37 @@ class Explanation:
         yield f"codes     {' '.join(map(str, self.codes))}"
 
     def _light_text_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
-        """Yield the explanation of one light as text, line by line, without line breaks.
+        """Yield the lines of text that explain one light, without line breaks.
 
         Parameters
         ----------
         light_index : int
             Index of the light in the scene.
         light : LightPart
-            The contribution of this light to the pixel.
+            The contribution of the light to the pixel.
 
         Yields
         ------
         line : str
-            First a line with the cosines and the surfaces that block the light.  If there are none,
-            a line with the diffuse term and a line with the specular term follow.
+            The first line contains the cosines n.l and n.h, and the surfaces that block the light.
+            If the light is not blocked, a line for its diffuse radiance and one for its specular
+            radiance follow.
         """
-        occluders = [str(ref) for ref in light.occluders if ref != self.surface]
-        occluders = occluders or ["the surface itself"] * len(light.occluders)
+        other_surfaces = [str(ref) for ref in light.occluders if ref != self.surface]
+        occluders = other_surfaces or ["the surface itself"] * len(light.occluders)
         outcome = f"blocked by {', '.join(occluders)}" if occluders else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
-        name = indexed_name("light", light_index, light.line)
-        yield f"{name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
+        light_name = indexed_name("light", light_index, light.line)
+        yield f"{light_name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
         if not occluders:
             intensity, kd, ks = map(_format_vector, (light.intensity, self.kd, self.ks))
-            power = f"{n_dot_h}^{self.exponent:g}"
+            highlight = f"{n_dot_h}^{self.exponent:g}"
             yield f"  diffuse   {_format_vector(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
-            yield f"  specular  {_format_vector(light.specular)} = {intensity} * {ks} * {power}"
+            yield f"  specular  {_format_vector(light.specular)} = {intensity} * {ks} * {highlight}"
 
 
 def _to_vector(values: ArrayLike) -> Vector:
-    """Convert three numbers in an array-like to a tuple of three floats."""
+    """Convert an array-like of three numbers to a tuple of three floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return x, y, z
 
@@ -209,19 +213,19 @@ def _to_vector(values: ArrayLike) -> Vector:
 def _format_vector(vector: Vector) -> str:
     """Format a vector as text such as "0 1.5 -2", with up to nine digits for each component.
 
-    A component -0 is written as 0.
+    Negative zero is written as 0.
     """
     return " ".join(f"{component + 0.0:.9g}" for component in vector)
 
 
 @np.errstate(all="ignore")
 def explain(scene: Scene, x: int, y: int) -> Explanation:
-    """Explain how the colour of a pixel is computed, for a picture with one sample per pixel.
+    """Explain how the colour of a pixel is computed in a picture with one sample per pixel.
 
     Parameters
     ----------
     scene : Scene
-        The scene that the picture shows.
+        The scene to render.
     x, y : int
         Column and row of the pixel; the top left pixel is 0, 0.
 
@@ -248,14 +252,14 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     surface_index = first_hit.surface.item()
-    ray_vector = samples.ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
+    ray = samples.ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
         x=x,
         y=y,
         eye=_to_vector(frame.eye),
-        direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray_vector)))),
+        direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, surface_index) if has_hit else None,
         distance=first_hit.distance.item(),
         point=_to_vector(first_hit.point[0]),
@@ -273,36 +277,36 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
 
 
 def _explain_light(
-    scene: Scene, hits: Hits, first_hit: FirstHits, light: PointLight, prepared_light: Lights
+    scene: Scene, hit: Hits, first_hit: FirstHits, light: PointLight, prepared_light: Lights
 ) -> LightPart:
-    """Compute the contribution of one light to the colour of a pixel, for a pixel with a hit.
+    """Compute the contribution of one light to the colour of a pixel that shows a surface.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    hits : Hits
-        The pixel's only hit, in the axes of the camera.
+    hit : Hits
+        The point where the pixel's ray meets the surface, in the axes of the camera.
     first_hit : FirstHits
-        The same hit in the axes of the scene, as arrays of length 1.
+        The same point in the axes of the scene, as arrays of length 1.
     light : PointLight
-        The light.
+        The light, in the axes of the scene.
     prepared_light : Lights
-        The same light in the axes of the camera: a batch that contains no other light.
+        The same light in the axes of the camera: a batch of one light.
 
     Returns
     -------
-    part : LightPart
-        The cosines, what blocks the light, and the radiance that the light adds.
+    contribution : LightPart
+        The cosines, the surfaces that block the light, and the radiance that the light adds.
     """
-    faces_light = light_geometry(hits, prepared_light).n_dot_l.item() > 0
-    occluders = _find_occluders(hits, prepared_light) if faces_light else hits.hit_object
+    is_facing_light = light_geometry(hit, prepared_light).n_dot_l.item() > 0
+    occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for channel, diffuse_term, _, specular_term in shade(hits, [prepared_light]).reflection_terms():
+    for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).reflection_terms():
         diffuse[channel], specular[channel] = diffuse_term.item(), specular_term.sum()
     point, normal = first_hit.point[0], first_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
-    half_vector = normalize(to_light + normalize(hits.prepared.frame.eye - point))
+    half_vector = normalize(to_light + normalize(hit.prepared.frame.eye - point))
     file_index = scene.surfaces.file_index[occluders].tolist()
     return LightPart(
         line=light.line,
@@ -316,30 +320,29 @@ def _explain_light(
 
 
 def _find_occluders(hit: Hits, light: Lights) -> Ints:
-    """Find all objects that block the segment from a hit to a light.
+    """Find all objects that block the segment from a surface point to a light.
 
-    The object on which the hit lies is not tested.
+    The object on whose surface the point lies is not tested.
 
     Parameters
     ----------
     hit : Hits
-        A single hit.
+        A single point, where a ray meets a surface.
     light : Lights
         A single light.
 
     Returns
     -------
     occluders : (k,) int array
-        Indices of the objects that block the segment, in the order of the prepared scene; k may
-        be 0.
+        Indices of the k blocking objects in the prepared scene; k may be 0.
     """
-    occluders = []
+    occluder_parts = []
     for shape in hit.prepared.shapes:
-        others = np.setdiff1d(shape.objects.indices(), hit.hit_object)
-        # The hit and the light are repeated for each object.
-        hit_position = hit.points(np.zeros_like(others))
-        light_position = take3(light.position.T, np.zeros_like(others))
-        side = light.side[0, others]
-        blocks = shape.occludes(others, hit_position, light_position, side)
-        occluders.append(others[blocks])
-    return np.concatenate(occluders)
+        other_objects = np.setdiff1d(shape.objects.indices(), hit.hit_object)
+        # The point and the light are repeated for each object.
+        hit_position = hit.points(np.zeros_like(other_objects))
+        light_position = take3(light.position.T, np.zeros_like(other_objects))
+        light_side = light.side[0, other_objects]
+        is_blocking = shape.occludes(other_objects, hit_position, light_position, light_side)
+        occluder_parts.append(other_objects[is_blocking])
+    return np.concatenate(occluder_parts)

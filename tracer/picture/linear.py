@@ -17,38 +17,38 @@ NPY, EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 
 
 def encode_raw(radiance: Floats, *, from_left: bool = True) -> bytes:
-    """Convert the radiance of a tile (a rectangle of pixels) to bytes, exactly.
+    """Convert the radiance of a tile (a rectangle of pixels) to raw float64 bytes.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of the pixels.
     from_left : bool
-        Whether the tile begins at the left side of the picture.  It makes no difference here, but
-        all functions that encode tiles have this parameter.
+        Whether the tile begins at the left edge of the picture.  This makes no difference, but all
+        functions that encode tiles have this parameter.
 
     Returns
     -------
     data : bytes
-        The values as float64, row by row; for each pixel red, green and blue.
+        The values in order: row by row, and for each pixel red, green and blue.
     """
     return radiance.tobytes()
 
 
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write a picture as a .npy file, from which `numpy.load` returns its linear radiance.
+    """Write the linear radiance of a picture to a .npy file.
 
-    The loaded array has shape (height, width, 3) and type float64.
+    `numpy.load` returns it as a float64 array of shape (height, width, 3).
 
     Parameters
     ----------
     file : binary file
-        Open for writing.
+        A file open for writing.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
         The pixels of the picture from top to bottom and from left to right, as bytes of float64
-        RGB values (the results of `encode_raw`).  The number of pixels is not checked.
+        RGB values, as returned by `encode_raw`.  The number of pixels is not checked.
 
     Raises
     ------
@@ -62,20 +62,20 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
 
 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
-    """Write a picture as an OpenEXR file with the channels R, G and B.
+    """Write the linear radiance of a picture to an OpenEXR file with the channels R, G and B.
 
-    Values are rounded to float32; values too large for float32 become infinite.
+    Values are rounded to float32; values that are too large for float32 become infinite.
 
     Parameters
     ----------
     file : binary file
-        Open for writing; the package OpenEXR opens the same file again, and replaces the content.
-        The attribute `name` of the file is a path or a file descriptor.
+        A file open for writing, whose attribute `name` is its path or file descriptor.  The package
+        OpenEXR opens the same file again, and replaces its content.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
         The pixels of the picture from top to bottom and from left to right, as bytes of float64
-        RGB values (the results of `encode_raw`).
+        RGB values, as returned by `encode_raw`.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with np.errstate(over="ignore"):
         channels = {"RGB": image.astype(np.float32)}
-    # A file has no path only on Linux, where it can be opened again by its descriptor.
+    # Files without a path exist only on Linux, where they can be opened again by descriptor.
     path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
     try:
         OpenEXR.File(header, channels).write(path)

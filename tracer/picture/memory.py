@@ -24,20 +24,19 @@ _LARGE_PAGE_BYTES = 1 << 27
 
 @cache
 def keep_heap() -> None:
-    """Make the C library glibc keep freed memory, in large pages, for the next array.
+    """Make the C library glibc keep freed memory, in large pages, for the next arrays.
 
-    By default, glibc returns free memory at the end of the heap to the system, and to get it back
+    By default, glibc returns free memory at the end of the heap to the system, and getting it back
     takes longer than the arithmetic on it.  The setting applies to this process and to processes
-    forked from it.  With another C library, this function does nothing; a second call does nothing,
-    either.
+    forked from it.  A second call has no effect, nor has any call with another C library.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
-        # For arrays of this size NumPy requests large pages, by madvise(2).  The arrays are never
-        # written to, so they take no memory now.  If they cannot be allocated, the picture may
-        # still need far less.
+        # For arrays of this size, NumPy requests large pages with madvise(2).  The arrays are never
+        # written to, so they take no memory now.  If they cannot be allocated, there may still be
+        # enough memory for the picture.
         with suppress(MemoryError):
             _ = [
                 np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)
