@@ -26,12 +26,11 @@ _MIN_CODE = 10
 # Pixels look stretched by mistake if their width and height differ by more than this factor.
 _MAX_ASPECT = 1.05
 
-# Lights inside surfaces are searched for if there are at most this many pairs of a light and a
-# surface.
+# Maximum number of (light, surface) pairs for which lights inside surfaces are searched for.
 _MAX_PAIRS = BATCH_SIZE
 
 # In rectangles of more than this many pixels, one in `_EXAMINATION_STEP` pixels is examined for
-# clipping.  To examine all took 8 % of the time of a picture of one sphere.
+# clipping.  Examining all of them took 8 % of the time of a picture of one sphere.
 _MIN_ESTIMATED_PIXELS, _EXAMINATION_STEP = 4096, 7
 
 
@@ -66,10 +65,10 @@ class Exposure(NamedTuple):
 
     @classmethod
     def from_radiance(cls, radiance: Floats) -> Exposure:
-        """Count all pixels, lit pixels and clipped pixels in a rectangle of a picture.
+        """Count all, lit (not black) and clipped (brighter than 1) pixels in part of a picture.
 
-        In a rectangle of more than `_MIN_ESTIMATED_PIXELS` pixels, the numbers of lit and clipped
-        pixels are estimates, but the number of lit pixels is 0 only if all pixels are black.
+        The numbers of lit and clipped pixels are estimates if there are more than
+        `_MIN_ESTIMATED_PIXELS` pixels.  The number of lit pixels is 0 only if all pixels are black.
 
         Parameters
         ----------
@@ -84,9 +83,9 @@ class Exposure(NamedTuple):
         pixels = radiance.reshape(-1, 3)
         step = _EXAMINATION_STEP if len(pixels) > _MIN_ESTIMATED_PIXELS else 1
         red, green, blue = pixels[::step].T
-        maximum = np.maximum(np.maximum(red, green), blue)
-        lit_count = step * int(np.count_nonzero(maximum)) or int(radiance.any())
-        return cls(len(pixels), lit_count, step * int(np.count_nonzero(maximum > 1)))
+        max_component = np.maximum(np.maximum(red, green), blue)
+        lit_count = step * int(np.count_nonzero(max_component)) or int(radiance.any())
+        return cls(len(pixels), lit_count, step * int(np.count_nonzero(max_component > 1)))
 
 
 def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) -> Iterator[str]:
@@ -106,29 +105,29 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     warning : str
         One line of text: what looks wrong, where, and a suggested fix.
     """
-    range_warnings = [*islice(_color_range_warnings(scene), 1)]
-    yield from range_warnings
+    first_range_warning = [*islice(_color_range_warnings(scene), 1)]
+    yield from first_range_warning
     yield from _shader_warnings(scene.surfaces)
     yield from _aspect_warnings(scene)
     yield from _light_warnings(scene, prepared)
     if not exposure.lit_count:
         reason, remedy = _explain_black(scene, prepared)
         yield f"{reason}: the picture is black; {remedy}"
-    elif not range_warnings and 2 * exposure.clipped_count > exposure.lit_count:
+    elif not first_range_warning and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
-        brightest = _light_name(scene, intensities.index(max(intensities)))
+        brightest_light = _light_name(scene, intensities.index(max(intensities)))
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
         yield (
             f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
-            f"in a PNG file; lower the intensities, first that of {brightest}"
+            f"in a PNG file; lower the intensities, first that of {brightest_light}"
         )
 
 
 def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
-    """Yield a warning for the first light of intensity 0, and for the first light in a surface.
+    """Warn about the first light with intensity 0, and the first light inside a surface.
 
     A light inside a surface has no effect if the eye is outside that surface.  Such lights are
-    searched for only if the scene has at most `_MAX_PAIRS` pairs of a light and a surface.
+    searched for only if the scene has at most `_MAX_PAIRS` (light, surface) pairs.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
     is_enclosed = np.concatenate(
         [
-            # A light that is inside by less than the tolerance is treated as on the surface.
+            # A light inside by less than the tolerance is treated as being on the surface.
             shape.signed_distance(shape.objects.indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_size
             for shape in prepared.shapes
@@ -160,9 +159,9 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     )
     is_enclosed &= ~prepared.is_eye_inside
     for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
-        light = _light_name(scene, light_index)
-        surface = _surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
-        yield f"{light} is inside {surface}: it has no effect; move it out"
+        light_name = _light_name(scene, light_index)
+        surface_name = _surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
+        yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
 
 
 @np.errstate(all="ignore")
@@ -185,29 +184,32 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     """
     if not scene.lights:
         return "the scene has no light", "add <light>"
-    visible = _find_visible_objects(prepared)
-    see_camera = "see viewPoint, viewDir and the window"
-    if not visible.size:
+    visible_objects = _find_visible_objects(prepared)
+    camera_remedy = "see viewPoint, viewDir and the window"
+    if not visible_objects.size:
         if prepared.bounds.in_picture(prepared.frame).any():
-            return "no pixel's centre sees an object", f"try --samples 16, or {see_camera}"
-        return "no object is in view", see_camera
-    see_shader = f"see the shader of {_surface_name(scene, visible)}"
-    is_reflected = (prepared.diffuse[:, visible] > 0) | (prepared.specular[:, visible] > 0)
-    is_emitted = np.array([light.intensity for light in scene.lights]) > 0
-    if not is_reflected.any():
-        return "all surfaces in view are black", see_shader
-    if is_emitted.any() and not is_reflected[is_emitted.any(axis=0)].any():
-        return "the surfaces in view reflect no colour of the lights", see_shader
+            return "no pixel's centre sees an object", f"try --samples 16, or {camera_remedy}"
+        return "no object is in view", camera_remedy
+    shader_remedy = f"see the shader of {_surface_name(scene, visible_objects)}"
+    diffuse, specular = (
+        color[:, visible_objects] for color in (prepared.diffuse, prepared.specular)
+    )
+    reflects = (diffuse > 0) | (specular > 0)
+    emits = np.array([light.intensity for light in scene.lights]) > 0
+    if not reflects.any():
+        return "all surfaces in view are black", shader_remedy
+    if emits.any() and not reflects[emits.any(axis=0)].any():
+        return "the surfaces in view reflect no colour of the lights", shader_remedy
     remedy = "see the lights' positions and intensities"
-    around_eye = visible[prepared.is_eye_inside[visible]]
-    if around_eye.size:
-        name = _surface_name(scene, around_eye)
-        remedy = f"viewPoint is inside {name}: move it out, or a light in"
+    objects_around_eye = visible_objects[prepared.is_eye_inside[visible_objects]]
+    if objects_around_eye.size:
+        surface_name = _surface_name(scene, objects_around_eye)
+        remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
     return "no light reaches anything in view", remedy
 
 
 def _find_visible_objects(prepared: PreparedScene) -> Ints:
-    """Find the objects that are visible at the centre of at least one pixel.
+    """Find the objects that are visible_objects through the centre of at least one pixel.
 
     Parameters
     ----------
@@ -216,20 +218,20 @@ def _find_visible_objects(prepared: PreparedScene) -> Ints:
 
     Returns
     -------
-    visible : (k,) int array
+    visible_objects : (k,) int array
         Indices of the objects in the prepared scene, in ascending order.
     """
-    (rows, columns), visible_parts = prepared.window, [np.zeros(0, dtype=np.intp)]
+    (rows, columns), visible_by_batch = prepared.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
-        row_count = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
-        for top in range(rows.start, rows.stop, row_count):
-            samples = CENTERS.samples(slice(top, min(top + row_count, rows.stop)), columns)
-            visible_parts.append(np.unique(nearest_hits(prepared, samples).run_object))
-    return np.unique(np.concatenate(visible_parts))
+        rows_per_batch = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
+        for top in range(rows.start, rows.stop, rows_per_batch):
+            samples = CENTERS.samples(slice(top, min(top + rows_per_batch, rows.stop)), columns)
+            visible_by_batch.append(np.unique(nearest_hits(prepared, samples).run_object))
+    return np.unique(np.concatenate(visible_by_batch))
 
 
 def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
-    """Warn of all shaders that no surface uses, and of all exponents that have no effect.
+    """Warn about shaders that no surface uses, and exponents that have no effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
     skipped, because the warning names shaders by their lines in the file.
@@ -237,20 +239,20 @@ def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
     Parameters
     ----------
     surfaces : Surfaces
-        The surfaces of the scene, with its shaders.
+        The surfaces and shaders of the scene.
 
     Yields
     ------
     warning : str
-        One line of text: what looks wrong, in which lines of the file, and a suggested fix.  There
-        are at most two warnings.
+        One line of text: what looks wrong, in which lines of the file, and a suggested fix.  At
+        most two warnings are yielded, one of each kind.
     """
-    used = set(surfaces.shader_index.tolist())
+    used_indices = set(surfaces.shader_index.tolist())
     unused_lines, matte_lines = list[int](), list[int]()
     for index, shader in enumerate(surfaces.shaders):
         if shader.line is None:
             continue
-        if index not in used:
+        if index not in used_indices:
             unused_lines.append(shader.line)
         elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
             matte_lines.append(shader.line)
@@ -263,34 +265,34 @@ def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
 
 
 def _name_shaders(lines: list[int]) -> str:
-    """Name shaders by their lines in the file: "shader of line 3", or "shaders of lines 3, 7".
+    """Name shaders by their line numbers: "shader of line 3", or "shaders of lines 3, 7".
 
-    At most nine lines are listed.
+    At most nine line numbers are listed.
     """
     listed_lines = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
     return f"shader of line {lines[0]}" if len(lines) == 1 else f"shaders of lines {listed_lines}"
 
 
 def _aspect_warnings(scene: Scene) -> Iterator[str]:
-    """Yield a warning if the width and height of pixels differ by a factor above `_MAX_ASPECT`.
+    """Warn if the width and height of pixels differ by a factor greater than `_MAX_ASPECT`.
 
-    The warning suggests the value of `viewWidth`, or the number of columns, with which pixels would
-    be square.
+    The warning suggests a value of `viewWidth`, and a number of columns, each of which would make
+    the pixels square.
     """
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
     if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
         window_size = f"{format_number(view_width)} x {format_number(view_height)}"
         problem = f"{width} x {height} pixels show a window of {window_size}, stretched"
-        columns = max(1, round(height * view_width / view_height))
-        remedy = f"viewWidth {view_height * width / height:.6g}, or {columns} columns,"
+        column_count = max(1, round(height * view_width / view_height))
+        remedy = f"viewWidth {view_height * width / height:.6g}, or {column_count} columns,"
         yield f"{problem}; {remedy} would make them square"
 
 
 def indexed_name(kind: str, index: int, line: int | None) -> str:
-    """Name a light or surface by its index, and its line in the file: "light 0 (line 12)".
+    """Name a light or surface by its index and its line in the file: "light 0 (line 12)".
 
-    Without a line, which means that it does not come from a file, the name is "light 0".
+    If `line` is None, because the scene does not come from a file, the name is "light 0".
     """
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
@@ -301,24 +303,24 @@ def _light_name(scene: Scene, index: int) -> str:
 
 
 def _surface_name(scene: Scene, object_index: Ints) -> str:
-    """Name the first of several surfaces, in the order of the file, by its index and line.
+    """Name the surface that comes first in the file, of one or more, by its index and line.
 
     Parameters
     ----------
     scene : Scene
-        The scene with the surfaces.
+        The scene that contains the surfaces.
     object_index : (n,) int array
-        Indices of the surfaces among all objects of the prepared scene, whose order is not that of
-        the file; n is at least 1.
+        Indices of the surfaces in the prepared scene, whose order is not that of the file; n is at
+        least 1.
     """
     index = scene.surfaces.file_index[object_index].min().item()
     return indexed_name("surface", index, scene.surfaces[index].line)
 
 
 def _color_range_warnings(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour that seems to be in the range 0 to 255 instead of 0 to 1.
+    """Warn about each colour that seems to be in the range 0 to 255 instead of 0 to 1.
 
-    Such a colour consists of integers up to 255, of which the largest is at least `_MIN_CODE`.  The
+    Such a colour consists of integers up to 255, the largest of which is at least `_MIN_CODE`.  The
     warning names the light, or the first surface with the colour, and suggests the same colour in
     the range 0 to 1.
     """
@@ -338,7 +340,7 @@ def _color_range_warnings(scene: Scene) -> Iterator[str]:
     for tag, color, kind, index in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
             element = scene.lights[index] if kind == "light" else surfaces[index]
-            owner = indexed_name(kind, index, element.line)
+            name = indexed_name(kind, index, element.line)
             codes = " ".join(map(format_number, color))
             fractions = " ".join(f"{value / 255:.3g}" for value in color)
-            yield f"{tag} {codes} of {owner} looks like 0 to 255; for 0 to 1, write {fractions}"
+            yield f"{tag} {codes} of {name} looks like 0 to 255; for 0 to 1, write {fractions}"

@@ -99,15 +99,15 @@ class CompressedTile(NamedTuple):
 
 
 def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile:
-    """Encode a tile (a rectangle of pixels) as 8-bit codes, and compress them for a PNG file.
+    """Encode a tile (a rectangle of pixels) as 8-bit codes, and compress it for a PNG file.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
-        Linear RGB radiance of the tile: of whole rows of the picture, or of a part of one row.
+        Linear RGB radiance of the tile, which is whole rows of the picture or part of one row.
     from_left : bool
-        Whether the tile begins at the left side of the picture.  If so, each row is preceded by a
-        byte 0, which means that the row is not filtered (PNG, 9.2).
+        Whether the tile begins at the left edge of the picture.  If so, each row is preceded by a
+        zero byte, which means that the row is not filtered (PNG, 9.2).
 
     Returns
     -------
@@ -122,7 +122,7 @@ def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile
     codes = to_codes(radiance)
     rows = codes.reshape(len(codes), -1)
     if from_left:
-        # No filter, because filters would disturb exact repetitions, of which pictures have many.
+        # No filter, because filters would disturb exact repetitions, which are common in pictures.
         rows = np.pad(rows, ((0, 0), (1, 0)))
     # Level 3 takes no longer than level 1.
     compressor = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
@@ -136,7 +136,7 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     Parameters
     ----------
     file : binary file
-        Open for writing.  The PNG file begins at its current position.
+        A file open for writing.  The PNG file begins at the current position.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of CompressedTile
@@ -160,14 +160,14 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
         file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(chunk_type))))
 
     file.write(PNG)
-    # 8 bits per channel, RGB, the only compression and filter methods that exist, not interlaced.
+    # 8 bits per channel, RGB, the only existing compression and filter methods, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-    # A zlib stream (RFC 1950): its header (window of 32 KB, fast compression), the blocks of the
+    # A zlib stream (RFC 1950): its prefix (window of 32 KB, fast compression), the blocks of the
     # tiles, an empty last block, and the checksum.
-    header, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
+    prefix, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
     for tile in tiles:
-        write_chunk(b"IDAT", header + tile.data)
-        header, checksum = b"", _combine_adler(checksum, tile.checksum, tile.size)
+        write_chunk(b"IDAT", prefix + tile.data)
+        prefix, checksum = b"", _combine_checksums(checksum, tile.checksum, tile.size)
         remaining_bytes -= tile.size
     if remaining_bytes:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
@@ -175,12 +175,12 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     write_chunk(b"IEND", b"")
 
 
-def _combine_adler(first_checksum: int, second_checksum: int, second_size: int) -> int:
-    """Combine the Adler-32 checksums of two byte strings to that of the joined string.
+def _combine_checksums(first_checksum: int, second_checksum: int, second_size: int) -> int:
+    """Combine the Adler-32 checksums of two byte strings into that of their concatenation.
 
     An Adler-32 checksum has two halves of 16 bits, both modulo 65521 (RFC 1950).  The lower half,
-    a, is 1 plus the sum of all bytes; the upper half, b, is the sum of the values of a after each
-    byte.
+    a, is 1 plus the sum of all bytes; the upper half, b, is the sum of the values that a has after
+    each byte.
 
     Parameters
     ----------
@@ -224,19 +224,19 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    min_value, first_cell, cell_code, next_threshold = _make_code_tables()
+    min_value, first_cell, cell_code, next_threshold = _compute_code_tables()
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        clipped = np.clip(flat_radiance[batch], min_value, 1.0)
+        clipped_values = np.clip(flat_radiance[batch], min_value, 1.0)
         # A cell is a range of float64 values with common leading bits.  At most one code begins
         # in a cell, so the code of a value is that of its cell's minimum, or one more.
-        min_code = cell_code.take((clipped.view(np.int64) >> _CELL_BITS) - first_cell)
-        np.add(min_code, clipped >= next_threshold.take(min_code), out=flat_codes[batch])
+        min_code = cell_code.take((clipped_values.view(np.int64) >> _CELL_BITS) - first_cell)
+        np.add(min_code, clipped_values >= next_threshold.take(min_code), out=flat_codes[batch])
     return codes
 
 
 def _validate_radiance(image: ArrayLike) -> Floats:
-    """Check that an image can be linear radiance, and convert it to a contiguous float64 array.
+    """Check that an image is linear radiance, and convert it to a contiguous float64 array.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ _CELL_BITS = 52 - 7
 
 
 @cache
-def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
+def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
     """Compute lookup tables for the 8-bit codes of radiance values from `min_value` to 1.
 
     The values from `min_value` to 1 are divided into cells.  A cell is a range of float64 values
@@ -290,27 +290,27 @@ def _make_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
         The largest power of two with code 0.  All smaller values have code 0, too.
     first_cell : int
         The leading bits of `min_value`, as an integer.  The index of a value's cell is the value's
-        leading bits minus this number.
+        leading bits minus `first_cell`.
     cell_code : (cells,) uint8 array
         The code of the smallest value in each cell.
     next_threshold : (_MAX_CODE + 1,) float array
         For each code, the smallest float64 that has a larger code; infinite for the last code.
     """
     codes = range(1, _MAX_CODE + 1)
-    next_threshold = np.array([_compute_threshold(code) for code in codes] + [np.inf])
+    next_threshold = np.array([_find_threshold(code) for code in codes] + [np.inf])
     min_value = 2.0 ** (math.frexp(next_threshold[0])[1] - 1)
     first_cell, last_cell = (np.array([min_value, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
-    smallest: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
-    cell_code = next_threshold.searchsorted(smallest, side="right").astype(np.uint8)
+    min_of_cell: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
+    cell_code = next_threshold.searchsorted(min_of_cell, side="right").astype(np.uint8)
     return min_value, first_cell, cell_code, next_threshold
 
 
-def _compute_threshold(code: int) -> float:
+def _find_threshold(code: int) -> float:
     """Compute the smallest float64 radiance whose 8-bit code is at least `code`.
 
     A value x has at least this code if 255 x^(q/p) >= code - 1/2, where p / q is gamma.  To avoid
     rounding, both sides are doubled and raised to the power p: 510^p x^q >= (2 code - 1)^p.  With
-    x = a / b, both sides multiplied by b^q are integers, so the comparison is exact.
+    x = a / b, multiplying by b^q makes both sides integers, so the comparison is exact.
 
     Parameters
     ----------
@@ -320,17 +320,19 @@ def _compute_threshold(code: int) -> float:
     Returns
     -------
     threshold : float
-        The smallest x with this code or a larger one.
+        The smallest x whose code is at least `code`.
     """
     p, q = _GAMMA
-    base = (code - 0.5) / _MAX_CODE
-    # An approximation of the threshold.  It is closer than base**(p / q), because the fractional
-    # exponent is small, and so is the error of its rounding.
-    estimate: float = base ** (p // q) * base ** (p % q / q)
+    relative_code = (code - 0.5) / _MAX_CODE
+    # More accurate than relative_code**(p / q), because a small fractional exponent has a small
+    # rounding error.
+    estimate: float = relative_code ** (p // q) * relative_code ** (p % q / q)
 
-    def has_code(x: float) -> bool:
+    def reaches_code(x: float) -> bool:
         """Test whether the code of x is at least `code`."""
         a, b = x.as_integer_ratio()
         return bool((2 * _MAX_CODE) ** p * a**q >= (2 * code - 1) ** p * b**q)
 
-    return next(filter(has_code, (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))))
+    return next(
+        filter(reaches_code, (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5)))
+    )
