@@ -213,13 +213,14 @@ class Shading:
         if self._diffuse_sum is None:
             return
         hits, prepared = self._hits, self._hits.prepared
-        glossy = slice(0, 0) if self._specular_sum is None else self._glossy
-        specular_sum = np.zeros((3, 0)) if self._specular_sum is None else self._specular_sum
+        glossy, specular = slice(0, 0), np.zeros(0)
         for channel in range(3):
             diffuse = hits.object_values(prepared.diffuse[channel])
             diffuse *= self._diffuse_sum[channel]
-            specular = hits.object_values(prepared.specular[channel])[glossy]
-            specular *= specular_sum[channel]
+            if self._specular_sum is not None:
+                glossy = self._glossy
+                specular = hits.object_values(prepared.specular[channel])[glossy]
+                specular *= self._specular_sum[channel]
             yield channel, diffuse, glossy, specular
 
     def radiance(self, out: Floats | None = None) -> Floats:
