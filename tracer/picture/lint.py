@@ -191,10 +191,8 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
             return "no pixel's centre sees an object", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_surface_name(scene, visible_objects)}"
-    diffuse, specular = (
-        color[:, visible_objects] for color in (prepared.diffuse, prepared.specular)
-    )
-    reflects = (diffuse > 0) | (specular > 0)
+    has_color = (prepared.diffuse > 0) | (prepared.specular > 0)
+    reflects = has_color[:, visible_objects]
     emits = np.array([light.intensity for light in scene.lights]) > 0
     if not reflects.any():
         return "all surfaces in view are black", shader_remedy
