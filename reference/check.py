@@ -56,7 +56,7 @@ from reference.figures import Figures, largest_difference, measure_differences, 
 from reference.judges import plain
 from reference.judges.arrays import Bools, Floats
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render, to_codes
-from tracer.command.arguments import OTHER_NAME, choose_output_paths, make_output_folder
+from tracer.command.arguments import OUTPUT_REMEDY, choose_output_paths, make_output_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
@@ -637,7 +637,7 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
     pair = to_codes(result.tracer), to_codes(result.mitsuba.image)
     difference = largest_difference(result.tracer - result.mitsuba.image)
     labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
-    with errors_as_failure(comparison_path, "written", OTHER_NAME):
+    with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY):
         write_comparison(comparison_path, pair, difference, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {comparison_path}"))

@@ -1,17 +1,17 @@
-"""Paths of files, and functions for the command line, that the commands of this folder share."""
+"""Paths and command-line functions that the commands in this folder share."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
-from tracer.command.arguments import OTHER_NAME, CommandParser, real_path
+from tracer.command.arguments import OUTPUT_REMEDY, CommandParser, real_path
 from tracer.command.process import MISUSED
 
 HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent / "scenes"
 BUILD = HERE.parent / "build"
-"""Folder for files that can be generated again; not under version control."""
+"""Folder for generated files; not under version control."""
 FAILED_STATUS = 3
 """Exit status of `compare` and `certify` if a file cannot be read, processed or written."""
 
@@ -22,56 +22,56 @@ def own_scenes() -> list[Path]:
 
 
 def build_path(name: str) -> Path:
-    """Return the path of a file in the build folder, which is created if it does not exist."""
+    """Return the path of a file in the build folder, creating the folder if necessary."""
     BUILD.mkdir(exist_ok=True)
     return BUILD / name
 
 
-def make_parser(module: str, quick: str | None = None) -> CommandParser:
-    """Create a command-line parser whose help text is the docstring of a module.
+def make_parser(module: str, quick_help: str | None = None) -> CommandParser:
+    """Create a command-line parser that prints a module's docstring as its help text.
 
     Parameters
     ----------
     module : str
-        Full name of the module, which is run by ``python -m module``.
-    quick : str, optional
-        Help text of an option ``--quick``.  By default, the parser does not have this option.
+        Full name of the module that users run with ``python -m``.
+    quick_help : str, optional
+        Help text for an option ``--quick``.  By default, the parser does not have this option.
 
     Returns
     -------
     parser : CommandParser
-        A parser without arguments, apart from ``--quick``; the caller adds them.
+        A parser to which the caller adds the other arguments.
     """
     parser = CommandParser(module)
-    if quick:
-        parser.add_argument("--quick", action="store_true", help=f"{quick}; write to build/")
+    if quick_help:
+        parser.add_argument("--quick", action="store_true", help=f"{quick_help}; write to build/")
     return parser
 
 
 def forbid_overwriting_inputs(
-    command_parser: CommandParser, outputs: Iterable[Path], inputs: Iterable[Path]
+    command_parser: CommandParser, output_paths: Iterable[Path], input_paths: Iterable[Path]
 ) -> None:
-    """Reject a command line on which an output file is also an input file.
+    """Exit with a usage error if a command would overwrite one of its input files.
 
-    Symbolic links are resolved before paths are compared.
+    Paths that lead to the same file through symbolic links count as equal.
 
     Parameters
     ----------
     command_parser : CommandParser
-        The parser, which prints an error message, and ends the process with exit status 2.
-    outputs : iterable of Path
+        The command's parser, which prints the error message.
+    output_paths : iterable of Path
         Files that the command will write.
-    inputs : iterable of Path
+    input_paths : iterable of Path
         Files that the command will read.
 
     Raises
     ------
     SystemExit
-        If an output file is also an input file.
+        If an output file is also an input file; the exit status is 2.
     Failure
         If a path is relative, and the working folder has been deleted.
     """
-    input_paths = {real_path(path, status=MISUSED) for path in inputs}
-    for output in outputs:
-        if real_path(output, status=MISUSED) in input_paths:
-            command_parser.error(f"{output}: this would replace an input; {OTHER_NAME}")
+    real_input_paths = {real_path(path, status=MISUSED) for path in input_paths}
+    for path in output_paths:
+        if real_path(path, status=MISUSED) in real_input_paths:
+            command_parser.error(f"{path}: this would replace an input; {OUTPUT_REMEDY}")

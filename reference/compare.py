@@ -46,7 +46,7 @@ from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
 from reference.pictures import read_picture
 from tracer import load_scene
-from tracer.command.arguments import OTHER_NAME, is_folder, parse_path
+from tracer.command.arguments import OUTPUT_REMEDY, is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_result
 from tracer.command.progress import Progress, track
@@ -365,7 +365,7 @@ def _compare_files(
     if options.output and not (options.is_class and agrees):
         output = _comparison_path(options, picture_path)
         labels = printable(picture_path.name), printable(reference_path.name)
-        with errors_as_failure(output, "written", OTHER_NAME, error_types=(ValueError,)):
+        with errors_as_failure(output, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
             output.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(output, (picture.codes, solution.codes), difference, labels)
         result = result._replace(comparison=str(output))

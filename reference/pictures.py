@@ -17,7 +17,7 @@ from tracer.command.failure import errors_as_failure
 
 Codes: TypeAlias = NDArray[np.uint8]
 
-# Formats of which Pillow states the number of bits per channel before it decodes a picture.
+# Formats for which Pillow states the bits per channel before it decodes a picture.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 # Maximum number of pixels.  Reading takes about 20 bytes per pixel, comparing about 60.
 _MAX_PIXELS = 9_000_000
@@ -37,13 +37,13 @@ class Picture(NamedTuple):
     codes : (h, w, 3) uint8 array
         Red, green and blue of each pixel, as encoded with gamma.
     note : str
-        What the file format has changed, as a predicate: "is a JPEG, which changes levels: …".
-        Empty if it has changed nothing.
+        How storing the picture in this format altered it, as a predicate: "is a JPEG, which changes
+        levels: …".  Empty if nothing was altered.
     lossy_levels : int
-        Number of levels by which the file format may have changed codes.
+        Number of levels by which the file format may have altered codes.
     save : callable, optional
-        Returns the codes (h, w, 3) that other codes would have after they are saved in this file's
-        format and read again.
+        Saves codes (h, w, 3) in this file's format, and returns the codes (h, w, 3) that are read
+        back.
     """
 
     codes: Codes
@@ -53,7 +53,7 @@ class Picture(NamedTuple):
 
 
 def read_picture(path: Path) -> Picture:
-    """Read a picture file; transparent pixels are blended with black.
+    """Read a picture file, blending transparent pixels with black.
 
     Parameters
     ----------
@@ -63,34 +63,34 @@ def read_picture(path: Path) -> Picture:
     Returns
     -------
     picture : Picture
-        The 8-bit codes of the pixels, and what the file format has changed.
+        The 8-bit codes of the pixels, and how storing the picture in this format altered them.
 
     Raises
     ------
     Failure
         If the file does not exist, is not a regular file, is not a picture in a known format, or is
-        damaged; if the picture has more than 9 million pixels, or pixels that are neither RGB,
-        palette nor grey; or if there is not enough memory.
+        damaged; if the picture has more than 9 million pixels, or pixels that are not RGB, palette
+        or grey; or if memory runs out.
     """
     # Pillow raises a SyntaxError for a damaged PNG.
-    errors = (SyntaxError, ValueError)
-    with errors_as_failure(path, "read", status=FAILED_STATUS, error_types=errors):
+    error_types = SyntaxError, ValueError
+    with errors_as_failure(path, "read", status=FAILED_STATUS, error_types=error_types):
         if path.exists() and not path.is_file():  # opening a pipe may block for ever
             raise ValueError("not a regular file")
         try:
             image = Image.open(path, formats=_FORMATS)
         except UnidentifiedImageError:
-            raise ValueError("not a picture in a format that is known") from None
+            raise ValueError("not a picture in a known format") from None
         with image:
-            width, height = image.size  # known before the picture is decoded
+            width, height = image.size  # available before the picture is decoded
             if width * height > _MAX_PIXELS:
-                limit = f"{_MAX_PIXELS // 1_000_000} million"
-                raise ValueError(f"has {width}x{height} pixels; at most {limit} can be compared")
+                maximum = f"{_MAX_PIXELS // 1_000_000} million"
+                raise ValueError(f"has {width}x{height} pixels; at most {maximum} can be compared")
             return _decode(image, path)
 
 
 def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
-    """Decode a picture file, and determine what its format has changed.
+    """Decode a picture file, and determine how its format altered the colours.
 
     Parameters
     ----------
@@ -102,26 +102,26 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
     Returns
     -------
     picture : Picture
-        The 8-bit codes of the pixels.  If the format has changed levels, the picture also has a
-        note for the user, and the number of levels.
+        The 8-bit codes of the pixels.  If the format altered them, also a note for the user, and
+        the number of levels by which they may have changed.
 
     Raises
     ------
     OSError, SyntaxError, ValueError
-        If the file is damaged, or if the pixels are neither RGB, palette nor grey.
+        If the file is damaged, or if the pixels are not RGB, palette or grey.
     """
-    if image.mode.startswith("I"):  # grey of 16 bits
+    if image.mode.startswith("I"):  # 16-bit grey
         grey = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
         return Picture(np.repeat(grey[:, :, None], 3, axis=2))
     if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
         raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
-    is_deep = _has_more_than_8_bits(image)  # decoding removes what this test needs
+    is_deep = _has_more_than_8_bits(image)  # must precede decoding, which discards the depth
     rgba = image.convert("RGBA")
     black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
     codes = np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
     if image.format == "JPEG":
-        return Picture(codes, _NOTE_OF_FORMAT.format("JPEG"), 3, _jpeg_round_trip(image))
-    # A WEBP contains a chunk VP8L if it is lossless.
+        return Picture(codes, _NOTE_OF_FORMAT.format("JPEG"), 3, _make_jpeg_round_trip(image))
+    # A lossless WEBP contains a chunk named VP8L.
     if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
         return Picture(codes, _NOTE_OF_FORMAT.format("WEBP"), 12)
     if image.mode in ("P", "PA"):
@@ -135,8 +135,8 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
 def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
     """Test whether a picture file has more than 8 bits per channel.
 
-    Pillow drops the lower bits without a warning.  But the arguments of Pillow's decoder contain
-    the encoding of the pixels: a mode such as "RGB;16B", or the largest level of a PPM file.
+    Pillow silently drops the lower bits.  However, its decoder's arguments give the encoding of the
+    pixels: a mode such as "RGB;16B", or the largest level in a PPM file.
 
     Parameters
     ----------
@@ -151,34 +151,32 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
     return False
 
 
-def _jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Create a function that compresses pictures in the same way as a given JPEG.
+def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
+    """Create a function that compresses a picture as a given JPEG was, and decodes it again.
 
     Parameters
     ----------
     image : Image
-        An opened JPEG, whose quantisation tables and chroma subsampling are used.
+        The opened JPEG, whose quantisation tables and chroma subsampling are used.
 
     Returns
     -------
     round_trip : callable
-        Takes codes (h, w, 3), saves them as a JPEG in memory, and returns the codes (h, w, 3) that
-        are read from this JPEG.
+        Takes codes (h, w, 3), and returns the codes (h, w, 3) of the decoded JPEG.
     """
     tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
 
     def round_trip(codes: Codes) -> Codes:
-        buffer = io.BytesIO()
-        jpeg = Image.fromarray(codes)
-        jpeg.save(buffer, "JPEG", qtables=tables, subsampling=subsampling)
-        return np.asarray(Image.open(buffer))
+        jpeg_file, picture = io.BytesIO(), Image.fromarray(codes)
+        picture.save(jpeg_file, "JPEG", qtables=tables, subsampling=subsampling)
+        return np.asarray(Image.open(jpeg_file))
 
     return round_trip
 
 
 def to_columns(codes: Codes) -> Codes:
-    """Convert a picture (h, w, 3) to an array (3, n) with one column for each of the n pixels."""
+    """Convert a picture (h, w, 3) to an array (3, h w) with one column per pixel."""
     return np.ascontiguousarray(codes.reshape(-1, 3).T)
 
 
@@ -187,19 +185,21 @@ def to_picture(columns: Codes, width: int) -> Codes:
     return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
-def level_difference(first: Codes, second: Codes, channel_axis: int = -2) -> Codes:
-    """Return, for each pixel, the largest difference between the colour channels of two pictures.
+def level_difference(first_codes: Codes, second_codes: Codes, channel_axis: int = -2) -> Codes:
+    """Return, for each pixel, the largest absolute difference over the three colour channels.
 
     Parameters
     ----------
-    first, second : (..., 3, n) uint8 arrays
-        Codes (levels from 0 to 255) of n pixels.
+    first_codes, second_codes : (..., 3, n) uint8 arrays
+        The two pictures to compare, as codes from 0 to 255.
     channel_axis : int
-        The axis of the three channels; 2 for pictures (h, w, 3).
+        The axis of the channels: -2 for arrays (..., 3, n), or 2 for pictures (h, w, 3).
 
     Returns
     -------
-    levels : (..., n) uint8 array
-        The differences in levels, without the axis of the channels.
+    largest_difference : (..., n) uint8 array
+        The difference in each pixel: an array like the inputs, without their channel axis.
     """
-    return np.asarray((np.maximum(first, second) - np.minimum(first, second)).max(channel_axis))
+    # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
+    low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)
+    return np.asarray((high - low).max(channel_axis))

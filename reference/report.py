@@ -84,7 +84,7 @@ def render_report(
         " and compared in linear light: away from edges they may differ by at most"
         f" {EXACT.difference:g}.",
         verdict="All agree." if all_agree else f"{agreeing_count} agree.",
-        good=all_agree,
+        is_good=all_agree,
         overview="All scenes",
         head=_HEAD,
         rows=[_format_overview_row(k, result) for k, (result, _) in enumerate(results)],
@@ -111,7 +111,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
     row : list of lists of Cell
         For each column of the table, a list with one piece of text.
     """
-    verdict = Cell(result.verdict, good=result.verdict == "agrees")
+    verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
     excluded = f"{result.excluded.mean():.2%}"
     figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
@@ -145,8 +145,8 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         difference_codes,
         gain,
         name=result.name,
-        good=agrees,
-        word=result.verdict,
+        is_good=agrees,
+        verdict=result.verdict,
         left="tracer",
         right="Mitsuba",
         comment=comment,

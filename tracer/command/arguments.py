@@ -12,7 +12,7 @@ from typing import NoReturn
 from tracer.command.failure import errors_as_failure
 from tracer.messages import printable
 
-OTHER_NAME = "choose another with -o"
+OUTPUT_REMEDY = "choose another with -o"
 """Suggested fix for a result that cannot be written."""
 
 
@@ -126,7 +126,7 @@ def make_output_folder(output: str | None) -> None:
         If the folder cannot be created, for example because a file has its name.
     """
     if output is not None and is_folder(output):
-        with errors_as_failure(output, "written", OTHER_NAME):
+        with errors_as_failure(output, "written", OUTPUT_REMEDY):
             os.makedirs(output, exist_ok=True)
 
 
@@ -203,7 +203,7 @@ def choose_output_paths(
         for path in list_files(result_path):
             absolute_path = real_path(path)
             if absolute_path in scene_paths:
-                parser.error(f"{path}: this would replace a scene; {OTHER_NAME}")
+                parser.error(f"{path}: this would replace a scene; {OUTPUT_REMEDY}")
             if absolute_path in scene_of_file:
                 scenes_text = f"{scene_of_file[absolute_path]} and {scene}"
                 parser.error(

@@ -24,7 +24,7 @@ from operator import add
 from time import perf_counter
 from typing import Any, NamedTuple
 
-from tracer.command.arguments import OTHER_NAME
+from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import end_on_signals, print_line
 from tracer.command.progress import Progress
@@ -242,7 +242,9 @@ class Batch:
             elif is_large:
                 raise Failure(job.scene_path, "all processes should share this picture")
             with (
-                errors_as_failure(job.output_path, "written", OTHER_NAME, memory_remedy=_SMALLER),
+                errors_as_failure(
+                    job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SMALLER
+                ),
                 open(1, "wb", closefd=False)
                 if job.output_path == "-"
                 else atomic_file(job.output_path, magic) as file,
