@@ -24,12 +24,12 @@ from reference.judges import certificate
 from reference.measured.charts import plt
 from tracer import Scene, load_scene, render, to_codes
 from tracer.antialias.classify import Cells, Classification, classify
-from tracer.antialias.edges import silhouette_pixels
+from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.arrays import Floats, join_ranges
 from tracer.trace.occlusion import build_packet_levels
 from tracer.trace.samples import Rows
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import PreparedScene
 
@@ -96,7 +96,7 @@ def draw_spans() -> None:
     _show_picture(left, to_codes(render(scene, samples=16)) / 255, f"Row {row} of the picture")
     left.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     for shape in prepared.shapes:
-        object_index, span_row, start, length = samples.sample_spans(shape, prepared)
+        object_index, span_row, start, length = samples.find_spans(shape, prepared)
         kept = np.flatnonzero(span_row == row)
         object_index, length = object_index[kept], length[kept]
         color = prepared.diffuse[:, object_index].T ** (1 / 2.2)
@@ -112,7 +112,7 @@ def draw_spans() -> None:
 def draw_packets() -> None:
     """Draw the packets (groups of neighbouring hits) in a picture, each in a random colour."""
     scene, prepared, samples = _load_and_prepare("room", 96)
-    hits = nearest_hits(prepared, samples)
+    hits = find_nearest_hits(prepared, samples)
     frontlit = np.ones((1, hits.sample.size), dtype=np.bool_)
     squares, rows = build_packet_levels(hits, frontlit, None)
     # The hits sorted by row packet, and the row packets sorted by square packet.
@@ -205,7 +205,7 @@ def draw_classes() -> None:
     scene, prepared, _ = _load_and_prepare("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
-    row, column, object_index = silhouette_pixels(prepared, rows, columns)
+    row, column, object_index = find_silhouette_pixels(prepared, rows, columns)
     pixel = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.positions(every_pixel), pixel, object_index)
     classified = classify(prepared, cells, samples, every_pixel)

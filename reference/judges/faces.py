@@ -35,10 +35,10 @@ from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import light_geometry
+from tracer.trace.lighting import compute_light_geometry
 from tracer.trace.occlusion import is_occluded
 from tracer.trace.samples import Scattered
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
 # Maximum distance of a light, relative to the size of the smallest object.  Farther away, both ends
@@ -288,7 +288,7 @@ class Faces:
             The face (a sphere, or a side of a box) of each hit.
         """
         samples, order = Scattered.from_positions(x, y)
-        hits = nearest_hits(self.prepared, samples)
+        hits = find_nearest_hits(self.prepared, samples)
         box_count = self.object_count - self.sphere_count
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
@@ -316,5 +316,5 @@ class Faces:
             Whether (1) the pair is active, (2) the light is in front of the surface, and (3) no
             object blocks the segment between them.
         """
-        may_reach = active & (light_geometry(hits, self.prepared_lights).n_dot_l > 0)
+        may_reach = active & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
         return may_reach & ~is_occluded(hits, self.prepared_lights, may_reach)

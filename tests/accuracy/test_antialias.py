@@ -38,7 +38,7 @@ from tracer.antialias import refine
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.arrays import Floats
 from tracer.trace import visibility
-from tracer.trace.radiance import radiance_and_ids
+from tracer.trace.radiance import compute_radiance_and_ids
 from tracer.world.prepared_scene import PreparedScene
 
 # Maximum error of a reference picture, as certified.
@@ -305,7 +305,7 @@ def test_ids_are_equal_where_object_face_and_lights_are():
     scene = scene_of(ball, slab, cube, camera=camera, size=(16, 12), lights=lights)
     samples = CENTERS.samples(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
-        _, sample_id = radiance_and_ids(PreparedScene(scene), samples)
+        _, sample_id = compute_radiance_and_ids(PreparedScene(scene), samples)
     id_of = {}
     for (y, x), pixel_id in np.ndenumerate(sample_id.reshape(scene.height, scene.width)):
         pixel = explain(scene, x, y)
@@ -337,7 +337,7 @@ def test_nearly_exact(hard):
 def test_more_lights_than_bits_in_an_id(monkeypatch):
     # An id depends on the lights that reach the surface, also on the first of 66 lights.  The other
     # 65 are at one place, so that two lights give the same picture.
-    ids = record_calls(monkeypatch, refine, "means_of_pixels", lambda center, width: center.id)
+    ids = record_calls(monkeypatch, refine, "estimate_pixel_means", lambda center, width: center.id)
     first = PointLight(position=(3, 5, 4), intensity=(1 / 66,) * 3)
     other = replace(first, position=(0, 0, 0))
     wall = Box(min_pt=(-60, -60, -6), max_pt=(60, 60, -5))

@@ -25,7 +25,7 @@ from reference.judges.regions import Strips, divide_into_regions
 from reference.judges.sampling import render_supersampled, root_mean_square_error
 from reference.measured.workloads import crowd, resize_picture
 from tracer import Box, Camera, Scene, Sphere, render
-from tracer.trace.radiance import radiance_at
+from tracer.trace.radiance import compute_radiance
 from tracer.trace.samples import Scattered
 
 HARD = [kind for kind in KINDS if kind != "crowd"]
@@ -73,7 +73,7 @@ class SampledPoints:
         samples, order = Scattered.from_positions(
             analysis.cells.x[cell] + half * x, analysis.cells.y[cell] + half * y
         )
-        radiance[:, order] = radiance_at(analysis.faces.prepared, samples)
+        radiance[:, order] = compute_radiance(analysis.faces.prepared, samples)
         self.count += cell.size
         return radiance, x, y
 
@@ -276,7 +276,7 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
         for y in (np.arange(side) + 0.5) / side:
             x = column + (np.arange(side) + 0.5) / side
             samples, _ = Scattered.from_positions(x, np.full(side, row + y))
-            total += radiance_at(prepared, samples).sum(axis=1)
+            total += compute_radiance(prepared, samples).sum(axis=1)
         finer_difference = np.abs(total / side**2 - certified.image[row, column]).max()
         assert finer_difference <= certified.error[row, column] + 2e-5
         assert finer_difference < difference[row, column] / 5

@@ -28,7 +28,7 @@ from tracer.geometry.sphere import Spheres
 from tracer.picture.render import RenderJob
 from tracer.trace import radiance as radiance_module
 from tracer.trace.hits import Hits
-from tracer.trace.radiance import radiance_at
+from tracer.trace.radiance import compute_radiance
 from tracer.trace.samples import Scattered
 from tracer.world import light_grid, prepared_scene
 from tracer.world.light_grid import LightGrid
@@ -43,7 +43,7 @@ def brute_force(scene: Scene) -> Floats:
     """
     window = slice(0, scene.height), slice(0, scene.width)
     with (
-        patch("tracer.trace.samples.object_spans", _whole_rows),
+        patch("tracer.trace.samples.find_object_spans", _whole_rows),
         patch("tracer.trace.radiance.is_occluded", _occlusion_by_all),
         patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
         patch.object(ScreenBounds, "window", lambda *_: window),
@@ -54,7 +54,7 @@ def brute_force(scene: Scene) -> Floats:
 def _whole_rows(
     shape: Shape, prepared: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Replace `object_spans`: every object covers every row."""
+    """Replace `find_object_spans`: every object covers every row."""
     row, position = np.indices((rows.size, shape.objects.size)).reshape(2, -1)
     left, right = np.full((row.size, 2), columns).T
     return position + shape.objects.start, row, left, right
@@ -96,7 +96,7 @@ def render_scattered(scene: Scene) -> Floats:
     x, y = ((0.5 + np.arange(size)) / factor for size in (scene.width, scene.height))
     samples, order = Scattered.from_positions(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
-    radiance[:, order] = radiance_at(PreparedScene(coarse), samples)
+    radiance[:, order] = compute_radiance(PreparedScene(coarse), samples)
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
 
 
@@ -177,7 +177,7 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
     plates = [Box(min_pt=(-9, -9, -k / 10 - 2), max_pt=(9, 9, -k / 10 - 2)) for k in range(60)]
     scene = scene_of(*plates, size=(40, 30), lights=(0, 2, 0))
     sizes = record_calls(
-        monkeypatch, radiance_module, "nearest_hits", lambda _, samples: samples.size
+        monkeypatch, radiance_module, "find_nearest_hits", lambda _, samples: samples.size
     )
     monkeypatch.setattr(prepared_scene, "_MAX_SAMPLE_PAIRS", 40 * 30 * 8)
     assert np.array_equal(render(scene), brute_force(scene))
@@ -189,7 +189,7 @@ def test_runs_consist_of_neighbours():
     # The balls hide parts of the floor's rows: the rest of such a row consists of several runs.
     scene = crowd(200, width=80, height=45)
     samples = CENTERS.samples(slice(0, 45), slice(0, 80))
-    for group in radiance_module.nearest_hits(PreparedScene(scene), samples).groups:
+    for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
         ends = np.append(0, group.run_length.cumsum())
         assert (group.run_length > 1).any()
         for start, stop in pairwise(ends):

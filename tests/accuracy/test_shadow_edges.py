@@ -9,8 +9,8 @@ from probe import scene_of
 
 from tracer import Box, Camera, Sphere
 from tracer.antialias.lattice import CENTERS
-from tracer.trace.occlusion import shadow_edges
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.occlusion import find_shadow_edges
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
 FLOOR = Box(min_pt=(-20, -1, -20), max_pt=(20, 0, 20))
@@ -65,10 +65,10 @@ def test_shadow_in_a_footprint(ground, other, light, expected):
     camera = Camera(view_point=(-0.75, 0.5, 0), view_dir=(0.75, -0.5, 0))
     scene = scene_of(ground, other, camera=camera, size=(1, 1), lights=light)
     prepared = PreparedScene(scene)
-    hits = nearest_hits(prepared, CENTERS.samples(slice(0, 1), slice(0, 1)))
+    hits = find_nearest_hits(prepared, CENTERS.samples(slice(0, 1), slice(0, 1)))
     np.testing.assert_allclose(np.ravel(hits.points(slice(None))), 0, atol=1e-12)
     frontlit, footprint = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
     (lights,) = prepared.light_batches
-    is_blocked, edges, is_crowded = shadow_edges(hits, lights, frontlit, footprint)
+    is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, frontlit, footprint)
     assert (is_blocked.item(), edges[0].size > 0) == expected
     assert not is_crowded.any()

@@ -182,7 +182,10 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
 
     never = Unreliable(FAILURES["never ended"], 0)
     never.share = 1
-    for owner, name in ((render_module, "radiance_at"), (parallel.Distribution, "_wait_for_any")):
+    for owner, name in (
+        (render_module, "compute_radiance"),
+        (parallel.Distribution, "_wait_for_any"),
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)
             with pytest.raises(error):

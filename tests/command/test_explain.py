@@ -87,7 +87,9 @@ def test_a_face_blocks_a_light_in_its_plane():
 
 
 def test_a_pixel_is_traced_once(monkeypatch):
-    samples = record_calls(monkeypatch, explanation, "nearest_hits", lambda _, samples: samples)
+    samples = record_calls(
+        monkeypatch, explanation, "find_nearest_hits", lambda _, samples: samples
+    )
     scenes = record_calls(monkeypatch, PreparedScene, "__init__", lambda _, scene: scene)
     tracer.explain(BALL, 4, 4)
     assert ([sample.size for sample in samples], scenes) == ([1], [BALL])

@@ -32,14 +32,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, cell_rays, fit_lines
-from tracer.antialias.edges import CellSurfaces, footprints_at, silhouettes
+from tracer.antialias.edges import CellSurfaces, compute_footprints, evaluate_silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, index_batches, indices
-from tracer.trace.lighting import Shading, find_narrow_highlights, light_geometry
-from tracer.trace.occlusion import shadow_edges
+from tracer.trace.lighting import Shading, compute_light_geometry, find_narrow_highlights
+from tracer.trace.occlusion import find_shadow_edges
 from tracer.trace.samples import Samples
-from tracer.trace.visibility import nearest_and_hidden_hits
+from tracer.trace.visibility import find_nearest_and_hidden_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 # Shadow edges are searched for if the footprint of a cell is at most this fraction of its distance
@@ -188,11 +188,11 @@ def classify(
     count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, count)), np.full(count, -1)
     is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
-    hits, hidden_hits = nearest_and_hidden_hits(prepared, samples)
-    hit_cell, footprint = sample_cell[hits.sample], footprints_at(hits, cells.width)
+    hits, hidden_hits = find_nearest_and_hidden_hits(prepared, samples)
+    hit_cell, footprint = sample_cell[hits.sample], compute_footprints(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
-    outlines = _silhouettes_from_eye(prepared, cells)
-    edges = chain(outlines, surfaces.intersections(hidden_hits), surfaces.creases())
+    outlines = _find_silhouettes_from_eye(prepared, cells)
+    edges = chain(outlines, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
     geometry_lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
     shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
@@ -244,15 +244,17 @@ def _add_lights(
         samples.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
-    geometry = light_geometry(hits, lights)
+    geometry = compute_light_geometry(hits, lights)
     frontlit = geometry.n_dot_l > 0
     # A cell with a wide footprint will be divided in any case, so its shadow edges are not needed.
     is_wide = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(is_wide, 0, footprint)
-    is_blocked, edge_triples, is_crowded = shadow_edges(hits, lights, frontlit, search_radius)
+    is_blocked, edge_triples, is_crowded = find_shadow_edges(hits, lights, frontlit, search_radius)
     shading.add(geometry, frontlit & ~is_blocked)
-    terminators = surfaces.terminators(lights.near_position, geometry.n_dot_l, geometry.length2)
-    edges = chain(surfaces.shadow_silhouettes(lights.near_position, edge_triples), terminators)
+    terminators = surfaces.find_terminators(
+        lights.near_position, geometry.n_dot_l, geometry.length2
+    )
+    edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, edge_triples), terminators)
     lines, curved_cell = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, frontlit, footprint)
     highlight_cells = [hit_cell[hit_index] for hit_index in highlights]
@@ -261,7 +263,7 @@ def _add_lights(
     return lines, unresolved_cell, hit_cell[is_crowded]
 
 
-def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
+def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
     """Yield, in batches, the silhouettes, as seen from the eye, that may cross cells.
 
     A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function,
@@ -290,4 +292,4 @@ def _silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[Edg
         center_down = frame.ray_down(cells.center_y[cell])
         ray = cell_rays(frame, center_right, center_down, cells.width)
         triples = np.array([np.zeros_like(cell), cell, object_index])
-        yield from silhouettes(prepared, frame.eye[None], triples, ray)
+        yield from evaluate_silhouettes(prepared, frame.eye[None], triples, ray)

@@ -322,7 +322,7 @@ class InverseDepth(NamedTuple):
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
-        """Describe the surface at each hit, so that `evaluate` can intersect it with other rays.
+        """Describe the surface at each hit, so that other rays can be intersected with it.
 
         A ray d from the eye meets the surface at t d, with 1 / t = k . d + sqrt((k . d)^2 - w d^2).
         This method computes the vector k and the number w of each surface.
@@ -368,7 +368,7 @@ class InverseDepth(NamedTuple):
         """
         return InverseDepth(take3(self.k, surface_index), self.w[surface_index])
 
-    def evaluate(self, ray: Triple) -> Floats:
+    def compute_inverse_t(self, ray: Triple) -> Floats:
         """Compute 1 / t for six rays per surface, where t times the ray ends on the surface.
 
         The formula is 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the ray d, and the vector k and

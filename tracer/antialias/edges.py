@@ -37,7 +37,7 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import box_edge_functions, silhouette_planes, sphere_edge_function
 from tracer.trace.hits import Hits
-from tracer.trace.samples import object_spans
+from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
 
 # Towards the horizon of a face, footprints are divided by the cosine at the far end of the cell.
@@ -45,7 +45,7 @@ from tracer.world.prepared_scene import PreparedScene
 _MIN_COSINE_RATIO = 1e-3
 
 
-def footprints_at(hits: Hits, cell_width: float) -> Floats:
+def compute_footprints(hits: Hits, cell_width: float) -> Floats:
     """Compute, for each hit, the radius of the part of its surface that is visible in its cell.
 
     A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
@@ -64,14 +64,14 @@ def footprints_at(hits: Hits, cell_width: float) -> Floats:
         Radius of the visible part around each hit, in the scene's unit of length.
     """
     frame = hits.prepared.frame
-    angle = _half_diagonal(frame, cell_width)
+    angle = _compute_half_diagonal(frame, cell_width)
     perpendicular_radius, distance = hits.from_eye[2] * angle, hits.distance
     footprint = np.empty(distance.size)
     for group in hits.groups:
         radius = perpendicular_radius[group.interval]
         n_dot_v = group.per_hit(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            footprint[group.interval] = _footprint_on_face(radius, n_dot_v, angle)
+            footprint[group.interval] = _compute_footprint_on_face(radius, n_dot_v, angle)
             continue
         # At any angle, a strip of width r next to the silhouette of a sphere of radius R shows no
         # more of the sphere than sqrt(2 r R).
@@ -80,7 +80,7 @@ def footprints_at(hits: Hits, cell_width: float) -> Floats:
     return footprint
 
 
-def _half_diagonal(frame: CameraFrame, cell_width: float) -> float:
+def _compute_half_diagonal(frame: CameraFrame, cell_width: float) -> float:
     """Compute half the diagonal of a square cell of the picture, as an angle seen from the eye.
 
     Parameters
@@ -99,7 +99,7 @@ def _half_diagonal(frame: CameraFrame, cell_width: float) -> float:
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
 
 
-def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
+def _compute_footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
     """Compute the radius of the part of a planar face that is visible in each of n cells.
 
     A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
@@ -124,7 +124,7 @@ def _footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
     return radius / (n_dot_v * np.maximum(1 - angle / n_dot_v, _MIN_COSINE_RATIO))
 
 
-def silhouette_pixels(
+def find_silhouette_pixels(
     prepared: PreparedScene, rows: slice, columns: slice
 ) -> tuple[Ints, Ints, Ints]:
     """Find all pairs of a pixel and an object whose silhouette may cross the pixel.
@@ -153,7 +153,7 @@ def silhouette_pixels(
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     limits = columns.start, columns.stop
     for shape in prepared.shapes:
-        spans = object_spans(shape, prepared, borders[:-1], limits, height=1.0)
+        spans = find_object_spans(shape, prepared, borders[:-1], limits, height=1.0)
         object_index, row, left, right = spans
         # The interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
@@ -177,7 +177,7 @@ def silhouette_pixels(
     return all_row[interval] + rows.start, column, all_object_index[interval]
 
 
-def silhouettes(
+def evaluate_silhouettes(
     prepared: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
     """Yield the edge functions of the silhouettes of objects, as seen from apexes.
@@ -289,9 +289,9 @@ class CellSurfaces(NamedTuple):
         frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.from_eye, hit_index)
         scale = frame.depth / z
         ray = cell_rays(frame, x * scale, y * scale, self.cell_width)
-        return ray, self.inverse_depth.take(hit_index).evaluate(ray)
+        return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
-    def intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
+    def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
         """Yield the edges where the visible surface of a cell may meet the surface behind it.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
@@ -316,16 +316,16 @@ class CellSurfaces(NamedTuple):
         hit_of_sample[sample] = np.arange(sample.size)
         visible_index = hit_of_sample[hidden_hits.sample]
         # Two surfaces that meet within the cell are no farther from each other than this.
-        max_gap = self.footprint[visible_index] + footprints_at(hidden_hits, self.cell_width)
+        max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
         hidden_depth = InverseDepth.from_hits(hidden_hits)
         for batch in index_batches(indices(is_close)):
             ray, inverse_t = self.trace_rays(visible_index[batch])
-            hidden_inverse_t = hidden_depth.take(batch).evaluate(ray)
+            hidden_inverse_t = hidden_depth.take(batch).compute_inverse_t(ray)
             yield self.cell[visible_index[batch]], inverse_t - hidden_inverse_t
-        yield from self._intersections_with_other_faces(hidden_hits, visible_index, is_close)
+        yield from self._intersect_other_faces(hidden_hits, visible_index, is_close)
 
-    def _intersections_with_other_faces(
+    def _intersect_other_faces(
         self, hidden_hits: Hits, visible_index: Ints, is_close: Bools
     ) -> Iterator[EdgeValues]:
         """Yield the edges where visible surfaces of cells may meet other faces of hidden boxes.
@@ -358,7 +358,7 @@ class CellSurfaces(NamedTuple):
         """
         prepared, hit_object = hidden_hits.prepared, hidden_hits.hit_object
         frame, boxes = prepared.frame, prepared.boxes
-        angle = _half_diagonal(frame, self.cell_width)
+        angle = _compute_half_diagonal(frame, self.cell_width)
         is_candidate = is_close | prepared.is_eye_inside[hit_object]
         on_box = indices(is_candidate & boxes.objects.contains(hit_object))
         hit_object, visible = hit_object[on_box], visible_index[on_box]
@@ -374,11 +374,11 @@ class CellSurfaces(NamedTuple):
             # The ray meets the plane of the face at this factor times the hidden hit.
             factor = face_height / height
             radius, n_dot_v = factor * from_eye[2] * angle, np.abs(height) / distance
-            max_gap = footprint + _footprint_on_face(radius, n_dot_v, angle)
+            max_gap = footprint + _compute_footprint_on_face(radius, n_dot_v, angle)
             is_near = np.abs(factor * distance - visible_distance) <= max_gap
-            yield from self._intersections_with_planes(axis, visible, face_height, is_near)
+            yield from self._intersect_planes(axis, visible, face_height, is_near)
 
-    def creases(self) -> Iterator[EdgeValues]:
+    def find_creases(self) -> Iterator[EdgeValues]:
         """Yield the creases near hits: the edges between two visible faces of the same box.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.
@@ -409,9 +409,9 @@ class CellSurfaces(NamedTuple):
                 face_height = group.repeat_runs(run_height)
                 is_near = np.abs(height - face_height) < self.footprint[group.interval]
                 is_near &= is_visible
-                yield from self._intersections_with_planes(axis, hit_index, face_height, is_near)
+                yield from self._intersect_planes(axis, hit_index, face_height, is_near)
 
-    def _intersections_with_planes(
+    def _intersect_planes(
         self, axis: int, hit_index: Ints, face_height: Floats, is_near: Bools
     ) -> Iterator[EdgeValues]:
         """Yield the edges where visible surfaces of cells may meet planes of box faces.
@@ -444,7 +444,7 @@ class CellSurfaces(NamedTuple):
             face_component = self.hits.prepared.frame.scene_component(ray, axis)
             yield self.cell[hit_index[batch]], inverse_t - face_component / face_height[batch]
 
-    def shadow_silhouettes(
+    def evaluate_shadow_edges(
         self, light_position: Floats, edge_triples: Ints
     ) -> Iterator[EdgeValues]:
         """Yield the edges of shadows: the silhouettes of occluders, as seen from lights.
@@ -478,9 +478,9 @@ class CellSurfaces(NamedTuple):
             scaled_light = scale3(take3(light_from_eye, light_index), inverse_t)
             light_ray = map3(np.subtract, ray, scaled_light)
             triples = np.array([light_index, self.cell[hit_index], occluder_index])
-            yield from silhouettes(prepared, light_position, triples, light_ray)
+            yield from evaluate_silhouettes(prepared, light_position, triples, light_ray)
 
-    def terminators(
+    def find_terminators(
         self, light_position: Floats, n_dot_l: Floats, length2: Floats
     ) -> Iterator[EdgeValues]:
         """Yield terminators: the edges where spheres turn away from lights.

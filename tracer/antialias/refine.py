@@ -28,12 +28,12 @@ from __future__ import annotations
 import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify
-from tracer.antialias.edges import silhouette_pixels
+from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
-from tracer.antialias.regions import place_weighted_points, samples_in_mixed_regions
-from tracer.antialias.smooth import SmoothMeans, means_of_pixels, means_of_quarters
+from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
+from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, index_batches, indices
-from tracer.trace.radiance import radiance_and_ids
+from tracer.trace.radiance import compute_radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
@@ -143,29 +143,29 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     mean : (rows, columns, 3) float array
         Mean linear RGB radiance of each pixel.
     """
-    # One more pixel on every side, because `means_of_pixels` needs the neighbours of each pixel.
+    # Add one pixel on every side: `estimate_pixel_means` needs the neighbours of each pixel.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
     samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
-    row, column, object_index = silhouette_pixels(prepared, rows, columns)
+    row, column, object_index = find_silhouette_pixels(prepared, rows, columns)
     pair_pixel = (row - top) * width + column - first_column
     every_pixel = np.arange(samples.size)
     tolerance = _TOLERANCE / per_side**1.5
     center_x, center_y = samples.positions(every_pixel)
     pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
     classified = classify(prepared, pixels, samples, every_pixel)
-    smooth = means_of_pixels(classified.center, width)
+    smooth = estimate_pixel_means(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classified.is_crowded
-    mean = _mean_of_cells(prepared, classified, smooth, is_refinable)
+    mean = _compute_cell_means(prepared, classified, smooth, is_refinable)
     crowded_index = indices(is_inner & classified.is_crowded)
     lattice = Lattice.at_least(per_side, ratio=1)
-    mean[:, crowded_index], _ = _mean_of_samples(prepared, classified, crowded_index, lattice)
+    mean[:, crowded_index], _ = _sample_cells(prepared, classified, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
-def _mean_of_cells(
+def _compute_cell_means(
     prepared: PreparedScene, classified: Classification, smooth: SmoothMeans, is_refinable: Bools
 ) -> Floats:
     """Compute the mean radiance of cells, with more samples in those that edges may cross.
@@ -200,19 +200,19 @@ def _mean_of_cells(
     if first_lattice is not None:
         has_only_lines = is_pending & has_lines & ~(classified.is_unresolved | is_inaccurate)
         sampled_index = indices(is_pending if is_first_for_all else has_only_lines)
-        sampled_mean, missed_edge = _mean_of_samples(
+        sampled_mean, missed_edge = _sample_cells(
             prepared, classified, sampled_index, first_lattice
         )
         finished_index = sampled_index[~missed_edge]
         mean[:, finished_index], is_pending[finished_index] = sampled_mean[:, ~missed_edge], False
     pending_index = indices(is_pending)
     if second_lattice is not None:
-        mean[:, pending_index], _ = _mean_of_samples(
+        mean[:, pending_index], _ = _sample_cells(
             prepared, classified, pending_index, second_lattice
         )
         return mean
     for batch in index_batches(pending_index, _cells_per_batch(prepared, samples_per_cell=4)):
-        mean[:, batch] = _mean_of_quarters(prepared, classified, smooth.error, batch)
+        mean[:, batch] = _refine_quarters(prepared, classified, smooth.error, batch)
     return mean
 
 
@@ -234,7 +234,7 @@ def _cells_per_batch(prepared: PreparedScene, samples_per_cell: int) -> int:
     return max(1, prepared.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
 
 
-def _mean_of_samples(
+def _sample_cells(
     prepared: PreparedScene, classified: Classification, cell_index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
     """Estimate the mean radiance of cells from a lattice of samples in each cell.
@@ -272,14 +272,14 @@ def _mean_of_samples(
         x, y = cells.positions(cell_index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
-        radiance, sample_id = radiance_and_ids(prepared, samples)
+        radiance, sample_id = compute_radiance_and_ids(prepared, samples)
         for mean_channel, channel in zip(mean, radiance, strict=True):
             mean_channel[batch] = np.bincount(cell, weight * channel, batch.size)
-        missed_edge[batch[cell[samples_in_mixed_regions(region, sample_id)]]] = True
+        missed_edge[batch[cell[find_samples_in_mixed_regions(region, sample_id)]]] = True
     return mean, missed_edge
 
 
-def _mean_of_quarters(
+def _refine_quarters(
     prepared: PreparedScene, classified: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
     """Compute the mean radiance of cells from the means of their quarters.
@@ -311,12 +311,12 @@ def _mean_of_quarters(
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
     center, quarter_center = classified.center.take(cell_index), classified_quarters.center
-    smooth = means_of_quarters(center, error[cell_index], quarter_center, tolerance)
+    smooth = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
     has_all_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
     tested_index = indices(has_all_unresolved & (line_count == 0))
     lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
-    sampled_mean, missed_edge = _mean_of_samples(
+    sampled_mean, missed_edge = _sample_cells(
         prepared, classified, cell_index[tested_index], lattice
     )
     expected_mean = smooth.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
@@ -324,7 +324,7 @@ def _mean_of_quarters(
     is_smooth = np.zeros(count, dtype=np.bool_)
     is_smooth[tested_index[agrees]] = True
     is_refinable = ~is_smooth.repeat(4)
-    quarter_mean = _mean_of_cells(prepared, classified_quarters, smooth, is_refinable)
+    quarter_mean = _compute_cell_means(prepared, classified_quarters, smooth, is_refinable)
     mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)
     mean[:, is_smooth] = sampled_mean[:, agrees]
     return mean

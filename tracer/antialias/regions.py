@@ -96,7 +96,7 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     return WeightedPoints(*(np.append(field, extra[needed_index]) for field, extra in pairs))
 
 
-def samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
+def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     """Find regions that contain samples with different ids, which show that an edge was missed.
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Two samples

@@ -63,7 +63,7 @@ class SmoothMeans(NamedTuple):
     error: Floats
 
 
-def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
+def estimate_pixel_means(center: CenterSamples, width: int) -> SmoothMeans:
     """Estimate the mean radiance of pixels without edges from samples at the pixels' centres.
 
     The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, plus terms of higher
@@ -108,7 +108,7 @@ def means_of_pixels(center: CenterSamples, width: int) -> SmoothMeans:
     return SmoothMeans(radiance + correction, error)
 
 
-def means_of_quarters(
+def estimate_quarter_means(
     center: CenterSamples, error: Floats, quarter_center: CenterSamples, tolerance: float
 ) -> SmoothMeans:
     """Estimate the mean radiance of the quarters of cells from samples at the quarters' centres.

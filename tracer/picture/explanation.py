@@ -21,9 +21,9 @@ from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, PointLight, Scene, normalize
 from tracer.trace.first_hits import FirstHits
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import light_geometry
+from tracer.trace.lighting import compute_light_geometry
 from tracer.trace.radiance import shade
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 __all__ = ["Explanation", "LightPart", "SurfaceRef", "explain"]
@@ -248,7 +248,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     prepared = PreparedScene(scene)
     frame, samples = prepared.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
-    hits = nearest_hits(prepared, samples)
+    hits = find_nearest_hits(prepared, samples)
     radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     surface_index = first_hit.surface.item()
@@ -299,7 +299,7 @@ def _explain_light(
     contribution : LightPart
         The cosines, the surfaces that block the light, and the radiance that the light adds.
     """
-    is_facing_light = light_geometry(hit, prepared_light).n_dot_l.item() > 0
+    is_facing_light = compute_light_geometry(hit, prepared_light).n_dot_l.item() > 0
     occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
     for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).reflection_terms():

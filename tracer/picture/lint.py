@@ -17,7 +17,7 @@ from tracer.arrays import BATCH_SIZE, Floats, Ints
 from tracer.geometry.rounding import LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Surfaces, VectorLike
 from tracer.scene.schema import format_number
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
 # A colour of whole numbers looks like one from 0 to 255 if its largest number is at least this.
@@ -224,7 +224,7 @@ def _find_visible_objects(prepared: PreparedScene) -> Ints:
         rows_per_batch = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = CENTERS.samples(slice(top, min(top + rows_per_batch, rows.stop)), columns)
-            visible_by_batch.append(np.unique(nearest_hits(prepared, samples).run_object))
+            visible_by_batch.append(np.unique(find_nearest_hits(prepared, samples).run_object))
     return np.unique(np.concatenate(visible_by_batch))
 
 

@@ -37,7 +37,7 @@ from tracer.picture.memory import keep_heap
 from tracer.picture.parallel import Distribution, Executor, WorkerPool, count_processors
 from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
-from tracer.trace.radiance import radiance_at
+from tracer.trace.radiance import compute_radiance
 from tracer.world.prepared_scene import PreparedScene
 
 # Infinities and NaN are valid results in NumPy operations of the tracer: for example, the distance
@@ -417,10 +417,10 @@ class RenderJob:
             return radiance
         samples = self._lattice.samples(visible_rows, columns)
         if self._lattice.size > 1:
-            sample_radiance = radiance_at(self.prepared, samples)
+            sample_radiance = compute_radiance(self.prepared, samples)
             visible_radiance[:] = self._lattice.mean(sample_radiance, tile_shape[1])
         else:
-            radiance_at(self.prepared, samples, out=visible_radiance.reshape(-1, 3).T)
+            compute_radiance(self.prepared, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
 

@@ -11,7 +11,7 @@ from tracer.arrays import BATCH_SIZE, Floats, Ints, index_batches
 from tracer.scene.model import Scene
 from tracer.trace.hits import Hits
 from tracer.trace.samples import Scattered
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
 # Maximum number of rays that are traced together: it limits memory.
@@ -114,7 +114,7 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     arrays = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
     for batch in index_batches(np.arange(count), prepared.batch_size(_RAYS_PER_BATCH)):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
-        batch_hits = FirstHits.from_hits(nearest_hits(prepared, samples))
+        batch_hits = FirstHits.from_hits(find_nearest_hits(prepared, samples))
         for array, values in zip(arrays, vars(batch_hits).values(), strict=True):
             array[batch[order]] = values
     return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in arrays))

@@ -90,7 +90,7 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
-    def height_of(self, point: Floats, to_point: Triple) -> Floats:
+    def compute_height(self, point: Floats, to_point: Triple) -> Floats:
         """Compute the height of a point above the tangent plane at each of n hits.
 
         Parameters

@@ -55,7 +55,7 @@ class LightGeometry(NamedTuple):
     n_dot_l: Floats
     length2: Floats
 
-    def highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
+    def compute_highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
         """Compute the strength (n.h)^p of one light's highlight at selected hits.
 
         Here n is the unit normal, h the unit half vector between the directions l to the light and
@@ -99,11 +99,11 @@ class LightGeometry(NamedTuple):
             light_direction = scale3(take3(to_light, inaccurate), 1 / light_distance[inaccurate])
             eye_direction = scale3(take3(from_eye, inaccurate), -1 / eye_distance[inaccurate])
             unit_vectors = take3(hits.normal, hit_index[inaccurate]), light_direction, eye_direction
-            strength[inaccurate] = _accurate_highlight(*unit_vectors, exponent[inaccurate])
+            strength[inaccurate] = _compute_accurate_highlight(*unit_vectors, exponent[inaccurate])
         return strength
 
 
-def _accurate_highlight(
+def _compute_accurate_highlight(
     normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
 ) -> Floats:
     """Compute highlights (n.h)^p from unit vectors, with little cancellation.
@@ -187,7 +187,7 @@ class Shading:
             lit_index = indices(is_hit_lit[self._glossy] & self._is_glossy)
             if lit_index.size:
                 strength, hit_index = np.zeros(self._is_glossy.size), self._glossy.start + lit_index
-                strength[lit_index] = geometry.highlight_strength(light_index, hit_index)
+                strength[lit_index] = geometry.compute_highlight_strength(light_index, hit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
     def reflection_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
@@ -268,7 +268,7 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
     return total
 
 
-def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
+def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     """Compute n . l and l . l for all pairs of a light and a hit, regardless of occluders.
 
     Here n is the unit normal at the hit, and l the vector from the hit to the light.
@@ -294,7 +294,7 @@ def light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
         for group in hits.groups:
             from_eye = hits.from_eye[:, group.interval]
             to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
-            n_dot_l = group.height_of(lights.position[light_index], to_light)
+            n_dot_l = group.compute_height(lights.position[light_index], to_light)
             if is_blocked[group.run_object].any():
                 # 0 would count as a terminator: a line at which light begins.
                 n_dot_l[group.repeat_runs(is_blocked[group.run_object])] = -np.inf
@@ -341,6 +341,6 @@ def find_narrow_highlights(
         lobe_step = footprint * turn * scale
         hit_index = indices((lobe_step > _MAX_LOBE_STEP) & is_frontlit)
         if hit_index.size:
-            strength = geometry.highlight_strength(light_index, hit_index)
+            strength = geometry.compute_highlight_strength(light_index, hit_index)
             lobe_position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
             yield hit_index[lobe_position - lobe_step[hit_index] < _LOBE_CUTOFF]

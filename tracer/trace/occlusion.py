@@ -338,13 +338,13 @@ def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
     """
     is_blocked = np.zeros(frontlit.shape, dtype=np.bool_)
     for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit):
-        light_index, hit_index, _ = triples[:, _blocks(hits, lights, shape, triples)]
+        light_index, hit_index, _ = triples[:, _test_segments(hits, lights, shape, triples)]
         put_2d(is_blocked, light_index, hit_index, True)
         put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
     return is_blocked
 
 
-def shadow_edges(
+def find_shadow_edges(
     hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
 ) -> tuple[Bools, Ints, Bools]:
     """Test which hits are in shadow, and find the shadow edges near each hit.
@@ -441,21 +441,21 @@ def _test_footprints(
         Whether the edge of the object's shadow may cross the footprint.
     """
     radius = footprint[triples[1]]
-    blocks_grown = _blocks(hits, lights, shape, triples, radius)
+    blocks_grown = _test_segments(hits, lights, shape, triples, radius)
     # If both the light and the hit are inside the grown object, it contains the whole segment, and
     # does not block it, although the unchanged object may.
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
     near_index = indices(blocks_grown | (light_distance <= radius))
     near_triples = triples.take(near_index, axis=1)
     radius, light_distance = radius[near_index], light_distance[near_index]
-    blocks = _blocks(hits, lights, shape, near_triples)
-    covers = blocks & _blocks(hits, lights, shape, near_triples, -radius)
+    blocks = _test_segments(hits, lights, shape, near_triples)
+    covers = blocks & _test_segments(hits, lights, shape, near_triples, -radius)
     covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON
     has_edge = ~covers & (blocks_grown[near_index] | (np.abs(light_distance) <= radius))
     return near_triples, blocks, covers, has_edge
 
 
-def _blocks(
+def _test_segments(
     hits: Hits, lights: Lights, shape: Shape, triples: Ints, growth: Floats | None = None
 ) -> Bools:
     """Test exactly whether each object blocks the segment from its hit to its light.
@@ -544,7 +544,7 @@ def _build_row_packets(
     count = np.minimum(run_size[run_index] - offset, max_hits)
     object_index = hits.run_object[run_index]
     is_lit = np.logical_or.reduceat(frontlit, start, axis=1)
-    center, radius = _bounding_spheres(hits, start)
+    center, radius = _compute_bounding_spheres(hits, start)
     radius += hits.prepared.position_error[object_index]
     if footprint is not None:
         radius += np.maximum.reduceat(footprint, start)
@@ -594,7 +594,7 @@ def _build_square_packets(
     return _merge_row_packets(row_packets, start, count), row_packets
 
 
-def _bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
+def _compute_bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
 
     The sphere encloses the bounding box of the group's hits in camera axes.  If the hits are known

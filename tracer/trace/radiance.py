@@ -8,14 +8,16 @@ import numpy as np
 
 from tracer.arrays import Floats, Ints
 from tracer.trace.hits import Hits
-from tracer.trace.lighting import Shading, light_geometry
+from tracer.trace.lighting import Shading, compute_light_geometry
 from tracer.trace.occlusion import is_occluded
 from tracer.trace.samples import Samples
-from tracer.trace.visibility import nearest_hits
+from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 
-def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
+def compute_radiance(
+    prepared: PreparedScene, samples: Samples, out: Floats | None = None
+) -> Floats:
     """Compute the radiance that reaches the eye along the ray through each sample.
 
     Parameters
@@ -32,11 +34,11 @@ def radiance_at(prepared: PreparedScene, samples: Samples, out: Floats | None = 
     radiance : (3, n) float array
         Linear RGB radiance at each sample; 0 if the ray meets no surface.
     """
-    hits = nearest_hits(prepared, samples)
+    hits = find_nearest_hits(prepared, samples)
     return shade(hits, prepared.light_batches).radiance(out)
 
 
-def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
+def compute_radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
     """Compute the radiance at each sample, and an id of the visible face and its lights.
 
     Parameters
@@ -49,12 +51,12 @@ def radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats,
     Returns
     -------
     radiance : (3, n) float array
-        Linear RGB radiance towards the eye, as from `radiance_at`.
+        Linear RGB radiance towards the eye, as from `compute_radiance`.
     ids : (n,) int array
         -1 if the ray meets no surface.  Otherwise, two samples have the same id if their rays hit
         the same face of the same object, and the same lights are visible from both hits.
     """
-    hits = nearest_hits(prepared, samples)
+    hits = find_nearest_hits(prepared, samples)
     shading = shade(hits, prepared.light_batches, with_ids=True)
     ids = np.full(samples.size, -1)
     ids[hits.sample] = shading.ids
@@ -81,7 +83,7 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
     """
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:
-        geometry = light_geometry(hits, lights)
+        geometry = compute_light_geometry(hits, lights)
         is_lit = geometry.n_dot_l > 0
         is_lit &= ~is_occluded(hits, lights, is_lit)
         shading.add(geometry, is_lit)

@@ -2,8 +2,8 @@
 
 There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at
 arbitrary positions.  Both find all pairs of a sample and an object that the ray through the sample
-may meet.  For this purpose, `object_spans` computes which part of each row of the picture an object
-covers.
+may meet.  For this purpose, `find_object_spans` computes which part of each row of the picture is
+covered by each object.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MAX_SINGLE_KEY = 2.0**39
 _MAX_SORTED_X = 2.0**20
 
 
-def object_spans(
+def find_object_spans(
     shape: Shape,
     prepared: PreparedScene,
     rows: Floats,
@@ -149,7 +149,7 @@ class Rows(NamedTuple):
         row, column = np.divmod(sample_index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
+    def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
         The samples are grouped into spans: consecutive samples in one row, for the same object.
@@ -173,7 +173,7 @@ class Rows(NamedTuple):
             Number of samples in each span, possibly 0.
         """
         columns, per_pixel = self.x.size, self.per_pixel[0]
-        object_index, row, left, right = object_spans(
+        object_index, row, left, right = find_object_spans(
             shape, prepared, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
         )
         first_x = self.x[0] + self.shift[row]
@@ -273,10 +273,10 @@ class Scattered(NamedTuple):
         """
         return self.x[sample_index], self.y[sample_index]
 
-    def sample_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
+    def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find, for each object of one shape, the samples at which it may be visible.
 
-        The result has the form of that of `Rows.sample_spans`, with one sample in each span.
+        The result has the form of that of `Rows.find_spans`, with one sample in each span.
 
         Parameters
         ----------
@@ -297,7 +297,7 @@ class Scattered(NamedTuple):
         """
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)
-        object_index, row, left, right = object_spans(
+        object_index, row, left, right = find_object_spans(
             shape, prepared, rows, columns, height=1.0, pad=_SPAN_PADDING
         )
         start = self.key.searchsorted(_sort_key(row + 1, left))

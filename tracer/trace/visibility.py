@@ -24,7 +24,7 @@ _RUN_WIDTH = 4.0
 _MAX_DISTANCE = np.finfo(np.float64).max
 
 
-def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
+def find_nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     """Find the first surface that the ray through each sample hits.
 
     Ties are decided by the order of the scene file: of several surfaces at exactly the same
@@ -43,11 +43,11 @@ def nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
         One hit for each sample whose ray meets a surface.  Other samples have no hit.
     """
     groups = _intersect_objects(prepared, samples)
-    visible = _select_visible(prepared, groups, _nearest_distances(samples, groups))
+    visible = _select_visible(prepared, groups, _find_nearest_distances(samples, groups))
     return _build_hits(prepared, samples, visible)
 
 
-def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
+def find_nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
     """Find the first surface that the ray through each sample hits, and all surfaces behind it.
 
     Parameters
@@ -60,13 +60,13 @@ def nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[
     Returns
     -------
     nearest : Hits
-        One hit for each sample whose ray meets a surface, as from `nearest_hits`.
+        One hit for each sample whose ray meets a surface, as from `find_nearest_hits`.
     hidden : Hits
         One hit for each object that the ray meets behind the nearest surface: none, one or several
         hits for each sample.
     """
     groups = _intersect_objects(prepared, samples)
-    nearest = _nearest_distances(samples, groups)
+    nearest = _find_nearest_distances(samples, groups)
     hidden = [
         group.select((group.t > nearest.take(group.sample)) & (group.t < np.inf))
         for group in groups
@@ -192,7 +192,7 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
     frame, groups = prepared.frame, []
     sample_right, row_down = samples.ray_right(frame), frame.ray_down(samples.y)
     for shape in prepared.shapes:
-        object_index, row, first_sample, sample_count = samples.sample_spans(shape, prepared)
+        object_index, row, first_sample, sample_count = samples.find_spans(shape, prepared)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
         ray_down, ray_right = row_down.take(row), sample_right.take(sample)
         t_and_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
@@ -201,7 +201,7 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
     return groups
 
 
-def _nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
+def _find_nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
     """Compute the distance of the first intersection along the ray through each sample.
 
     Parameters
@@ -235,7 +235,7 @@ def _select_visible(
     groups : list of _Intersections
         All intersections of rays with objects: one group for each shape.
     nearest : (samples,) float array
-        Distance of the nearest intersection at each sample, from `_nearest_distances`.
+        Distance of the nearest intersection at each sample, from `_find_nearest_distances`.
 
     Returns
     -------
