@@ -33,10 +33,10 @@ class CommandParser(argparse.ArgumentParser):
         self._module = module
 
     def format_help(self) -> str:
-        """Return the text for the option ``--help``: usage, docstring of the module, options."""
+        """Return the help text: usage, the module's docstring, and the options."""
         import ast  # importing it takes milliseconds
 
-        # From the source, because `python -OO` does not keep docstrings.
+        # Read from the source, because `python -OO` discards docstrings.
         with open(sys.modules[self._module].__file__ or "", encoding="utf-8") as file:
             self.description = ast.get_docstring(ast.parse(file.read()))
         return super().format_help()
@@ -47,8 +47,8 @@ class CommandParser(argparse.ArgumentParser):
         Parameters
         ----------
         message : str
-            What is wrong.  Unprintable characters are escaped.  If names that begin with "-" may be
-            the cause, a suggested fix is added.
+            What is wrong.  Unprintable characters are escaped.  If the cause may be a file whose
+            name begins with "-", a suggested fix is added.
         """
         if message.endswith("expected one argument"):
             message += "; a value that begins with - is joined to its option by ="
@@ -59,17 +59,17 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def parse_path(argument: str) -> str:
-    """Check that a command-line argument is not empty, and return it as the path of a file.
+    """Check that a command-line argument can be the path of a file: that it is not empty.
 
     Parameters
     ----------
     argument : str
-        The argument.
+        The command-line argument.
 
     Returns
     -------
     path : str
-        The same text.
+        The argument, unchanged.
 
     Raises
     ------
@@ -87,17 +87,17 @@ def parse_positive_int(argument: str) -> int:
     Parameters
     ----------
     argument : str
-        The argument.
+        The command-line argument.
 
     Returns
     -------
     number : int
-        The number.
+        The integer.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        If the argument is anything but one to nine ASCII digits, of which the first is not 0.
+        If the argument is not one to nine ASCII digits, or the first digit is 0.
     """
     if not re.fullmatch("[1-9][0-9]{0,8}", argument):
         rule = "must be a whole number from 1 to 999999999"
@@ -106,7 +106,7 @@ def parse_positive_int(argument: str) -> int:
 
 
 def is_folder(path: str) -> bool:
-    """Test whether a path ends in a slash, or is the path of an existing folder."""
+    """Test whether a path ends in a slash or names an existing folder."""
     return path.endswith(("/", os.sep)) or os.path.isdir(path)
 
 
@@ -118,7 +118,7 @@ def make_output_folder(output: str | None) -> None:
     Parameters
     ----------
     output : str or None
-        The argument of the option -o; None if the option is missing.
+        The value of the option -o; None if the option was not given.
 
     Raises
     ------
@@ -136,9 +136,9 @@ def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
     Parameters
     ----------
     path : str or path-like
-        The path of the file, which need not exist.
+        Path of the file, which need not exist.
     status : int
-        Exit status of the command if this function fails.
+        Exit status of the command if the path cannot be resolved.
 
     Raises
     ------
@@ -158,25 +158,23 @@ def choose_output_paths(
 ) -> list[str]:
     """Choose the path of each scene's result, and refuse to overwrite scenes or other results.
 
-    The parser prints an error and ends the process with exit status 2 if (1) two scenes would have
-    the same result file, (2) a result would replace a scene, or (3) the results of several scenes
-    would be one file.
-
     Parameters
     ----------
     parser : CommandParser
-        Its method `error` is called for wrong usage.
+        Prints an error and ends the process with exit status 2 if two results would be written to
+        the same file, a result would replace a scene, or `output` is a file but there are several
+        scenes.
     scenes : sequence of str
         Paths of the scene files.
     output : str or None
-        The argument of the option -o: a file, or a folder for the results of several scenes.  None
-        if the option is missing.
+        The value of the option -o: a file, or a folder for the results of several scenes.  None if
+        the option was not given.
     default_paths : sequence of str
-        For each scene, the path of its result without the option -o.  If that option names a
-        folder, the last component of the default path is the name of the result in that folder.
+        For each scene, the path of its result if the option -o was not given.  If that option names
+        a folder, the last component of the default path is the result's name in that folder.
     list_files : callable
-        Called with the path of a result, it returns the paths of all files that are written for the
-        result.  By default, the result is the only file.
+        Called with the path of a result, it returns the paths of all files that the result consists
+        of.  By default, a result is a single file.
 
     Returns
     -------
@@ -205,9 +203,9 @@ def choose_output_paths(
             if absolute_path in scene_paths:
                 parser.error(f"{path}: this would replace a scene; {OUTPUT_REMEDY}")
             if absolute_path in scene_of_file:
-                scenes_text = f"{scene_of_file[absolute_path]} and {scene}"
+                both_scenes = f"{scene_of_file[absolute_path]} and {scene}"
                 parser.error(
-                    f"{path}: {scenes_text} would both be written there; do them one by one"
+                    f"{path}: {both_scenes} would both be written there; do them one by one"
                 )
             scene_of_file[absolute_path] = scene
     return result_paths

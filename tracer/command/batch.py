@@ -133,7 +133,7 @@ class Batch:
     def __init__(self, settings: Settings, processes: int) -> None:
         self._settings, self._pool = settings, WorkerPool(processes - 1, end_on_signals)
         # The scenes to render; None in a worker process, which renders only single scenes.
-        self._work: Distribution[Job, Report] | None = None
+        self._distribution: Distribution[Job, Report] | None = None
         # Numbers of finished pictures, and of their pixels.
         self._finished_count = self._pixel_count = 0
 
@@ -145,7 +145,7 @@ class Batch:
         Parameters
         ----------
         jobs : sequence of Job
-            The scene files, and the paths of their pictures.
+            The scene files, each with the path of its picture.
 
         Returns
         -------
@@ -153,15 +153,17 @@ class Batch:
             Whether all pictures were written.
         """
         self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
-        # The last scenes are fewer than the processes, so the large ones among them are shared.
-        unshared_count = len(jobs) - len(jobs) % (self._pool.worker_count + 1)
-        items = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
-        items[unshared_count:] = jobs[unshared_count:]
-        # This process repeats what a worker could not do, for example for lack of memory.
+        # At the end, there are fewer scenes than processes, so large scenes are shared.
+        worker_count = self._pool.worker_count
+        unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
+        queued_jobs = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
+        queued_jobs[unshared_count:] = jobs[unshared_count:]
+        # This process repeats what a worker could not do, for example because it had too little
+        # memory.
         render_in_worker = partial(_render_in_worker, self._settings)
-        self._work = Distribution(self._render, render_in_worker, items, self._pool.worker_count)
+        self._distribution = Distribution(self._render, render_in_worker, queued_jobs, worker_count)
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
-            for job, report in zip(jobs, self._work, strict=True):
+            for job, report in zip(jobs, self._distribution, strict=True):
                 self._finished_count += 1
                 self._pixel_count += report.pixel_count
                 has_succeeded &= report.pixel_count > 0
@@ -182,12 +184,12 @@ class Batch:
         Parameters
         ----------
         job : Job
-            The scene file, and the path of the picture.
+            The scene file, and the path of its picture.
 
         Returns
         -------
         report : Report
-            What to print about the scene.
+            The lines to print about the scene.
         """
         try:
             return self._write_picture(job)
@@ -202,43 +204,43 @@ class Batch:
         Parameters
         ----------
         job : Job
-            The scene file, and the path of the picture.
+            The scene file, and the path of its picture.
 
         Returns
         -------
         report : Report
-            What to print about the picture.
+            The lines to print about the scene.
 
         Raises
         ------
         Failure
-            If the scene cannot be read or rendered, or the picture cannot be written; or if all
-            processes should share the picture, but this is a worker process, which cannot share it.
+            If the scene cannot be read or rendered, or the picture cannot be written; or if this is
+            a worker process, but all processes should share the picture.
         """
         start_time, (samples, size, file_format, quiet) = perf_counter(), self._settings
         scene, exposure = read_scene(job.scene_path, size), Exposure()
         magic, encode, write = FORMATS[file_format]
 
-        def encoded_tiles(pool: WorkerPool | None) -> Iterator[Any]:
+        def encode_tiles(pool: WorkerPool | None) -> Iterator[Any]:
             nonlocal exposure
             for data, tile_exposure in render_tiles(render_job, pool, encode):
                 yield data
                 exposure = Exposure(*map(add, exposure, tile_exposure))
-                if self._work is not None:
+                if self._distribution is not None:
                     fraction = exposure.pixel_count / (scene.width * scene.height)
                     self._show_progress(fraction, exposure.pixel_count)
-                    self._work.submit()
+                    self._distribution.submit()
 
         with errors_as_failure(
             job.scene_path, "rendered", _BUG, memory_remedy=_SMALLER, error_types=(ValueError,)
         ):
             render_job = RenderJob(scene, samples)
             is_large = render_job.seconds >= job.min_shared_seconds
-            if self._work is not None:
-                remaining_count = len(self._work.items) - self._finished_count
+            if self._distribution is not None:
+                remaining_count = len(self._distribution.items) - self._finished_count
                 if (render_job.seconds + _SECONDS_PER_SCENE) * remaining_count >= MIN_POOL_SECONDS:
-                    self._work.executor = self._pool
-                    self._work.submit()
+                    self._distribution.executor = self._pool
+                    self._distribution.submit()
             elif is_large:
                 raise Failure(job.scene_path, "all processes should share this picture")
             with (
@@ -249,7 +251,7 @@ class Batch:
                 if job.output_path == "-"
                 else atomic_file(job.output_path, magic) as file,
             ):
-                tiles = encoded_tiles(self._pool if is_large else None)
+                tiles = encode_tiles(self._pool if is_large else None)
                 write(file, scene.width, scene.height, tiles)
         if quiet:
             return Report(exposure.pixel_count)
@@ -259,17 +261,17 @@ class Batch:
         warning_lines = (printable(f"{job.scene_path}: warning: {warning}") for warning in warnings)
         return Report(exposure.pixel_count, printable(line), tuple(warning_lines))
 
-    def _show_progress(self, fraction: float, rendered_count: int) -> None:
-        """Show how many pictures and pixels are finished, with a part of the current picture.
+    def _show_progress(self, fraction: float, rendered_pixels: int) -> None:
+        """Show how many pictures and pixels are finished, including part of the current picture.
 
         Parameters
         ----------
         fraction : float
-            Rendered fraction of the current picture, from 0 to 1.
-        rendered_count : int
-            Number of pixels in this part of the current picture.
+            Fraction of the current picture that is rendered, from 0 to 1.
+        rendered_pixels : int
+            Number of pixels in the current picture that are rendered.
         """
-        note = f"{(self._pixel_count + rendered_count) / 1e6:.3g} million pixels"
+        note = f"{(self._pixel_count + rendered_pixels) / 1e6:.3g} million pixels"
         self._progress.update(self._finished_count + fraction, note)
 
 
@@ -281,19 +283,19 @@ def _render_in_worker(settings: Settings, job: Job) -> Report:
     settings : Settings
         The settings that all pictures of the command have in common.
     job : Job
-        The scene file, and the path of the picture.
+        The scene file, and the path of its picture.
 
     Returns
     -------
     report : Report
-        What to print about the scene.
+        The lines to print about the scene.
 
     Raises
     ------
     Failure
         If the scene cannot be rendered, or the picture cannot be written; or if the main process
-        must render the scene, because all processes should share the picture, or because the scene
-        comes from standard input, which is empty in a worker process.
+        must render the scene, because all processes should share the picture, or the scene comes
+        from standard input, which a worker process cannot read.
     """
     return Batch(settings, processes=1)._write_picture(job)
 
@@ -304,7 +306,7 @@ def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
     Parameters
     ----------
     path : str
-        The scene file; "-" is standard input.
+        Path of the scene file; "-" is standard input.
     size : (int,), (int, int) or None
         Width, or width and height, of the picture in pixels.  A width alone keeps the proportions
         of the scene file; None keeps the size in the file.

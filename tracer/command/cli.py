@@ -73,9 +73,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    status : int
-        Exit status: 0, or 1 if a scene could not be read, rendered or written.  Errors have been
-        printed to standard error.
+    exit_status : int
+        0, or 1 if a scene could not be read, rendered or written.  Errors have been printed to
+        standard error.
 
     Raises
     ------
@@ -104,39 +104,41 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _make_parser() -> CommandParser:
     """Create the command-line parser of ``tracer``, with all options and their help texts."""
     parser = CommandParser(__name__, prog="tracer")
-    add = parser.add_argument
-    digits = "([1-9][0-9]{0,8})"
-    size = _int_parser(f"{digits}(?:x{digits})?", "width and height in pixels, as 640x360 or 640")
-    pixel = _int_parser("([0-9]{1,9}),([0-9]{1,9})", "column and row, as 160,90")
-    add("scenes", nargs="+", type=parse_path, metavar="SCENE.xml", help=_HELP["scenes"])
-    add("-o", "--output", type=parse_path, metavar="PATH", help=_HELP["output"])
-    add("--format", choices=FORMATS, help=_HELP["format"])
-    add("--samples", type=parse_positive_int, default=1, metavar="N", help=_HELP["samples"])
-    add("--size", type=size, metavar="W[xH]", help=_HELP["size"])
-    add("--watch", action="store_true", help=_HELP["watch"])
-    add("--processes", type=parse_positive_int, metavar="N", help=_HELP["processes"])
-    add("--pixel", type=pixel, metavar="X,Y", help=_HELP["pixel"])
-    add("--quiet", action="store_true", help=_HELP["quiet"])
-    add("--version", action="version", version=f"%(prog)s {__version__}")
+    add_argument = parser.add_argument
+    integer, size_rule = "([1-9][0-9]{0,8})", "width and height in pixels, as 640x360 or 640"
+    parse_size = _make_int_parser(f"{integer}(?:x{integer})?", size_rule)
+    parse_pixel = _make_int_parser("([0-9]{1,9}),([0-9]{1,9})", "column and row, as 160,90")
+    add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml", help=_HELP["scenes"])
+    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=_HELP["output"])
+    add_argument("--format", choices=FORMATS, help=_HELP["format"])
+    add_argument(
+        "--samples", type=parse_positive_int, default=1, metavar="N", help=_HELP["samples"]
+    )
+    add_argument("--size", type=parse_size, metavar="W[xH]", help=_HELP["size"])
+    add_argument("--watch", action="store_true", help=_HELP["watch"])
+    add_argument("--processes", type=parse_positive_int, metavar="N", help=_HELP["processes"])
+    add_argument("--pixel", type=parse_pixel, metavar="X,Y", help=_HELP["pixel"])
+    add_argument("--quiet", action="store_true", help=_HELP["quiet"])
+    add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
 
-def _int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
-    """Return a function that extracts integers from a command-line argument such as "640x360".
+def _make_int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
+    """Make a function that extracts the integers from an argument such as "640x360".
 
     Parameters
     ----------
     pattern : str
-        Regular expression that a valid argument matches.  Its groups match the digits of the
-        integers; a group that matches nothing is skipped.
+        Regular expression for valid arguments.  Each group matches the digits of an integer, or
+        nothing.
     rule : str
-        Describes valid arguments: completes "must be ..." in an error message.
+        Description of valid arguments, which follows "must be" in the error message.
 
     Returns
     -------
     parse : callable
-        Called with an argument, it returns a tuple of ints.  If the argument is not valid, it
-        raises argparse.ArgumentTypeError.
+        Function that takes a command-line argument and returns a tuple of ints.  It raises
+        argparse.ArgumentTypeError if the argument is not valid.
     """
 
     def parse(argument: str) -> tuple[int, ...]:
@@ -149,13 +151,13 @@ def _int_parser(pattern: str, rule: str) -> Callable[[str], tuple[int, ...]]:
 
 
 def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
-    """Choose the picture format from the option --format or the file name suffix of -o.
+    """Choose the picture format from the option --format, or the suffix of the file named by -o.
 
     Parameters
     ----------
     parser : CommandParser
-        Prints an error and ends the process with exit status 2 if the suffix is not that of a
-        format, or contradicts the option --format.
+        Prints an error and ends the process with exit status 2 if the suffix is unknown or
+        contradicts the option --format.
     arguments : Namespace
         The parsed arguments of the command.
 
@@ -165,13 +167,13 @@ def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
         A key of `FORMATS`; "png" if neither option determines the format.
     """
     output = arguments.output or ""
-    allowed = [arguments.format] if arguments.format else list(FORMATS)
+    formats = [arguments.format] if arguments.format else list(FORMATS)
     stem, suffix = os.path.splitext(output)
     if is_folder(output) or not suffix:
-        return allowed[0]
-    if suffix[1:].lower() not in allowed:
-        endings = ", ".join(f".{name}" for name in allowed)
-        parser.error(f"-o {output}: pictures end in {endings}; name it {stem}.{allowed[0]}")
+        return formats[0]
+    if suffix[1:].lower() not in formats:
+        suffixes = ", ".join(f".{name}" for name in formats)
+        parser.error(f"-o {output}: pictures end in {suffixes}; name it {stem}.{formats[0]}")
     return suffix[1:].lower()
 
 
@@ -186,8 +188,8 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     arguments : Namespace
         The parsed arguments of the command.
     file_format : str
-        Format of the pictures, a key of `FORMATS`.  It is the suffix of pictures whose path the
-        option -o does not give: SCENE.xml.png.
+        Format of the pictures, a key of `FORMATS`.  A picture whose name is not given by the option
+        -o is named after its scene and the format, for example SCENE.xml.png.
 
     Returns
     -------
@@ -221,10 +223,9 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
 
 
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
-    """Print how the colour of one pixel is computed, for each scene.
+    """Print, for each scene, how the colour of the requested pixel is computed.
 
-    If a scene cannot be explained, the failure is printed to standard error, and the next scene is
-    explained.
+    If this fails for a scene, the failure is printed to standard error, and the next scene follows.
 
     Parameters
     ----------
@@ -236,14 +237,14 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
 
     Returns
     -------
-    status : int
-        Exit status: 0, or 1 if a scene could not be explained.
+    exit_status : int
+        0, or 1 if the pixel of a scene could not be explained.
     """
     if arguments.output or arguments.format or arguments.watch or arguments.samples > 1:
         parser.error("--pixel cannot be combined with -o, --format, --samples or --watch")
-    from tracer.picture.explanation import explain  # small pictures need not wait for the import
+    from tracer.picture.explanation import explain  # small pictures must not wait for the import
 
-    def explain_one(path: str) -> None:
+    def print_explanation(path: str) -> None:
         scene = read_scene(path, arguments.size)
         try:
             text = str(explain(scene, *arguments.pixel))
@@ -254,52 +255,56 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
         with errors_as_failure("standard output", "written"):
             print_result(sys.stdout, text)
 
-    results = [attempt(explain_one, path) for path in arguments.scenes]
+    results = [attempt(print_explanation, path) for path in arguments.scenes]
     return FAILED if any(isinstance(result, Failure) for result in results) else 0
 
 
 def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
-    """Render all scenes, and each of them again whenever its file has changed.
+    """Render all scenes, and render each of them again whenever its file changes.
 
     Parameters
     ----------
     jobs : sequence of Job
-        The scene files, and the paths of their pictures.
+        The scene files, each with the path of its picture.
     batch : Batch
-        Renders the scenes, and prints a line for each.
+        Renders the scenes and prints a line for each.
     quiet : bool
         Whether to print only errors.  If so, this function never returns.
 
     Returns
     -------
-    status : int
-        Exit status 0, as soon as the reader of standard output has gone away.
+    exit_status : int
+        0, as soon as the reader of standard output has gone away.
     """
     if not quiet:
-        scene_count = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
-        print_line(sys.stderr, f"watching {scene_count}; press Ctrl-C to end")
+        scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
+        print_line(sys.stderr, f"watching {scenes_text}; press Ctrl-C to end")
     seen_versions = {job: _file_version(job.scene_path) for job in jobs}
     rendered_versions = dict[Job, object]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
         versions = {job: _file_version(job.scene_path) for job in jobs}
-        # An editor may write a file in pieces: wait until it stops changing.
-        settled = {job: versions[job] for job in jobs if versions[job] == seen_versions[job]}
-        changed = [job for job in settled if (job, versions[job]) not in rendered_versions.items()]
+        # An editor may write a file in pieces, so wait until it stops changing.
+        settled_versions = {
+            job: versions[job] for job in jobs if versions[job] == seen_versions[job]
+        }
+        changed_jobs = [
+            job for job in settled_versions if (job, versions[job]) not in rendered_versions.items()
+        ]
         seen_versions = versions
-        rendered_versions |= settled
-        if changed:
-            batch.render(changed)
+        rendered_versions |= settled_versions
+        if changed_jobs:
+            batch.render(changed_jobs)
         sleep(_POLL_SECONDS)
     return 0
 
 
 def _file_version(path: str) -> tuple[int, int, int] | None:
-    """Return the modification time, size and inode number of a file: they change when it is saved.
+    """Return the modification time, size and inode number of a file, which change when it is saved.
 
     If the file cannot be accessed, return None.
     """
     try:
-        status = os.stat(path)
+        file_status = os.stat(path)
     except OSError:
         return None
-    return status.st_mtime_ns, status.st_size, status.st_ino
+    return file_status.st_mtime_ns, file_status.st_size, file_status.st_ino

@@ -51,25 +51,25 @@ def errors_as_failure(
     status: int = 1,
     error_types: tuple[type[BaseException], ...] = (),
 ) -> Iterator[None]:
-    """Convert errors of a with block to a Failure if their cause is outside the program.
+    """Convert errors in a with block to a Failure if their cause is outside the program.
 
-    The text of the failure is ``WHERE: cannot be PARTICIPLE: reason; REMEDY``.  A SceneFileError
-    already has a complete line for each error in the scene, so its text is that of the failure.
+    The text of the failure is ``WHERE: cannot be PARTICIPLE: reason; REMEDY``.  The text of a
+    SceneFileError is kept, because it contains a complete line for each error in the scene.
 
     Parameters
     ----------
     where : str or path-like
         The file or stream that the block uses.
     participle : str
-        What the block does with the file: "read", "written" or "compared", for example.
+        What the block does with the file, for example "read", "written" or "compared".
     remedy : str
         What the user can do about the failure, for example "choose another with -o".
     memory_remedy : str
-        Replaces `remedy` if there is not enough memory.
+        Replaces `remedy` if the error is a lack of memory.
     status : int
         Exit status of a command that fails only because of this.
     error_types : tuple of exception classes
-        Classes to convert in addition to OSError, MemoryError and SceneFileError.
+        Classes of errors to convert in addition to OSError, MemoryError and SceneFileError.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def errors_as_failure(
     try:
         yield
     except Exception as error:
-        # Not imported at the top: a command must begin before NumPy is imported.
+        # Not imported at the top, because a command must begin before NumPy is imported.
         from tracer.scene.reader import SceneFileError
 
         if isinstance(error, SceneFileError):
@@ -99,10 +99,11 @@ def errors_as_failure(
 def describe_cause(error: BaseException) -> str:
     """Describe the cause of an error in one line, for example "No such file or directory".
 
-    A RuntimeError that was raised from another error is replaced by that error.  The line is "not
-    enough memory" for a MemoryError and for a ChildProcessError, because the system ends processes
-    that take too much memory; the system's message for other OSErrors; otherwise the text of the
-    error, or the name of its class if the text is empty.  Unprintable characters are escaped.
+    For a RuntimeError that was raised from another error, that error is described.  For a
+    MemoryError, or a ChildProcessError (because the system ends processes that take too much
+    memory), the line is "not enough memory".  For any other OSError, it is the system's message.
+    Otherwise, it is the text of the error, or the name of its class if the text is empty.
+    Unprintable characters are escaped.
     """
     # Dr.Jit raises chains of RuntimeErrors.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:

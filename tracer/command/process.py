@@ -38,32 +38,31 @@ def run(module_name: str) -> NoReturn:
     - 130 if a signal ends the command;
     - 141 if the reader of standard output goes away.  In this case nothing is printed.
 
-    A Failure, a missing package and a lack of memory are printed as one line instead of a
-    traceback.
+    A Failure, a missing package or a lack of memory is reported in one line instead of a traceback.
 
     Parameters
     ----------
     module_name : str
-        Name of the module.  Its function `main` takes no arguments, and returns an exit status or
-        None, which is status 0.
+        Name of the module.  Its function `main` takes no arguments, and returns an exit status;
+        None counts as 0.
     """
     end_on_signals()
-    # No product of matrices here is worth OpenBLAS's threads; starting them would take as long as
+    # No matrix product here is worth OpenBLAS's threads; starting them would take as long as
     # rendering a small picture.  The variable is read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Importing creates tens of thousands of objects, and none is garbage: collect it rarely.
+    # Importing creates tens of thousands of objects, none of which is garbage: collect rarely.
     gc.set_threshold(50_000)
-    status = FAILED
+    exit_status = FAILED
     try:
         result = attempt(import_module(module_name).main)
-        status = result.status if isinstance(result, Failure) else result or 0
+        exit_status = result.status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
         print_line(sys.stderr, f"{error}; install it with python -m pip install {package}")
-        status = MISUSED  # in some commands 1 says that pictures differ
+        exit_status = MISUSED  # in some commands, status 1 means that pictures differ
     except BrokenPipeError:
-        status = _UNREAD
+        exit_status = _UNREAD
     except (ImportError, MemoryError, SystemError) as error:
         # NumPy's own message is a page of advice; the first cause names the library at fault.
         first_cause: BaseException = error
@@ -73,24 +72,24 @@ def run(module_name: str) -> NoReturn:
         remedy = "give it more memory, or install it again"
         print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
-        status = error.code if isinstance(error.code, int) else FAILED
+        exit_status = error.code if isinstance(error.code, int) else FAILED
     # os._exit flushes nothing, and the status must show that a result could not be printed.
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None and not stream.closed:
                 stream.flush()
         except OSError as error:
-            status = status or (_UNREAD if isinstance(error, BrokenPipeError) else FAILED)
+            exit_status = exit_status or (_UNREAD if isinstance(error, BrokenPipeError) else FAILED)
     # An orderly exit would destroy NumPy's modules one by one, and add a tenth to the time of a
     # small picture.
-    os._exit(status)
+    os._exit(exit_status)
 
 
 def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | Failure:
     """Call a function; if it raises a Failure, print the failure to standard error and return it.
 
-    A command that processes many files calls this for each file, so that a failure does not keep it
-    from processing the other files.
+    A command that processes many files calls this for each file, so that a failure for one file
+    does not keep it from processing the others.
 
     Parameters
     ----------
@@ -102,7 +101,7 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
     Returns
     -------
     result : object or Failure
-        What the function returned, or the Failure that it raised.
+        The result of the function, or the Failure that it raised.
     """
     try:
         return function(*arguments)
@@ -114,7 +113,7 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown, and ignore errors.
 
-    Use this for notices: a command must not fail because a notice cannot be printed.
+    Use this for notices, because a command must not fail if a notice cannot be printed.
 
     Parameters
     ----------
@@ -149,10 +148,10 @@ def print_result(stream: TextIO | None, text: str) -> None:
     encoding, tqdm = stream.encoding or "utf-8", sys.modules.get("tqdm")
     try:
         with tqdm.tqdm.external_write_mode(stream) if tqdm else nullcontext():
-            line = text.encode(encoding, "backslashreplace").decode(encoding)
-            print(line, file=stream, flush=True)
+            printable_line = text.encode(encoding, "backslashreplace").decode(encoding)
+            print(printable_line, file=stream, flush=True)
     except OSError:
-        # The text that remains in the stream's buffer would fail again at the end.
+        # Text that remains in the stream's buffer would raise the error again at the end.
         with suppress(OSError):
             stream.close()
         raise
@@ -161,9 +160,9 @@ def print_result(stream: TextIO | None, text: str) -> None:
 def end_on_signals() -> None:
     """Install signal handlers that end this process immediately, without a message.
 
-    The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  A signal that is ignored stays
-    ignored, for example under nohup or in the background of a script.  When a signal arrives, the
-    part files of this process (incomplete output files) are removed, and its exit status is 130.
+    The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  A signal that is already ignored,
+    for example under nohup or in a script's background job, stays ignored.  When a signal arrives,
+    this process removes its part files (incomplete output files), and ends with exit status 130.
     """
     for signal_name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         signal_number = getattr(signal, signal_name, None)  # not all systems have the last three
@@ -173,7 +172,7 @@ def end_on_signals() -> None:
 
 def _end_now(_number: int, _frame: object) -> NoReturn:
     """Handle a signal: remove part files (incomplete output files), and end this process."""
-    # Not by an exception: a KeyboardInterrupt would be lost in a finalizer or after a fork, and in
-    # NumPy or in a plugin it would be reported as an error of theirs.
+    # Not by an exception: a KeyboardInterrupt would be lost in a finalizer or after a fork, and
+    # NumPy or a plugin would report it as an error of its own.
     remove_part_files()
     os._exit(INTERRUPTED)

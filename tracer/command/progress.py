@@ -51,35 +51,35 @@ class Progress:
             self._bar.close()
 
     def update(self, done: float, note: str = "") -> None:
-        """Update the bar with the amount of finished work, except during the first second of work.
+        """Show the amount of finished work in the bar, except during the first second of work.
 
         Parameters
         ----------
         done : float
-            Total amount of finished work, in the unit of `total`.
+            Total amount of finished work, in the unit of the bar's total.
         note : str
-            Text to show beside the bar.
+            Text to show next to the bar.
         """
         seconds = perf_counter() - self._start
         if self._bar is None and seconds >= _BAR_SECONDS:
-            self._bar = self._new_bar(seconds)
+            self._bar = self._create_bar(seconds)
         if self._bar:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(round(done, 2) - self._bar.n)
 
-    def _new_bar(self, seconds: float) -> Any:
+    def _create_bar(self, seconds: float) -> Any:
         """Create a tqdm progress bar.
 
         Parameters
         ----------
         seconds : float
-            Time that the work has taken so far, which is the bar's elapsed time.
+            Time that the work has taken so far, to be shown as the elapsed time.
 
         Returns
         -------
         bar : tqdm.tqdm or False
             The bar; False if tqdm is not installed, or environment variables contain invalid
-            settings for tqdm, because a command must not fail for that.
+            settings for tqdm, because this must not make a command fail.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
@@ -87,7 +87,7 @@ class Progress:
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
             options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
             bar = tqdm(total=self._total, unit=self._unit, **options)
-            # The time left follows from all the time so far, and the first update is shown.
+            # The remaining time follows from all the time so far, and the first update is shown.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False
@@ -99,13 +99,13 @@ def track(items: Iterable[_Item], total: int, unit: str) -> Iterator[_Item]:
     Parameters
     ----------
     items : iterable
-        The items.  An item is deemed finished when the next one is requested.
+        The items.  An item counts as finished when the next one is requested.
     total : int
         Number of items.
     unit : str
-        What the items are, as a noun in the plural, for example "scenes".
+        Plural noun for the items, for example "scenes".
     """
     with Progress(total, unit) as progress:
-        for count, item in enumerate(items, 1):
+        for finished_count, item in enumerate(items, 1):
             yield item
-            progress.update(count)
+            progress.update(finished_count)
