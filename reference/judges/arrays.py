@@ -19,47 +19,46 @@ Index: TypeAlias = Ints | Bools
 
 
 def sum_by_index(index: Ints, values: Floats, count: int) -> Floats:
-    """Add up the values that have the same index.
+    """Add up the values that share an index.
 
     Parameters
     ----------
     index : (n,) int array
-        For each value, the element of the result to which it is added; from 0 to count - 1.
+        For each value, the element of `sums` to which it is added, from 0 to count - 1.
     values : (n,) float array
-        The numbers to add up.
+        Numbers to add up.
     count : int
-        Length of the result.
+        Length of `sums`.
 
     Returns
     -------
     sums : (count,) float array
         The sum of the values for each index; 0 for an index that does not occur.
     """
-    # np.bincount returns integers if there are no values.
+    # Without values, np.bincount returns integers.
     return np.bincount(index, values, count).astype(np.float64, copy=False)
 
 
 def add_at_sorted_index(total: Floats, index: Ints, values: Floats) -> None:
-    """Add each value to the element of `total` that the value's index selects.
+    """Add each value to the element of an array given by the value's index.
 
-    Unlike ``total[..., index] += values``, this adds all values of an index that occurs repeatedly.
+    Unlike ``total[..., index] += values``, this adds all values that share an index.
 
     Parameters
     ----------
     total : (..., m) float array
-        The sums so far.  This array is changed in place.
+        The array, which is changed in place.
     index : (n,) int array
-        For each value, an index into the last axis of `total`.  The indices ascend, so equal ones
-        are adjacent.
+        For each value, an index into the last axis of `total`, in ascending order.
     values : (..., n) float array
-        The numbers to add.  The leading axes are those of `total`.
+        The values to add.  The leading axes are those of `total`.
     """
     run_start = np.flatnonzero(np.diff(index, prepend=-1))
     total[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
 
 
 def list_segment_elements(length: Ints, start: Ints) -> tuple[Ints, Ints]:
-    """List the elements of segments of an array, segment after segment.
+    """List the indices of all elements of some segments of an array, segment by segment.
 
     Parameters
     ----------
@@ -69,7 +68,7 @@ def list_segment_elements(length: Ints, start: Ints) -> tuple[Ints, Ints]:
     Returns
     -------
     segment : (m,) int array
-        The segment to which each listed element belongs.  Here m is the sum of `length`.
+        The segment of each listed element.  Here m is the sum of `length`.
     element : (m,) int array
         The index of each listed element in the array.
     """
@@ -77,20 +76,20 @@ def list_segment_elements(length: Ints, start: Ints) -> tuple[Ints, Ints]:
     return segment, np.arange(segment.size) - (length.cumsum() - length - start)[segment]
 
 
-def find_in_sorted(keys: Ints, wanted: Ints) -> Ints:
+def find_in_sorted(sorted_numbers: Ints, wanted: Ints) -> Ints:
     """Find the positions of numbers in a sorted array.
 
     Parameters
     ----------
-    keys : (m,) int array
-        Numbers that are at least 0, in ascending order.
+    sorted_numbers : (m,) int array
+        Non-negative numbers in ascending order.
     wanted : (n,) int array
-        Numbers that are at least 0, in any order.
+        Non-negative numbers in any order.
 
     Returns
     -------
     position : (n,) int array
-        For each wanted number, its index in `keys`, or -1 if `keys` does not contain the number.
+        For each wanted number, its index in `sorted_numbers`, or -1 if it is missing there.
     """
-    position = keys.searchsorted(wanted)
-    return np.where(np.append(keys, -1)[position] == wanted, position, -1)
+    position = sorted_numbers.searchsorted(wanted)
+    return np.where(np.append(sorted_numbers, -1)[position] == wanted, position, -1)

@@ -1,24 +1,26 @@
 """Enclose everything in cells of the picture: distances, edges, shadows and radiance.
 
-The problem: for each pair (a cell, and a face that may be visible in it), decide what the whole
-cell has in common, and find all edges where the picture may change.  The means is the *edge
-function*, which has one sign on each side of an edge.  Silhouettes, intersections of surfaces,
-terminators and edges of shadows all are zeros of such functions.  A function that has one sign in
-all of a cell decides a question for this cell.  Otherwise the cell contains an edge.
+The problem: for each pair (a cell, and a face that may be visible in it), decide what is
+the same everywhere in the cell, and find all edges where the picture may change.  The tool is the
+*edge function*, which is positive on one side of an edge and negative on the other.  Silhouettes,
+intersections of surfaces, terminators and shadow edges are zeros of such functions.  If a function
+has the same sign everywhere in a cell, it decides a case there.  Otherwise the cell may contain an
+edge.
 
 On a face, every edge function has the form u + v s.  Here u and v are polynomials of degree two, or
-less, in the ray's direction, and s is the root in the inverse distance (see `faces`; s = 0 on
-rectangles).  Polynomials with error bounds (see `enclosures`) enclose u, v and s, and so the
-function.  Near a silhouette, where s has an infinite slope, the polynomial u^2 - v^2 s^2 is a
+less, in the ray's direction, and s is the square-root term of the inverse distance (see `faces`; s
+is 0 on rectangles).  Polynomials with error bounds (see `enclosures`) enclose u, v and s, and so
+the function.  Near a silhouette, where s has an infinite slope, the polynomial u^2 - v^2 s^2 is a
 better edge function: it contains s^2 only, and is zero wherever u + v s is.
 
-Why the result is right: a question counts as decided only if the enclosure of its function has one
+Why the result is right: a case counts as decided only if the enclosure of its function has one
 sign, and every other function is listed as an edge.
 
 Rounding.  Linear functions are sums of three products.  Their rounding error is at most 4 e times
-the sum of these, with e = 2^-53.  That of the quadratic polynomials of cones is at most 20 e times
-(r^2 + |c|^2) |q|^2.  Both are widened by at least 900 e times the same, which also covers the
-rounding errors of what was computed before: centres relative to the eye, and planes.
+the sum of the products, with e = 2^-53.  The rounding error of the quadratic polynomials of cones
+is at most 20 e times (r^2 + |c|^2) |q|^2.  The error bounds contain at least 900 e times the same
+sums, so they also cover the rounding errors of earlier results: centres relative to the eye, and
+planes.
 """
 
 from __future__ import annotations
@@ -35,13 +37,13 @@ from reference.judges.enclosures import CONSTANT, RADIUS, ROUNDING, UNKNOWN, X_S
 from reference.judges.faces import Faces
 from reference.judges.vectors import cross_product, squared_length
 
-# Squared distances and |l + v|^2 of two unit vectors are positive.  Lower bounds on them are raised
-# to this number, before a negative power is computed.
+# Squared distances, and |l + v|^2 of two unit vectors, are positive.  Their lower bounds are raised
+# to this number before a negative power is computed.
 _MIN_SQUARE = 1e-300
 
 
 class Contributions(NamedTuple):
-    """Radiance that n (pair, light) combinations add where the face is lit, sorted in this order.
+    """The radiance that each of n (pair, light) combinations adds, sorted by pair and light.
 
     A pair is one face (a sphere, or a side of a box) in one cell (a square part of the picture).
 
@@ -50,9 +52,9 @@ class Contributions(NamedTuple):
     pair, light : (n,) int arrays
         Indices of the pair and of the light of each contribution.
     radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance that the face reflects to the eye at points that the
-        light reaches.  The first axis holds the coefficients of a polynomial and its error bound,
-        the second axis holds the three channels.
+        Enclosures (8, 3, n) of the radiance that the face reflects to the eye wherever the light
+        reaches it.  The first axis holds the coefficients of a polynomial and its error bound;
+        the second holds the three channels.
     """
 
     pair: Ints
@@ -65,65 +67,64 @@ class Contributions(NamedTuple):
 
 
 class _Condition(NamedTuple):
-    """One condition for each of n questions: the function u + v s of the question is positive.
+    """One condition on each of n cases: it holds where a function u + v s is positive.
 
-    A question is about one pair (one face in one cell), for example whether the face fills the
-    cell.  A camera ray with direction d meets the face at the distance t, where 1 / t = k.d + s.
-    Here s is the square-root term, which is 0 for planes.
+    A case asks something about one pair (one face in one cell), for example whether the face fills
+    the cell.  A camera ray with direction d meets the face at the distance t, where 1 / t = k.d +
+    s.  Here s is the square-root term, which is 0 for planes.
 
     Attributes
     ----------
-    question : (n,) int array
-        Indices of the questions.
+    case_index : (n,) int array
+        Indices of the cases.
     u, v : Enclosures, and Enclosures or (n,) float array
-        The coefficients u and v of each function.  An array holds values of v that are constant in
-        the cell.
+        The coefficients u and v of each function.  If v is an array, it is constant in each cell.
     is_edge : bool, or (n,) bool array
         Whether the picture may have an edge where the function is zero.
     """
 
-    question: Ints
+    case_index: Ints
     u: Enclosures
     v: Enclosures | Floats
     is_edge: Bools | bool
 
 
-def _cone_function(
-    center: Floats, radius: Floats, vectors: tuple[Floats, Floats], shifted: tuple[Floats, Floats]
+def _enclose_cone(
+    center: Floats, radius: Floats, sized_q: tuple[Floats, Floats], sized_w: tuple[Floats, Floats]
 ) -> tuple[Enclosures, Floats]:
     """Enclose r^2 |q|^2 - |c x q|^2, which is positive at points inside the cone of a sphere.
 
-    The (double) cone consists of all lines through an apex that meet the sphere.  Here r is the
-    sphere's radius, and c and q are the vectors from the apex to the sphere's centre and to the
-    tested point.  The vectors q depend linearly on the position (X, Y) in a cell of the picture.
+    The double cone consists of all lines through an apex that meet the sphere.  Here r is the
+    sphere's radius, c is the vector from the apex to the sphere's centre, and q is the vector from
+    the apex to the tested point.  The vectors q are linear in the position (X, Y) in a cell of the
+    picture.
 
     Parameters
     ----------
     center, radius : (3, n) and (n,) float arrays
         The vectors c and the radii r.
-    vectors : (3, 3, n) and (n,) float arrays
-        The vectors q, and upper bounds on the absolute values of the terms whose sum is q, for
-        rounding errors.  The first axis of q holds the components, the second each component's
-        coefficients of 1, X and Y.
-    shifted : (3, 3, n) and (n,) float arrays
-        The vectors q plus multiples of c, which have the same cross product with c, and the same
-        bounds for them.  The caller chooses the multiples such that the rounding error of the cross
-        product is small.
+    sized_q : (3, 3, n) and (n,) float arrays
+        The vectors q, and upper bounds on the absolute values of the terms that were added up to q,
+        from which rounding errors are bounded.  The first axis of q holds the components, the
+        second the coefficients of 1, X and Y.
+    sized_w : (3, 3, n) and (n,) float arrays
+        Vectors w with c x w = c x q, and the same bounds for them.  Each w is q plus a multiple of
+        c, chosen so that the rounding error of c x w is small.
 
     Returns
     -------
     cone : Enclosures
         Enclosures (8, n) of the function.
-    cross_product : (3, 3, n) float array
-        c x q.  The axes are those of q.
+    c_cross_w : (3, 3, n) float array
+        The cross products c x q, with the axes of q.
     """
-    (q, q_size), (w, w_size) = vectors, shifted
-    product, coef = cross_product(center, w), np.zeros((8, center.shape[1]))
-    coef[:UNKNOWN] = radius * radius * squared_length(q) - squared_length(product)
-    error = radius * radius * q_size * np.abs(q).sum(axis=(0, 1))
-    error += (center * center).sum(axis=0) * w_size * np.abs(w).sum(axis=(0, 1))
-    coef[RADIUS] = 8 * ROUNDING * error
-    return Enclosures(coef), product
+    (q, q_size), (w, w_size) = sized_q, sized_w
+    c_cross_w, coef = cross_product(center, w), np.zeros((8, center.shape[1]))
+    coef[:UNKNOWN] = radius * radius * squared_length(q) - squared_length(c_cross_w)
+    error_bound = radius * radius * q_size * np.abs(q).sum(axis=(0, 1))
+    error_bound += (center * center).sum(axis=0) * w_size * np.abs(w).sum(axis=(0, 1))
+    coef[RADIUS] = 8 * ROUNDING * error_bound
+    return Enclosures(coef), c_cross_w
 
 
 class CellAnalysis:
@@ -144,18 +145,18 @@ class CellAnalysis:
     faces : Faces
         The spheres and the sides of boxes in the scene.
     cells : Cells
-        The cells, without pairs and triples that proved to be irrelevant.
+        The cells, without pairs and triples that proved irrelevant.
     squared_direction : Enclosures
         Enclosures (8, c) of d^2, the squared length of the ray directions, one for each cell.
     inverse_distance : Enclosures
         Enclosures (8, p) of 1 / t, one for each pair.
     squared_root_term, root_term : Enclosures
-        Enclosures (8, p) of s^2 and of s, one for each pair.  The unknown Z of s is the same as
-        that of 1 / t.
+        Enclosures (8, p) of s^2 and of s, one for each pair.  The unknown Z is the same in s and in
+        1 / t.
     """
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
-        """Find the visible faces of each cell, the lights that reach them, and possible edges.
+        """Find the visible faces of each cell, the lights that reach them, and all possible edges.
 
         A pair is one face in one cell.  A triple is a pair, a light, and an object that may shade
         the face from the light.  A light is settled for a pair if it is known to reach all of the
@@ -166,8 +167,8 @@ class CellAnalysis:
         faces : Faces
             The spheres and the sides of boxes in the scene.
         cells : Cells
-            The cells, which are not changed.  The attribute `cells` is a copy from which irrelevant
-            pairs and triples are removed, and in which more lights are settled.
+            The cells, which are not changed.  The attribute `cells` is a copy without irrelevant
+            pairs and triples, in which more lights are settled.
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Directions of camera rays as functions of the position in each cell.  The first axis holds
@@ -175,21 +176,21 @@ class CellAnalysis:
         self._rays = rays = np.zeros((3, 3, cells.x.size))
         rays[:2, 0], rays[2, 0] = (frame.ray_right(cells.x), frame.ray_down(cells.y)), frame.depth
         pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
-        rays[0, 1], rays[1, 2] = self._half_size = cells.width / 2 * pixel_size
+        rays[0, 1], rays[1, 2] = self._half_cell_size = cells.width / 2 * pixel_size
         coef = np.zeros((8, cells.x.size))
         coef[:UNKNOWN] = squared_length(rays)
         coef[RADIUS] = ROUNDING * coef[CONSTANT]
         self.squared_direction = Enclosures(coef)
         # Pairs, lights (or -1) and enclosures of edge functions.
         self._edges: list[tuple[Ints, Ints, Enclosures]] = []
-        self._find_surfaces()
+        self._find_visible_faces()
         self._find_terminators()
         self._find_shadows()
         if cells.width <= 1:
             self._find_intersections()
 
     def _dot_with_rays(self, vectors: Floats, cell: Ints) -> Enclosures:
-        """Enclose the dot products of constant vectors with the ray directions in cells.
+        """Enclose the dot products of constant vectors with the ray directions in their cells.
 
         Parameters
         ----------
@@ -202,16 +203,16 @@ class CellAnalysis:
         -------
         product : Enclosures
             Enclosures (8, n) of the dot products, which are linear in the position (X, Y) in the
-            cell.  All rows but 0 to 2 (coefficients of 1, X and Y) and 7 (RADIUS) are zero.
+            cell.  Only rows 0 to 2 (coefficients of 1, X and Y) and row 7 (RADIUS) are not zero.
         """
         coef, max_ray_size = np.zeros((8, cell.size)), self.faces.frame.max_ray_size
         coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell, axis=1)).sum(axis=0)
-        coef[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_size
+        coef[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_cell_size
         coef[RADIUS] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
         return Enclosures(coef)
 
-    def _side_function(self, pair: Ints, half_space: Floats) -> tuple[Enclosures, Floats]:
-        """Return the function u + v s that is positive where the visible point is in a half-space.
+    def _half_space_function(self, pair: Ints, half_space: Floats) -> tuple[Enclosures, Floats]:
+        """Find u and v such that u + v s is positive where a ray meets a face inside a half-space.
 
         Let n.x + b >= 0 be the half-space.  The ray with direction d meets the face at x = t d,
         where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.  The point is
@@ -222,8 +223,9 @@ class CellAnalysis:
         pair : (n,) int array
             Indices of pairs.  A pair is one face in one cell.
         half_space : (5, n) float array
-            For each pair a half-space.  Rows 0 to 2 contain the components of n, and row 3 contains
-            b.  Row 4 bounds the absolute values of the terms whose sum is b, for rounding errors.
+            One half-space for each pair.  Rows 0 to 2 contain n, and row 3 contains b.  Row 4
+            contains upper bounds on the terms that were added up to b, which bound its rounding
+            error.
 
         Returns
         -------
@@ -232,13 +234,13 @@ class CellAnalysis:
         v : (n,) float array
             The coefficients v = b.
         """
-        *normal, offset, offset_size = half_space
+        *normal, b, b_size = half_space
         u = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
-        u += self._linear_term[pair] * offset
-        u.coef[RADIUS] += ROUNDING * offset_size * self._max_inverse_distance[pair]
-        return u, offset
+        u += self._linear_term[pair] * b
+        u.coef[RADIUS] += ROUNDING * b_size * self._max_inverse_distance[pair]
+        return u, b
 
-    def _enclose(self, pair: Ints, u: Enclosures, v: Enclosures | Floats) -> Enclosures:
+    def _enclose_functions(self, pair: Ints, u: Enclosures, v: Enclosures | Floats) -> Enclosures:
         """Enclose functions u + v s, where s is the square-root term of a face's inverse distance.
 
         The ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  For
@@ -257,179 +259,182 @@ class CellAnalysis:
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
         coef = u.coef.copy()
-        # Indices of the functions whose face is a sphere.
-        on_sphere = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
-        coef[:, on_sphere] += (self.root_term[pair[on_sphere]] * v[on_sphere]).coef
+        # Indices of the functions on spheres; on sides of boxes, s is 0.
+        spherical = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
+        coef[:, spherical] += (self.root_term[pair[spherical]] * v[spherical]).coef
         return Enclosures(coef)
 
     def _decide(
-        self, pair: Ints, light: Ints | int, is_never: Bools, conditions: Iterable[_Condition]
+        self, pair: Ints, light: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Decide whether all conditions of a question hold everywhere in a cell, or one nowhere.
+        """Decide for each case whether all conditions hold everywhere in a cell, or one nowhere.
 
-        Each of n questions is about one pair (one face in one cell), and has several conditions.
-        A condition holds where its function u + v s is positive.  Here s is the square-root term of
-        1 / t = k.d + s, where t is the distance of the face along the ray with direction d.
+        Each of n cases concerns one pair (one face in one cell), and has several conditions.  A
+        condition holds where its function u + v s is positive.  Here s is the square-root term of
+        the face's inverse distance: a ray with direction d meets the face at the distance t, where
+        1 / t = k.d + s.
 
-        If a question stays undecided, each of its functions that may have both signs in the cell is
-        listed as an edge, unless its condition says that it is no edge.
+        If a case remains undecided, each of its functions that may have both signs in the cell is
+        listed as an edge, except where `is_edge` of its condition is False.
 
         Parameters
         ----------
         pair : (n,) int array
-            For each question, the index of its pair.
+            For each case, the index of its pair.
         light : (n,) int array, or int
-            For each question, the light whose radiance depends on the answer, or -1 if all radiance
+            For each case, the light whose radiance depends on the decision, or -1 if all radiance
             depends on it.
-        is_never : (n,) bool array
-            Changed in place: set to True for each question with a condition that is false
-            everywhere in the cell.  This happens after each item of `conditions`, so an iterator
-            can skip the questions that are already decided.
+        is_false : (n,) bool array
+            Changed in place: set to True for each case with a condition that is false everywhere in
+            the cell.  This happens after each item of `conditions`, so that an iterator can skip
+            the cases that are already decided.
         conditions : iterable of _Condition
-            Each item holds one condition for some of the questions.
+            Each item holds one condition on some of the cases.
 
         Returns
         -------
-        is_always : (n,) bool array
-            Whether all conditions of each question are true everywhere in the cell.
+        is_true : (n,) bool array
+            Whether all conditions on the case are true everywhere in the cell.
         """
-        is_always, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
-        candidates = []
-        for question, u, v, is_edge in conditions:
-            functions = self._enclose(pair[question], u, v)
+        is_true, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
+        possible_edges = []
+        for case, u, v, is_edge in conditions:
+            functions = self._enclose_functions(pair[case], u, v)
             low, high = functions.bounds()
-            is_never[question[high <= 0]] = True
-            is_always[question[~(low > 0)]] = False
+            is_false[case[high <= 0]] = True
+            is_true[case[~(low > 0)]] = False
             index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
-            candidates.append((question[index], functions[index], u[index], v[index]))
-        for question, functions, u, v in candidates:
-            index = np.flatnonzero(~is_never[question])
-            edge_pair, edge_light = pair[question[index]], light[question[index]]
+            possible_edges.append((case[index], functions[index], u[index], v[index]))
+        for case, functions, u, v in possible_edges:
+            index = np.flatnonzero(~is_false[case])
+            edge_pair, edge_light = pair[case[index]], light[case[index]]
             edges = self._narrow_edge_functions(edge_pair, functions[index], u[index], v[index])
             self._edges.append((edge_pair, edge_light, edges))
-        return is_always & ~is_never
+        return is_true & ~is_false
 
     def _narrow_edge_functions(
         self, pair: Ints, functions: Enclosures, u: Enclosures, v: Enclosures | Floats
     ) -> Enclosures:
-        """Replace edge functions u + v s by u^2 - v^2 s^2 where the enclosure is narrower.
+        """Replace edge functions u + v s by u^2 - v^2 s^2 where the latter's enclosure is narrower.
 
         The picture may have an edge where such a function is zero.  Here s is the square-root term
-        of 1 / t = k.d + s, where t is the distance of a face along the ray with direction d.  Near
-        a silhouette, s is steep, and its enclosure is wide.  The second function is zero wherever
-        the first one is.
+        of a face's inverse distance: a ray with direction d meets the face at the distance t, where
+        1 / t = k.d + s.  Near a silhouette, s is steep, so its enclosure is wide.  The second
+        function is zero wherever the first is.
 
         Parameters
         ----------
         pair : (n,) int array
             For each function, the index of its pair.  A pair is one face in one cell.
         functions : Enclosures
-            Enclosures (8, n) of u + v s in the cells of the pairs, which are changed in place.
+            Enclosures (8, n) of u + v s in the cells of the pairs.  They are changed in place.
         u, v : Enclosures, and Enclosures or (n,) float array
             The coefficients u and v.
 
         Returns
         -------
         narrowed : Enclosures
-            For each function, the enclosure that is narrower relative to its slope.
+            The narrower enclosure for each function, relative to its slope.
         """
-        index = np.flatnonzero(functions.coef[UNKNOWN])
-        if index.size:
-            u, v = u[index], v[index]
-            squares = u * u - self.squared_root_term[pair[index]] * v * v
-            is_better = squares.relative_width < functions[index].relative_width
-            functions.coef[:, index[is_better]] = squares.coef[:, is_better]
+        # Indices of the functions on spheres: elsewhere, s and the coefficient of Z are zero.
+        spherical = np.flatnonzero(functions.coef[UNKNOWN])
+        if spherical.size:
+            u, v = u[spherical], v[spherical]
+            narrowed = u * u - self.squared_root_term[pair[spherical]] * v * v
+            is_narrower = narrowed.relative_width < functions[spherical].relative_width
+            functions.coef[:, spherical[is_narrower]] = narrowed.coef[:, is_narrower]
         return functions
 
-    def _find_surfaces(self) -> None:
+    def _find_visible_faces(self) -> None:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
         A pair is one face in one cell.  A camera ray with direction d meets the face at the
         distance t, where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.
 
-        A pair is removed if its face is outside the cell, or hidden by another face everywhere in
-        the cell.  For each other pair, the outline of the face is listed as an edge if it may cross
-        the cell.
+        A pair is removed if its face is outside the cell, or if another face hides it everywhere in
+        the cell.  For each remaining pair, the outline of the face is listed as an edge if it may
+        cross the cell.
 
         The attributes `inverse_distance` (1 / t), `root_term` (s) and `squared_root_term` (s^2) are
         set.  In `cells`, `covers_cell` is updated.
         """
-        faces, cells = self.faces, self.cells
-        face, cell, is_planar = cells.pair_face, cells.pair_cell, faces.is_planar[cells.pair_face]
-        # Indices of the pairs with a sphere; coefficients of r^2 d^2 - |c x d|^2, and of s.
-        on_sphere, cones, root_coef = np.flatnonzero(~is_planar), *np.zeros((2, 8, face.size))
-        rays = self._rays[:, :, cell[on_sphere]], np.array([faces.frame.max_ray_size])
-        center, radius = faces.center[:, face[on_sphere]], faces.radius[face[on_sphere]]
-        cones[:, on_sphere] = _cone_function(center, radius, rays, rays)[0].coef
+        faces, face, cell = self.faces, self.cells.pair_face, self.cells.pair_cell
+        sphere_pair = np.flatnonzero(~faces.is_planar[face])
+        # Coefficients of r^2 d^2 - |c x d|^2, and of s.
+        discriminants, root_coef = np.zeros((2, 8, face.size))
+        rays = self._rays[:, :, cell[sphere_pair]], np.array([faces.frame.max_ray_size])
+        center, radius = faces.center[:, face[sphere_pair]], faces.radius[face[sphere_pair]]
+        discriminants[:, sphere_pair] = _enclose_cone(center, radius, rays, rays)[0].coef
         # For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x d|^2).
-        self.squared_root_term = Enclosures(cones * faces.root_coef[face] ** 2)
+        self.squared_root_term = Enclosures(discriminants * faces.root_coef[face] ** 2)
         self.root_term = Enclosures(root_coef)
         self._linear_term = self._dot_with_rays(faces.linear_coef[:, face], cell)
         self._max_inverse_distance = self._linear_term.max_abs
         is_outside = np.zeros(face.size, np.bool_)
-        conditions = self._visibility_conditions(on_sphere, Enclosures(cones))
+        conditions = self._hit_conditions(sphere_pair, Enclosures(discriminants))
         covers_cell = self._decide(np.arange(face.size), -1, is_outside, conditions)
         self.inverse_distance = Enclosures(self._linear_term.coef.copy())
-        # Indices of the pairs with a sphere that may be visible.
-        visible = on_sphere[~is_outside[on_sphere]]
-        coef = self.squared_root_term[visible].power(0.5).coef
-        rounding = self.inverse_distance.coef[RADIUS, visible]
+        visible_pair = sphere_pair[~is_outside[sphere_pair]]
+        coef = self.squared_root_term[visible_pair].power(0.5).coef
+        rounding = self.inverse_distance.coef[RADIUS, visible_pair]
         # The error bound of s becomes the coefficient of the unknown Z, which s shares with 1 / t.
-        # Only rounding errors remain in the error bound.
+        # The new error bound covers only rounding errors.
         coef[UNKNOWN], coef[RADIUS] = coef[RADIUS] + rounding, rounding
-        root_coef[:, visible] = coef
-        self.inverse_distance.coef[:, visible] += coef
-        self.inverse_distance.coef[RADIUS, visible] = 0
+        root_coef[:, visible_pair] = coef
+        self.inverse_distance.coef[:, visible_pair] += coef
+        self.inverse_distance.coef[RADIUS, visible_pair] = 0
         kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
-        self.cells, new_index = cells._replace(covers_cell=covers_cell).select_pairs(kept)
-        for k, (pair, light, functions) in enumerate(self._edges):
+        self.cells, new_index = self.cells._replace(covers_cell=covers_cell).select_pairs(kept)
+        for i, (pair, light, functions) in enumerate(self._edges):
             index = np.flatnonzero(kept[pair])
-            self._edges[k] = new_index[pair[index]], light[index], functions[index]
+            self._edges[i] = new_index[pair[index]], light[index], functions[index]
         self.inverse_distance, self.root_term = self.inverse_distance[kept], self.root_term[kept]
         self.squared_root_term = self.squared_root_term[kept]
         self._linear_term = self._linear_term[kept]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
-    def _visibility_conditions(self, on_sphere: Ints, cones: Enclosures) -> Iterator[_Condition]:
-        """Yield, for each pair, the conditions under which a camera ray meets the pair's face.
+    def _hit_conditions(self, sphere_pair: Ints, discriminants: Enclosures) -> Iterator[_Condition]:
+        """Yield the six conditions under which camera rays meet the face of a pair.
 
-        A pair is one face in one cell.  A condition is true where its function u + v s is positive.
-        Pairs whose face is known to cover the cell are skipped.
+        A pair is one face in one cell.  Pairs whose face is known to cover the cell are skipped.
+
+        Conditions 1 to 4 apply to sides of boxes: the point where the ray meets the plane of the
+        side is on the inner side of each of the side's four edges.  Conditions 5 and 6 apply to
+        spheres that do not contain the eye: the centre is in front of the eye, and the line that
+        contains the ray meets the sphere.
 
         Parameters
         ----------
-        on_sphere : (n,) int array
+        sphere_pair : (n,) int array
             Indices of the pairs whose face is a sphere.
-        cones : Enclosures
-            Enclosures (8, p), one for each pair.  If the pair's face is a sphere with centre c
-            (relative to the eye) and radius r, the enclosed function is r^2 d^2 - |c x d|^2, where
-            d is the direction of a ray.  It is at least 0 if the line along the ray meets the
-            sphere.
+        discriminants : Enclosures
+            Enclosures (8, p) of r^2 d^2 - |c x d|^2 for each pair with a sphere, where r is the
+            radius, c the centre relative to the eye, and d the direction of a ray.  Positive where
+            the line that contains the ray meets the sphere.
 
         Yields
         ------
         condition : _Condition
-            Its `question` holds indices of pairs.  The first four conditions concern sides of
-            boxes: the visible point is in each of the four half-spaces that bound the side.  The
-            last two concern spheres that do not contain the eye: the centre is ahead, and the line
-            along the ray meets the sphere.
+            One of the six conditions, with the indices of the pairs to which it applies as
+            `case_index`.
         """
         faces, cells = self.faces, self.cells
         pair = np.flatnonzero(~cells.covers_cell & faces.is_planar[cells.pair_face])
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
-            yield _Condition(pair, *self._side_function(pair, half_space), is_edge=True)
-        # A sphere that contains the eye is in every direction.
-        is_eye_outside = faces.eye_power[cells.pair_face[on_sphere]] > 0
-        pair = on_sphere[~cells.covers_cell[on_sphere] & is_eye_outside]
+            yield _Condition(pair, *self._half_space_function(pair, half_space), is_edge=True)
+        # A sphere that contains the eye is visible in every direction.  The power of the eye,
+        # |c|^2 - r^2, is positive outside the sphere.
+        is_eye_outside = faces.eye_power[cells.pair_face[sphere_pair]] > 0
+        pair = sphere_pair[~cells.covers_cell[sphere_pair] & is_eye_outside]
         center, zeros = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
-        # The cone extends in the opposite direction as well, where c.d is negative.
-        ahead = self._dot_with_rays(center, cells.pair_cell[pair])
-        yield _Condition(pair, ahead, zeros, is_edge=False)
-        yield _Condition(pair, cones[pair], zeros, is_edge=True)
+        # The lines that meet the sphere form a double cone.  Behind the eye, c.d is negative.
+        center_dot_ray = self._dot_with_rays(center, cells.pair_cell[pair])
+        yield _Condition(pair, center_dot_ray, zeros, is_edge=False)
+        yield _Condition(pair, discriminants[pair], zeros, is_edge=True)
 
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
-        """Find the pairs whose face another face certainly hides everywhere in the cell.
+        """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
         A pair is one face in one cell.  Only one occluder is tried in each cell: among the faces
         that cover the cell, the one with the largest lower bound on its inverse distance.
@@ -443,41 +448,41 @@ class CellAnalysis:
         -------
         is_hidden : (p,) bool array
             For each pair, whether its face is certainly behind the occluder.  If both are in the
-            same plane, the object that comes first in the scene file hides the other one.
+            same plane, the one whose object comes first in the scene file hides the other.
         """
-        faces, inverse = self.faces, self.inverse_distance
+        faces, inverse_distance = self.faces, self.inverse_distance
         cell, face = self.cells.pair_cell, self.cells.pair_face
         file_index = faces.prepared.surfaces.file_index[faces.object_index[face]]
-        covering = np.flatnonzero(covers_cell)
-        lower_bound = inverse[covering].bounds()[0]
-        covering = covering[np.lexsort((-file_index[covering], lower_bound, cell[covering]))]
+        covering_pair = np.flatnonzero(covers_cell)
+        min_inverse = inverse_distance[covering_pair].bounds()[0]
+        order = np.lexsort((-file_index[covering_pair], min_inverse, cell[covering_pair]))
         occluder_of_cell = np.full(self.cells.x.size, -1)
-        occluder_of_cell[cell[covering]] = covering  # the last one in each cell
+        # If a cell has several covering pairs, the last one remains.
+        occluder_of_cell[cell[covering_pair[order]]] = covering_pair[order]
         occluder = occluder_of_cell[cell]
         pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
         occluder = occluder[pair]
         plane_id = faces.plane_id[:, face]
         in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
-        is_behind = inverse[pair].subtract_independent(inverse[occluder]).bounds()[1] < 0
-        is_later = file_index[pair] > file_index[occluder]
+        difference = inverse_distance[pair].subtract_independent(inverse_distance[occluder])
+        is_behind, is_later = difference.bounds()[1] < 0, file_index[pair] > file_index[occluder]
         is_hidden = np.zeros(cell.size, np.bool_)
         is_hidden[pair] = np.where(in_same_plane, is_later, is_behind)
         return is_hidden
 
-    def _height_function(self, pair: Ints, light: Ints) -> tuple[Enclosures, Floats]:
-        """Express a light's height above a face as a function u + v s of the ray's direction.
+    def _light_height_function(self, pair: Ints, light: Ints) -> tuple[Enclosures, Floats]:
+        """Find u and v such that u + v s is positive where a light is in front of a face.
 
         A ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  Here s is
         the square-root term, which is 0 for planes.  The function is h / t, where h is the height
-        of the light above the tangent plane at this point.  It is positive if the light is in front
-        of the face.
+        of the light above the tangent plane at this point.
 
         Parameters
         ----------
         pair : (n,) int array
             Indices of pairs.  A pair is one face in one cell.
         light : (n,) int array
-            For each pair the index of a light, or -1 for the height of the eye.
+            For each pair, the index of a light, or -1 for the eye instead of a light.
 
         Returns
         -------
@@ -487,36 +492,35 @@ class CellAnalysis:
             The coefficients v.
         """
         face = self.cells.pair_face[pair]
-        return self._side_function(pair, self.faces.height_half_space[:, light, face])
+        return self._half_space_function(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
-        """Settle the lights that are below the horizon in all of a cell, and list terminators.
+        """Settle the lights that are behind a sphere's surface in all of a cell; list terminators.
 
-        A terminator is the curve between the lit and the dark side of a sphere.  All pairs of a
-        cell and a sphere are examined.  A light that is below the horizon of the sphere everywhere
-        in the cell is marked in `cells.is_settled`, and adds no radiance.  If it may be below the
-        horizon in a part of the cell only, the terminator is listed as an edge.
+        A terminator is the curve between the lit and the dark side of a sphere.  For each sphere in
+        each cell, every unsettled light is examined.  If the light is behind the surface everywhere
+        in the cell, it is marked in `cells.is_settled`, and adds no radiance.  If it may be behind
+        the surface in only a part of the cell, the terminator is listed as an edge.
         """
         # Lights behind the plane of a rectangle are settled from the start.
         is_on_sphere = ~self.faces.is_planar[self.cells.pair_face]
         pair, light = np.nonzero(~self.cells.is_settled & is_on_sphere[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
-        height = self._height_function(pair, light)
-        is_above = _Condition(np.arange(pair.size), *height, is_edge=True)
-        self._decide(pair, light, is_unlit, [is_above])
+        height_function = self._light_height_function(pair, light)
+        is_above_horizon = _Condition(np.arange(pair.size), *height_function, is_edge=True)
+        self._decide(pair, light, is_unlit, [is_above_horizon])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Compute a bounding box of the part of each pair's face that may be visible.
+        """Compute a bounding box of the part of each pair's face that may be visible in its cell.
 
         A pair is one face in one cell.
 
         Returns
         -------
         center, half_size : (3, p) float arrays
-            For each pair, the centre and half the size of a box along the scene's axes.  It
-            contains all points of the face that may be visible in the cell, and is widened by the
-            rounding errors of such points.
+            For each pair, the centre and half the size of a box along the scene's axes, widened to
+            allow for rounding errors.
         """
         faces, axes = self.faces, self.faces.frame.axes.T
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
@@ -527,44 +531,44 @@ class CellAnalysis:
         low, high = faces.bounding_box[:, :, self.cells.pair_face]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
         high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
-        error = faces.prepared.position_error[faces.object_index[self.cells.pair_face]]
-        return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + error
+        position_error = faces.prepared.position_error[faces.object_index[self.cells.pair_face]]
+        return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
-        """Settle the lights that objects block in all of a cell, and list the edges of shadows.
+        """Settle the lights that objects block in all of a cell, and list shadow edges.
 
         A pair is one face in one cell.  A triple is a pair, a light, and an occluder (an object
         that may shade the face from the light).  If the occluder shades all of the face in the
         cell, the light is marked in `cells.is_settled`, and adds no radiance.
 
         A triple is removed if (1) its occluder shades nothing of the face in the cell, or (2) its
-        light is settled for the pair.  For each remaining triple, the edges of the shadow that may
-        cross the cell are listed.
+        light is settled for the pair.  For each remaining triple, the shadow edges that may cross
+        the cell are listed.
 
-        If the cells have the width `MAX_WIDTH`, the list of triples is created first.
+        If the cells have the width `MAX_WIDTH`, the triples are first created.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
-            bounds = self._bound_visible_parts()
-            triples = self.faces.find_occluders(*bounds, cells.pair_face, ~cells.is_settled.T)
+            boxes = self._bound_visible_parts()
+            triples = self.faces.find_occluders(*boxes, cells.pair_face, ~cells.is_settled.T)
             self.cells = cells = cells._replace(triples=triples)
         pair, light, occluder = cells.triples
         is_sphere, is_lit = occluder < self.faces.sphere_count, np.zeros(pair.size, dtype=np.bool_)
-        cones = self._sphere_shadow_conditions(np.flatnonzero(is_sphere))
-        boxes = self._box_shadow_conditions(np.flatnonzero(~is_sphere), is_lit)
-        is_shaded = self._decide(pair, light, is_lit, chain(cones, boxes))
+        sphere_conditions = self._sphere_shadow_conditions(np.flatnonzero(is_sphere))
+        box_conditions = self._box_shadow_conditions(np.flatnonzero(~is_sphere), is_lit)
+        is_shaded = self._decide(pair, light, is_lit, chain(sphere_conditions, box_conditions))
         cells.is_settled[pair[is_shaded], light[is_shaded]] = True
         self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
-    def _sphere_shadow_conditions(self, triple: Ints) -> Iterator[_Condition]:
+    def _sphere_shadow_conditions(self, triple_index: Ints) -> Iterator[_Condition]:
         """Yield the two conditions under which the visible point of a face is in a sphere's shadow.
 
-        Let L be the light and C the sphere's centre, both relative to the eye.  Let c = C - L, and
-        let r be the radius.  The point p is in the shadow if two conditions are true:
+        Let L be the light, C the sphere's centre, and p the visible point, all relative to the eye.
+        Let c = C - L, and let r be the radius.  The point is in the shadow if two conditions hold:
 
         1. It is inside the cone: |c x (p - L)| <= r |p - L|.
-        2.  It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.  The
-           part of this plane inside the cone is inside the sphere.  So it is never an edge.
+        2.  It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.
+            Inside the cone, this plane is inside the sphere, so it is never an edge.
 
         The camera ray with direction d meets the face at p = t d, where 1 / t = k.d + s.  Here s is
         the square-root term, which is 0 for planes.  So (p - L) / t = q - L s with q = d - L k.d.
@@ -579,16 +583,17 @@ class CellAnalysis:
 
         Parameters
         ----------
-        triple : (n,) int array
+        triple_index : (n,) int array
             Indices of the triples whose occluder is a sphere.  A triple is a pair (one face in one
             cell), a light and an occluder.
 
         Yields
         ------
         condition : _Condition
-            First condition 1 for all triples, then condition 2.  `question` is `triple`.
+            Condition 1 for all triples, then condition 2.  Each has `triple_index` as its
+            `case_index`.
         """
-        faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple]
+        faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
         cell, face = self.cells.pair_cell[pair], self.cells.pair_face[pair]
         to_center, radius2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
         position, center = faces.light_position[light].T, faces.center[:, sphere]  # L and C
@@ -602,52 +607,52 @@ class CellAnalysis:
             faces.frame.max_ray_size * (1 + np.sqrt(square) * linear_size)
             for square in (position2, center2)
         )
-        u, product = _cone_function(to_center, faces.radius[sphere], (q, q_size), (w, w_size))
-        center_product, v = cross_product(to_center, center[:, None]), np.zeros((8, triple.size))
-        dot_product = (center_product * product).sum(axis=0)
-        v[:X_SQUARED] = 2 * (dot_product - radius2 * (position[:, None] * q).sum(axis=0))
+        u, c_cross_w = _enclose_cone(to_center, faces.radius[sphere], (q, q_size), (w, w_size))
+        c_cross_center, v = cross_product(to_center, center[:, None]), np.zeros((8, pair.size))
+        dot_of_crosses = (c_cross_center * c_cross_w).sum(axis=0)
+        v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
         v_size = to_center2 * np.sqrt(center2) * w_size + radius2 * np.sqrt(position2) * q_size
         v[RADIUS] = 16 * ROUNDING * v_size
-        root2 = self.squared_root_term[pair]
-        u += root2 * (radius2 * position2 - (center_product * center_product).sum(axis=(0, 1)))
+        squared_s = self.squared_root_term[pair]
+        u += squared_s * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         factor_size = to_center2 * center2 + radius2 * position2
-        u.coef[RADIUS] += 16 * ROUNDING * factor_size * root2.max_abs
-        yield _Condition(triple, u, Enclosures(v), is_edge=True)
+        u.coef[RADIUS] += 16 * ROUNDING * factor_size * squared_s.max_abs
+        yield _Condition(triple_index, u, Enclosures(v), is_edge=True)
         products = to_center * center
-        offset, size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
-        function = self._side_function(pair, np.array([*to_center, offset, size]))
-        yield _Condition(triple, *function, is_edge=False)
+        b, b_size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
+        function = self._half_space_function(pair, np.array([*to_center, b, b_size]))
+        yield _Condition(triple_index, *function, is_edge=False)
 
-    def _box_shadow_conditions(self, triple: Ints, is_lit: Bools) -> Iterator[_Condition]:
+    def _box_shadow_conditions(self, triple_index: Ints, is_lit: Bools) -> Iterator[_Condition]:
         """Yield the conditions under which the visible point of a face is in a box's shadow.
 
         The shadow is the intersection of at most nine half-spaces.
 
         Parameters
         ----------
-        triple : (n,) int array
+        triple_index : (n,) int array
             Indices of the triples whose occluder is a box.  A triple is a pair (one face in one
             cell), a light and an occluder.
         is_lit : (q,) bool array
-            For each of the cells' triples, whether an earlier condition is false everywhere in the
-            cell.  Such triples are skipped.  The caller can change this array after each condition.
+            For each triple of the cells, whether an earlier condition is false everywhere in the
+            cell.  Such triples are skipped.  The caller can change this array between conditions.
 
         Yields
         ------
         condition : _Condition
-            The visible point is in one of the half-spaces of the triple's shadow.  `question` holds
+            The visible point is in one half-space of the triple's shadow.  Its `case_index` holds
             the triples that are not skipped.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         for half_spaces, has_edge in zip(
             self.faces.shadow_volume.swapaxes(0, 1), self.faces.has_shadow_edge, strict=True
         ):
-            pending = triple[~is_lit[triple]]
+            pending = triple_index[~is_lit[triple_index]]
             half_space = half_spaces[:, light[pending], box[pending]]
             # A box seen edge-on from the light has fewer than nine planes.
-            exists = half_space[:4].any(axis=0)
-            pending = pending[exists]
-            function = self._side_function(pair[pending], half_space[:, exists])
+            has_plane = half_space[:4].any(axis=0)
+            pending = pending[has_plane]
+            function = self._half_space_function(pair[pending], half_space[:, has_plane])
             yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
 
     def _find_intersections(self) -> None:
@@ -655,18 +660,19 @@ class CellAnalysis:
 
         A plane has a linear equation n.p + b = 0 for its points p.  A sphere with centre c has the
         equation p^2 - 2 c.p + b = 0.  If both faces are spheres, the difference of their equations
-        is linear.  So each intersection lies in a plane, and the edge is where the visible point of
-        one face is on this plane.
+        is linear.  So each intersection lies in a plane, and the picture may have an edge where the
+        visible point of one face is on this plane.
         """
         faces, cells = self.faces, self.cells
-        order = np.argsort(cells.pair_cell, kind="stable")
-        cell_start = cells.pair_cell[order].searchsorted(cells.pair_cell[order])
+        sorted_pairs = np.argsort(cells.pair_cell, kind="stable")
+        cell_start = cells.pair_cell[sorted_pairs].searchsorted(cells.pair_cell[sorted_pairs])
         # Combine each pair (one face in one cell) with all earlier pairs of the same cell.
-        segments = list_segment_elements(np.arange(order.size) - cell_start, cell_start)
-        pair, other = (order[index] for index in segments)
+        segments = list_segment_elements(np.arange(sorted_pairs.size) - cell_start, cell_start)
+        pair, other_pair = (sorted_pairs[index] for index in segments)
+        # Of a sphere and a plane, the sphere comes first.
         is_planar = faces.is_planar[cells.pair_face[pair]]
-        pair, other = np.where(is_planar, (other, pair), (pair, other))  # a sphere comes first
-        face, other_face = cells.pair_face[pair], cells.pair_face[other]
+        pair, other_pair = np.where(is_planar, (other_pair, pair), (pair, other_pair))
+        face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
         differs_in_object = faces.object_index[face] != faces.object_index[other_face]
         differs_in_plane = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
         kept = np.flatnonzero(differs_in_object & differs_in_plane)
@@ -674,11 +680,12 @@ class CellAnalysis:
         plane, both_spheres = faces.equation[:, other_face], ~faces.is_planar[other_face]
         sphere_equation = faces.equation[:, face[both_spheres]]
         plane[:, both_spheres] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
-        crossing = _Condition(np.arange(pair.size), *self._side_function(pair, plane), is_edge=True)
-        self._decide(pair, -1, np.zeros(pair.size, np.bool_), [crossing])
+        function = self._half_space_function(pair, plane)
+        is_beyond_plane = _Condition(np.arange(pair.size), *function, is_edge=True)
+        self._decide(pair, -1, np.zeros(pair.size, np.bool_), [is_beyond_plane])
 
     def edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
-        """Return all edge functions: the picture may have an edge only where one of them is zero.
+        """Return all edge functions; the picture can have an edge only where one of them is zero.
 
         Each function belongs to a pair (one face in one cell).
 
@@ -692,27 +699,25 @@ class CellAnalysis:
         functions : Enclosures
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
-        pair = np.concatenate([pair for pair, _, _ in self._edges])
-        light = np.concatenate([light for _, light, _ in self._edges])
-        coef = np.concatenate([functions.coef for _, _, functions in self._edges], axis=1)
-        return pair, light, Enclosures(coef)
+        pairs, lights, functions = zip(*self._edges, strict=True)
+        coef = np.concatenate([enclosures.coef for enclosures in functions], axis=1)
+        return np.concatenate(pairs), np.concatenate(lights), Enclosures(coef)
 
     def shade(self, is_requested: Bools, error: float) -> Contributions:
-        """Compute the radiance of unsettled lights, and settle those that have no edge in a cell.
+        """Compute the radiance due to unsettled lights; settle those without an edge in the cell.
 
         A pair is one face in one cell.  A light is settled for a pair if `cells.radiance` already
-        contains all that the light adds to it.  A light becomes settled if (1) it has no edge in
-        the cell, so that it reaches all of the face there, and (2) the error of its radiance is at
-        most `error` divided by the number of lights.  Its radiance is then added to
-        `cells.radiance`, and the light is marked in `cells.is_settled`.
+        contains the light's contribution.  A light becomes settled if (1) it has no edge in the
+        cell, so that it reaches all of the face there, and (2) the error of its radiance is at most
+        `error` divided by the number of lights.  Its radiance is then added to `cells.radiance`,
+        and the light is marked in `cells.is_settled`.
 
         Parameters
         ----------
         is_requested : (p,) bool array
             For each pair, whether to shade it.
         error : float
-            Maximum error of the radiance that all settled lights together add to a pair, in any
-            channel.
+            Maximum error of a pair's radiance due to all settled lights together, in any channel.
 
         Returns
         -------
@@ -734,7 +739,7 @@ class CellAnalysis:
         return contributions.select(~is_certain)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that a face reflects at lit points, for each unsettled light.
+        """Enclose the radiance that each unsettled light adds to a face where it reaches the face.
 
         A pair is one face in one cell.  A light is unsettled for a pair unless it is known to reach
         all or nothing of the face in the cell.
@@ -746,7 +751,8 @@ class CellAnalysis:
             (q - p).(-p) / t^2 = d^2 - q.d / t.
 
         Let n be the unit normal, and let l and v be the unit vectors from p to the light and to the
-        eye.  The Blinn-Phong term is n.h = (n.l + n.v) / |l + v|, where |l + v|^2 = 2 + 2 l.v.
+        eye.  For the Blinn-Phong term, n.h = (n.l + n.v) / |l + v|, with |l + v|^2 = 2 + 2 l.v and
+        the unit vector h halfway between l and v.
 
         Parameters
         ----------
@@ -756,35 +762,38 @@ class CellAnalysis:
         Returns
         -------
         contributions : Contributions
-            For each requested pair and each light that is unsettled for it: the indices of both,
-            and an enclosure (8, 3, n) of the radiance.  Sorted by pair and light.
+            For each requested pair and each of its unsettled lights: the indices of both, and an
+            enclosure of the radiance.  Sorted by pair and light.
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
-        cell, owner = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
-        position = faces.light_position[light].T
+        cell, object_index = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
+        light_position = faces.light_position[light].T
         squared_direction = self.squared_direction[cell]
-        dot_over_t = self.inverse_distance[pair] * self._dot_with_rays(position, cell)  # q.d / t
+        # The dot products q.d, divided by t.
+        dot_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
         inverse_squared = (self.inverse_distance * self.inverse_distance)[pair]
         distance2 = squared_direction - dot_over_t * 2.0
-        distance2 += inverse_squared * (position * position).sum(axis=0)
+        distance2 += inverse_squared * (light_position * light_position).sum(axis=0)
         inverse_length = distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
-        height = self._enclose(pair, *self._height_function(pair, light))
-        n_dot_l = (height * inverse_length).clamp_to_unit_interval()
+        light_height = self._enclose_functions(pair, *self._light_height_function(pair, light))
+        n_dot_l = (light_height * inverse_length).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
-        radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, owner])
-        glossy = np.flatnonzero(prepared.is_glossy[owner])
+        radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, object_index])
+        # Indices of the combinations whose face is glossy.
+        glossy = np.flatnonzero(prepared.is_glossy[object_index])
         glossy_pair, unique_index = np.unique(pair[glossy], return_inverse=True)
         inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
-        eye_function = self._height_function(glossy_pair, 0 * glossy_pair - 1)
-        eye_height = self._enclose(glossy_pair, *eye_function)
+        eye_function = self._light_height_function(glossy_pair, 0 * glossy_pair - 1)
+        eye_height = self._enclose_functions(glossy_pair, *eye_function)
         n_dot_v = eye_height * inverse_direction[cells.pair_cell[glossy_pair]]
         l_dot_v = (squared_direction[glossy] - dot_over_t[glossy]) * (
             inverse_length[glossy] * inverse_direction[cell[glossy]]
         )
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
         n_dot_h = ((n_dot_l[glossy] + n_dot_v[unique_index]) * inverse_sum).clamp_to_unit_interval()
-        lobe = n_dot_h.power(prepared.exponent[owner[glossy]], 0.0, 1.0).clamp_to_unit_interval()
-        specular = intensity[:, glossy] * prepared.specular[:, owner[glossy]]
+        glossy_object = object_index[glossy]
+        lobe = n_dot_h.power(prepared.exponent[glossy_object], 0.0, 1.0).clamp_to_unit_interval()
+        specular = intensity[:, glossy] * prepared.specular[:, glossy_object]
         radiance[..., glossy] += lobe.coef[:, None] * specular
         return Contributions(pair, light, Enclosures(radiance))

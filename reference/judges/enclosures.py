@@ -1,8 +1,8 @@
 """Enclose functions on a cell of the picture by quadratic polynomials with an error bound.
 
 The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell of
-the picture.  Interval arithmetic (Moore, 1966) encloses a quantity by two numbers.  But it forgets
-that two quantities depend on the same position, so its bounds soon become useless.  Affine
+the picture.  Interval arithmetic (Moore, 1966) encloses a quantity between two numbers.  But it
+forgets that two quantities depend on the same position, so its bounds soon become useless.  Affine
 arithmetic (Comba and Stolfi, 1993) keeps the linear dependence.  This module keeps the quadratic
 dependence as well.
 
@@ -40,20 +40,20 @@ then the error bound."""
 ROUNDING = 1e-13
 """Bound on the rounding error of each term, relative to the term: about 900 roundings."""
 
-# A power is enclosed by a line along its chord, instead of Taylor's polynomial, if the polynomial's
+# A power is enclosed by a line along its chord instead of the Taylor polynomial if the polynomial's
 # remainder is more than this fraction of the power's range.
 _MAX_REMAINDER_RATIO = 1 / 16
 
 # In intervals with a smaller ratio of half width to centre, the slope of the chord is lost in
-# rounding errors, and Taylor's polynomial is always accurate enough.
+# rounding errors, and the Taylor polynomial is always accurate enough.
 _MIN_CHORD_WIDTH = 1e-6
 
 
 class Enclosures:
     """n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
 
-    X and Y are the coordinates in the cell, from -1 to 1.  Z is an unknown between -1 and 1, which
-    is the same in all enclosures about one surface.  A quantity differs by at most coef[RADIUS]
+    X and Y are the coordinates in the cell, from -1 to 1.  Z is an unknown number from -1 to 1, the
+    same in all enclosures about one surface.  A quantity differs by at most coef[RADIUS]
     from
 
         coef[CONSTANT] + coef[X] X + coef[Y] Y
@@ -73,8 +73,8 @@ class Enclosures:
         self.coef = coef
 
     def __getitem__(self, index: Index) -> Enclosures:
-        """Copy the enclosures that indices (k,) or a mask (n,) select along the last axis."""
-        # `take` needs half the time of indexing.
+        """Copy the enclosures selected along the last axis by indices (k,) or a mask (n,)."""
+        # `take` is twice as fast as indexing.
         index = np.flatnonzero(index) if index.dtype == np.bool_ else index
         return Enclosures(self.coef.take(index, axis=-1))
 
@@ -91,8 +91,8 @@ class Enclosures:
     @property
     def relative_width(self) -> Floats:
         """Estimated width (n,) of the strip of the cell in which each quantity may be zero."""
-        size = np.abs(self.coef)
-        return np.asarray(size[X_SQUARED:].sum(axis=0) / np.maximum(size[X], size[Y]))
+        abs_coef = np.abs(self.coef)
+        return np.asarray(abs_coef[X_SQUARED:].sum(axis=0) / np.maximum(abs_coef[X], abs_coef[Y]))
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Bound each quantity by two numbers that are valid everywhere in its cell.
@@ -102,19 +102,19 @@ class Enclosures:
         low, high : (..., n) float arrays
             A lower and an upper bound on each quantity.
         """
-        coef, x2, y2 = self.coef, self.coef[X_SQUARED], self.coef[Y_SQUARED]
-        # Terms with X^2 and Y^2 have the sign of their coefficient, all others may have either.
-        either_sign = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN]]).sum(axis=0) + coef[RADIUS]
-        low = coef[CONSTANT] - either_sign + np.minimum(x2, 0) + np.minimum(y2, 0)
-        high = coef[CONSTANT] + either_sign + np.maximum(x2, 0) + np.maximum(y2, 0)
+        coef, coef_xx, coef_yy = self.coef, self.coef[X_SQUARED], self.coef[Y_SQUARED]
+        # The terms with X^2 and Y^2 have the signs of their coefficients; the others have any sign.
+        spread = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN]]).sum(axis=0) + coef[RADIUS]
+        low = coef[CONSTANT] - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
+        high = coef[CONSTANT] + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)
         return low, high
 
     def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Add quantities that belong to the same surfaces, or numbers.
+        """Add numbers, or quantities that belong to the same surfaces.
 
-        Each enclosure contains an unknown Z from -1 to 1, which is the same for all quantities of
-        one surface.  So the coefficients of Z are added.  The unknowns of different surfaces are
-        independent: see `subtract_independent`.
+        Each enclosure contains an unknown number Z from -1 to 1, which is the same for all
+        quantities of one surface.  So the coefficients of Z are added.  The unknowns of different
+        surfaces are independent: see `subtract_independent`.
 
         Parameters
         ----------
@@ -134,15 +134,15 @@ class Enclosures:
         return Enclosures(coef)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
-        """Subtract quantities that belong to the same surfaces, and so share the unknown Z."""
+        """Subtract quantities that belong to the same surfaces and thus share the unknown Z."""
         return self + other * -1.0
 
     def subtract_independent(self, other: Enclosures) -> Enclosures:
         """Subtract quantities that belong to other surfaces.
 
-        Each enclosure contains an unknown Z from -1 to 1.  The unknowns of different surfaces are
-        independent and do not cancel.  So the absolute coefficients of both are added to the error
-        bound (row RADIUS) of the difference.
+        Each enclosure contains an unknown number Z from -1 to 1.  The unknowns of different
+        surfaces are independent and do not cancel.  So the absolute values of both coefficients of
+        Z are added to the error bound (row RADIUS) of the difference.
 
         Parameters
         ----------
@@ -159,12 +159,12 @@ class Enclosures:
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Multiply by quantities that belong to the same surfaces, or by numbers.
+        """Multiply by numbers, or by quantities that belong to the same surfaces.
 
-        The product of two polynomials also has terms of degree three and four in X and Y, and
-        products with the unknown Z, which an enclosure cannot represent.  The largest absolute
-        value of each such term is added to the error bound (row RADIUS).  A bound on the rounding
-        errors is added, too.
+        The product of two polynomials also has terms that an enclosure cannot represent: terms of
+        degree three and four in X and Y, and products with the unknown Z.  The largest absolute
+        value of each such term is added to the error bound (row RADIUS).  So is a bound on the
+        rounding errors.
 
         Parameters
         ----------
@@ -187,8 +187,8 @@ class Enclosures:
         coef[X_SQUARED] += a[X] * b[X]
         coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
         coef[Y_SQUARED] += a[Y] * b[Y]
-        # The error bound covers all other products: of degree three or four, or with a Z.  They are
-        # the products of all terms but the constants, without those of two linear terms.
+        # The error bound covers all other products: of degree three or four, or with Z.  They are
+        # the products of all terms except the constants, minus the products of two linear terms.
         a, b = np.abs(a), np.abs(b)
         a_rest, b_rest = a[X:RADIUS].sum(axis=0), b[X:RADIUS].sum(axis=0)
         a_size, b_size = a[CONSTANT] + a_rest, b[CONSTANT] + b_rest
@@ -204,23 +204,25 @@ class Enclosures:
 
         Two enclosures are computed, and the one with the smaller radius is returned:
 
-        1.  Taylor's polynomial of degree 2 around the centre c of the interval [c - w, c + w] of z.
-           Its remainder is at most |f'''| w^3 / 6.  The maximum of |f'''| is at one end of the
-           interval, because f''' is monotonic.
+        1.  The Taylor polynomial of degree 2 around the centre c of the interval [c - w, c + w] of
+            z.  Its remainder is at most |f'''| w^3 / 6.  The maximum of |f'''| is at one end of the
+            interval, because f''' is monotonic.
         2.  If the remainder is large: a line parallel to the chord of f.  As f is convex or
-           concave, it lies between the chord and the parallel tangent.  The line is at two thirds
-           of the way from the chord to the tangent, where a parabola has its mean.
+            concave, its graph lies between the chord and the parallel tangent.  The line lies two
+            thirds of the way from the chord to the tangent, because that is the mean height of a
+            parabola between them.
 
         Rounding: with e = 2^-53, the power and each coefficient have a relative error of a few e.
-        They are multiplied by at most |f'| w, f'' w^2 < |f'| w, or f.
+        Each error is scaled by the term to which it belongs: f, |f'| w, or |f''| w^2, which is less
+        than |f'| w.
 
         Parameters
         ----------
         exponent : float, or (n,) float array
             The exponents, of either sign.
         minimum, maximum : float
-            Bounds on z that are known independently of the enclosures; minimum is at least 0.  The
-            interval of z is clipped to them.
+            Bounds on z known independently of the enclosures; minimum is at least 0.  The interval
+            of z is clipped to them.
 
         Returns
         -------
@@ -229,34 +231,33 @@ class Enclosures:
         """
         low, high = (np.clip(end, minimum, maximum) for end in self.bounds())
         center, half_width = 0.5 * (low + high), 0.5 * (high - low)
-        f_low, f_high, f = (_raise_to_power(z, exponent) for z in (low, high, center))
-        # The coefficients of Taylor's polynomial, and of the remainder relative to z^exponent.
-        first = exponent * f / center
-        second = 0.5 * (exponent - 1) * first / center
-        third = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
-        remainder = third * np.maximum(f_low / low**3, f_high / high**3) * half_width**3
-        offset = self + -center
-        result = offset * offset * second + offset * first + f
-        rounding = ROUNDING * (np.maximum(f_low, f_high) + np.abs(first) * high)
-        result.coef[RADIUS] += remainder + rounding
+        f_low, f_high, f_center = (_raise_to_power(z, exponent) for z in (low, high, center))
+        # The coefficients of the Taylor polynomial, and that of the remainder relative to f / z^3.
+        first_coef = exponent * f_center / center
+        second_coef = 0.5 * (exponent - 1) * first_coef / center
+        third_coef = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
+        remainder = third_coef * np.maximum(f_low / low**3, f_high / high**3) * half_width**3
+        z_offset = self + -center
+        polynomial = z_offset * z_offset * second_coef + z_offset * first_coef + f_center
+        rounding_error = ROUNDING * (np.maximum(f_low, f_high) + np.abs(first_coef) * high)
+        polynomial.coef[RADIUS] += remainder + rounding_error
         is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
         is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
         index = np.flatnonzero(is_coarse)
         low, high, f_low, f_high = (values[index] for values in (low, high, f_low, f_high))
         exponents = np.broadcast_to(exponent, half_width.shape)[index]
-        line = self[index]._power_by_line(exponents, low, high, f_low, f_high)
-        is_better = ~(result.coef[RADIUS, index] < line.coef[RADIUS])
-        result.coef[:, index[is_better]] = line.coef[:, is_better]
-        return result
+        line = self[index]._enclose_power_by_line(exponents, low, high, f_low, f_high)
+        is_narrower = ~(polynomial.coef[RADIUS, index] < line.coef[RADIUS])
+        polynomial.coef[:, index[is_narrower]] = line.coef[:, is_narrower]
+        return polynomial
 
-    def _power_by_line(
+    def _enclose_power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Enclosures:
         """Enclose powers z^exponent by a line parallel to the chord of the power function.
 
-        The chord joins the powers at both ends of the interval [low, high] of z.  The line lies
-        between the chord and the tangent with the same slope, at two thirds of the way from the
-        chord.
+        The chord joins the powers at both ends of the interval [low, high] of z.  The line lies two
+        thirds of the way from the chord to the tangent with the same slope.
 
         Parameters
         ----------
@@ -273,26 +274,28 @@ class Enclosures:
             Enclosures (8, n) of the powers, which are linear functions of the enclosures of z.
         """
         slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
-        touching = (slope / exponent) ** (1 / (exponent - 1))  # here the tangent has this slope
-        touching = np.where(np.isfinite(touching), touching, 0.5 * (low + high)).clip(low, high)
-        chord, tangent = f_low - slope * low, touching**exponent - slope * touching  # at z = 0
+        # The parallel tangent touches the curve at z = `tangent_z`.
+        tangent_z = (slope / exponent) ** (1 / (exponent - 1))
+        tangent_z = np.where(np.isfinite(tangent_z), tangent_z, 0.5 * (low + high)).clip(low, high)
+        # The heights of both lines at z = 0.
+        chord_at_0, tangent_at_0 = f_low - slope * low, tangent_z**exponent - slope * tangent_z
         line = self * slope
-        line.coef[CONSTANT] += (chord + 2 * tangent) / 3
-        line.coef[RADIUS] += np.abs(chord - tangent) * (2 / 3)
+        line.coef[CONSTANT] += (chord_at_0 + 2 * tangent_at_0) / 3
+        line.coef[RADIUS] += np.abs(chord_at_0 - tangent_at_0) * (2 / 3)
         line.coef[RADIUS] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
         return line
 
     def clamp_to_unit_interval(self) -> Enclosures:
         """Replace each enclosure that is much wider than the interval [0, 1] by this interval.
 
-        Use this only for quantities that are certainly from 0 to 1, such as the cosines of angles
-        below 90 degrees.
+        Use this only for quantities that certainly lie in [0, 1], such as the cosines of acute
+        angles.
 
         Returns
         -------
         clamped : Enclosures
-            Each enclosure unchanged if the sum of its absolute coefficients is below 2.  Otherwise,
-            or if the sum is NaN, the constant 0.5 with an error bound of 0.5.
+            Each enclosure, unchanged if the absolute values of its coefficients add up to less than
+            2.  Otherwise, or if the sum is NaN, the constant 0.5 with an error bound of 0.5.
         """
         is_too_wide = ~(self.max_abs < 2)
         coef = np.where(is_too_wide, 0, self.coef)
@@ -300,34 +303,34 @@ class Enclosures:
         return Enclosures(coef)
 
     def split_into_quarters(self) -> Enclosures:
-        """Convert the enclosures of cells to enclosures of the four quarters of each cell.
+        """Convert enclosures in cells to enclosures in the four quarters of each cell.
 
-        In each quarter, the coordinates X and Y run from -1 to 1.  The absolute coefficient of the
-        unknown Z is added to the error bound (row RADIUS).  Each new coefficient is a sum of at
-        most six terms, so its rounding error is at most 6 * 2^-53 times the sum of their absolute
-        values.  The error bound includes this error.
+        In each quarter, the coordinates X and Y run from -1 to 1.  The absolute value of the
+        coefficient of the unknown Z is added to the error bound (row RADIUS).  Each new coefficient
+        is a sum of at most six terms, so its rounding error is at most 6 * 2^-53 times the sum of
+        the absolute values of these terms.  The error bound includes this error.
 
         Returns
         -------
         quarters : Enclosures
-            Enclosures (8, ..., 4 n).  Each enclosure is replaced by those of its four quarters in
-            the order upper left, upper right, lower left, lower right.
+            Enclosures (8, ..., 4 n).  Those of a cell's quarters are adjacent, in the order upper
+            left, upper right, lower left, lower right.
         """
-        constant, x, y, xx, xy, yy, _, _ = self.coef.repeat(4, axis=-1)
-        quarter = np.arange(constant.shape[-1]) % 4
-        # X and Y of the quarter's centre in the cell.
+        coef_1, coef_x, coef_y, coef_xx, coef_xy, coef_yy, _, _ = self.coef.repeat(4, axis=-1)
+        quarter = np.arange(coef_1.shape[-1]) % 4
+        # The quarter's centre, in the coordinates of the cell.
         center_x, center_y = (quarter & 1) - 0.5, (quarter >> 1) - 0.5
         radius = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
-        at_center = constant + center_x * (x + center_x * xx + center_y * xy)
-        at_center = at_center + center_y * (y + center_y * yy)
-        new_x = x / 2 + center_x * xx + center_y * xy / 2
-        new_y = y / 2 + center_y * yy + center_x * xy / 2
-        coef = [at_center, new_x, new_y, xx / 4, xy / 4, yy / 4, 0 * constant, radius]
+        new_1 = coef_1 + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
+        new_1 = new_1 + center_y * (coef_y + center_y * coef_yy)
+        new_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
+        new_y = coef_y / 2 + center_y * coef_yy + center_x * coef_xy / 2
+        coef = [new_1, new_x, new_y, coef_xx / 4, coef_xy / 4, coef_yy / 4, 0 * coef_1, radius]
         return Enclosures(np.array(coef))
 
 
 def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
-    """Compute z^exponent for positive z (n,), by a fast square root if the exponent is -0.5."""
+    """Compute z^exponent for positive z (n,); use the fast square root if the exponent is -0.5."""
     if isinstance(exponent, float) and exponent == -0.5:
         return np.asarray(1 / np.sqrt(z))
     return np.asarray(z**exponent)
@@ -339,7 +342,7 @@ def enclose_constants(constants: Floats, radius: Floats | float = 0.0) -> Enclos
     Parameters
     ----------
     constants : (..., n) float array
-        The constants.
+        One constant for each quantity.
     radius : float, or array that broadcasts to (..., n)
         Upper bound on the difference between each quantity and its constant.
 

@@ -1,4 +1,4 @@
-"""Pictures that are the means of many samples, and their differences from reference pictures."""
+"""Render pictures with many samples per pixel, and measure errors against reference pictures."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ def root_mean_square_error(
     Parameters
     ----------
     image, reference_image : (height, width, 3) float arrays
-        The image, and the image with which it is compared.
+        The image, and the image to compare it with.
 
     Returns
     -------
     error : float
-        The root of the mean square difference over all pixels and channels.
+        The square root of the mean squared difference over all pixels and channels.
     """
     return float(np.sqrt(np.mean((image - reference_image) ** 2)))
 
 
-def render_supersampled(scene: Scene, side: int) -> NDArray[np.float64]:
+def render_supersampled(scene: Scene, grid_side: int) -> NDArray[np.float64]:
     """Render a scene with a uniform grid of samples in each pixel.
 
-    The samples are the pixels of a picture that is `side` times as wide and high, which takes
-    24 * side**2 bytes of memory per pixel of the result.
+    The samples are the pixels of a picture that is `grid_side` times as wide and high.  They
+    take 24 * grid_side**2 bytes of memory per pixel of the result.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    side : int
-        Number of samples along each side of a pixel.
+    grid_side : int
+        Number of samples along each side of a pixel's grid.
 
     Returns
     -------
     image : (height, width, 3) float array
         Mean linear RGB radiance of the samples in each pixel.
     """
-    samples = render(replace(scene, width=scene.width * side, height=scene.height * side))
-    pixels = samples.reshape(scene.height, side, scene.width, side, 3)
+    samples = render(replace(scene, width=scene.width * grid_side, height=scene.height * grid_side))
+    pixels = samples.reshape(scene.height, grid_side, scene.width, grid_side, 3)
     return np.asarray(pixels.mean(axis=(1, 3)))

@@ -197,7 +197,7 @@ BROKEN: dict[str, tuple[object, str, Callable[..., object]]] = {
     "narrow products": (Enclosures, "__mul__", narrower),
     "narrow strips": (certificate, "enclose_in_strips", scaled("half_width", 0.5)),
     "small jumps": (certificate, "enclose_in_strips", scaled("jump", 0.7)),
-    "narrow cones": (cell_analysis, "_cone_function", with_narrower_cones),
+    "narrow cones": (cell_analysis, "_enclose_cone", with_narrower_cones),
     "planes of shadows missing": (Faces, "_set_shadow_volumes", without_cone_planes),
     "no terminators": (CellAnalysis, "_find_terminators", without_last_edges),
     "no intersections": (CellAnalysis, "_find_intersections", without_last_edges),
