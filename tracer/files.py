@@ -22,57 +22,57 @@ _part_files: set[str] = set()
 def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
     """Write a file in a with block, and put it in place only if the block ends without an error.
 
-    At the end of the block, the new file replaces the file at `path`, and takes over its
-    permissions.  After an error in the block, the new file is deleted, and the file at `path` is
-    unchanged.  If `path` is a symbolic link, the file to which it refers is replaced.
+    At the end of the block, the new file replaces the file at `path`, and keeps its permissions.
+    After an error in the block, the new file is deleted, and the file at `path` is unchanged.  If
+    `path` is a symbolic link, the file that it refers to is replaced.
 
     Parameters
     ----------
     path : str or path-like
-        Path of the file.  A file that exists there must be writable, and either empty or of the
-        same kind: begin with `magic`.
+        Path of the file.  A file that already exists there must be writable, and must either be
+        empty or begin with `magic`.
     magic : bytes
-        The first bytes of files of this kind.  If empty, a file of any kind is replaced.
+        The first bytes of all files of this kind.  If empty, a file of any kind is replaced.
 
     Yields
     ------
     file : binary file
-        The new file, empty and open for writing.  Its attribute `name` is a temporary path, or the
-        file descriptor if it has none.
+        The new file, empty and open for writing.  Its attribute `name` is its temporary path, or
+        its file descriptor if it has no path.
 
     Raises
     ------
     OSError
-        If the file cannot be written, or `path` names a folder or another object that is not a
-        regular file.
+        If the file cannot be written, or `path` names something other than a regular file, such as
+        a folder.
     FileExistsError
         If a file of another kind exists at `path`.  (This is a subclass of OSError.)
     """
-    target, old_mode = os.path.realpath(path), None
+    target_path, old_mode = os.path.realpath(path), None
     with suppress(FileNotFoundError):
-        old_mode = os.stat(target).st_mode
+        old_mode = os.stat(target_path).st_mode
         if not stat.S_ISREG(old_mode):
-            raise OSError(errno.EINVAL, "not a regular file", target)
-        # Opened for writing, as a file without permission to write must not be replaced.
-        with open(target, "r+b") as existing:
-            if existing.read(len(magic)) not in (magic, b""):
-                raise FileExistsError(errno.EEXIST, "a file of another kind is there", target)
-    folder = os.path.dirname(target)
-    # Not derived from the name of the file, which may be as long as a name can be.
+            raise OSError(errno.EINVAL, "not a regular file", target_path)
+        # Opened for writing, because a file without write permission must not be replaced.
+        with open(target_path, "r+b") as old_file:
+            if old_file.read(len(magic)) not in (magic, b""):
+                raise FileExistsError(errno.EEXIST, "a file of another kind is there", target_path)
+    folder = os.path.dirname(target_path)
+    # Not derived from the file's name, which may already have the maximum length.
     part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
     _part_files.add(part_path)
     try:
-        with _open_nameless(folder, part_path) as file:
+        with _create_nameless(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
                 descriptor_path = f"/proc/self/fd/{file.fileno()}"
                 os.link(descriptor_path, part_path, src_dir_fd=0, follow_symlinks=True)
         if old_mode is not None:
             os.chmod(part_path, stat.S_IMODE(old_mode))
-        os.replace(part_path, target)
+        os.replace(part_path, target_path)
     except BaseException as error:
         if isinstance(error, OSError) and error.filename == part_path:
-            error.filename = target
+            error.filename = target_path
         with suppress(OSError):
             os.unlink(part_path)
         raise
@@ -80,15 +80,15 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
         _part_files.discard(part_path)
 
 
-def _open_nameless(folder: str, part_path: str) -> IO[bytes]:
+def _create_nameless(folder: str, part_path: str) -> IO[bytes]:
     """Create a nameless file, or a file at `part_path` if the system has no nameless files.
 
     Parameters
     ----------
     folder : str
-        Folder whose file system stores the file.
+        Folder in whose file system the file is created.
     part_path : str
-        Path of a file that must have a name.
+        Path of the file if it must have a name.
 
     Returns
     -------
@@ -111,6 +111,6 @@ def remove_part_files() -> None:
 
     Call this only when the process is about to end.  A file that cannot be deleted is skipped.
     """
-    for path in [*_part_files]:  # a copy, as another thread may change the set
+    for path in [*_part_files]:  # a copy, because another thread may change the set
         with suppress(OSError):
             os.unlink(path)

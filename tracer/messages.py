@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    """Escape the unprintable characters of a text: a line break becomes ``\\n``, for example.
+    """Escape the unprintable characters in a text: a line break becomes ``\\n``, for example.
 
     The result is a single line without control characters, so it is safe to show in a terminal.
     """
@@ -14,7 +14,7 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """Shorten a text to at most 40 characters, replacing the end of a longer text by "..."."""
+    """Shorten a text to at most 40 characters, replacing the end of a longer text with "..."."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
