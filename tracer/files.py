@@ -22,7 +22,7 @@ _part_files: set[str] = set()
 def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
     """Write a file in a with block, and put it in place only if the block ends without an error.
 
-    At the end of the block, the new file replaces the file at `path`, and keeps its permissions.
+    At the end of the block, the new file replaces the file at `path`, and receives its permissions.
     After an error in the block, the new file is deleted, and the file at `path` is unchanged.  If
     `path` is a symbolic link, the file that it refers to is replaced.
 
@@ -62,7 +62,7 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
     part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
     _part_files.add(part_path)
     try:
-        with _create_nameless(folder, part_path) as file:
+        with _create_nameless_file(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
                 descriptor_path = f"/proc/self/fd/{file.fileno()}"
@@ -80,7 +80,7 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
         _part_files.discard(part_path)
 
 
-def _create_nameless(folder: str, part_path: str) -> IO[bytes]:
+def _create_nameless_file(folder: str, part_path: str) -> IO[bytes]:
     """Create a nameless file, or a file at `part_path` if the system has no nameless files.
 
     Parameters

@@ -156,12 +156,14 @@ class Batch:
         # At the end, there are fewer scenes than processes, so large scenes are shared.
         worker_count = self._pool.worker_count
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
-        queued_jobs = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
-        queued_jobs[unshared_count:] = jobs[unshared_count:]
+        job_queue = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
+        job_queue[unshared_count:] = jobs[unshared_count:]
         # This process repeats what a worker could not do, for example because it had too little
         # memory.
         render_in_worker = partial(_render_in_worker, self._settings)
-        self._distribution = Distribution(self._render, render_in_worker, queued_jobs, worker_count)
+        self._distribution = Distribution(
+            self._try_render, render_in_worker, job_queue, worker_count
+        )
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._distribution, strict=True):
                 self._finished_count += 1
@@ -178,7 +180,7 @@ class Batch:
         """End the worker processes, if there are any."""
         self._pool.close()
 
-    def _render(self, job: Job) -> Report:
+    def _try_render(self, job: Job) -> Report:
         """Read a scene, render it and write the picture, or report why this failed.
 
         Parameters
@@ -192,11 +194,11 @@ class Batch:
             The lines to print about the scene.
         """
         try:
-            return self._write_picture(job)
+            return self._render_to_file(job)
         except Failure as failure:
             return Report(notices=(str(failure),))
 
-    def _write_picture(self, job: Job) -> Report:
+    def _render_to_file(self, job: Job) -> Report:
         """Read a scene, render it, and write the picture.
 
         While the main process renders, it shows the progress and submits scenes to the workers.
@@ -261,18 +263,18 @@ class Batch:
         warning_lines = (printable(f"{job.scene_path}: warning: {warning}") for warning in warnings)
         return Report(exposure.pixel_count, printable(line), tuple(warning_lines))
 
-    def _show_progress(self, fraction: float, rendered_pixels: int) -> None:
+    def _show_progress(self, rendered_fraction: float, rendered_pixels: int) -> None:
         """Show how many pictures and pixels are finished, including part of the current picture.
 
         Parameters
         ----------
-        fraction : float
-            Fraction of the current picture that is rendered, from 0 to 1.
+        rendered_fraction : float
+            Rendered fraction of the current picture, from 0 to 1.
         rendered_pixels : int
-            Number of pixels in the current picture that are rendered.
+            Number of pixels of the current picture that are rendered.
         """
         note = f"{(self._pixel_count + rendered_pixels) / 1e6:.3g} million pixels"
-        self._progress.update(self._finished_count + fraction, note)
+        self._progress.update(self._finished_count + rendered_fraction, note)
 
 
 def _render_in_worker(settings: Settings, job: Job) -> Report:
@@ -297,7 +299,7 @@ def _render_in_worker(settings: Settings, job: Job) -> Report:
         must render the scene, because all processes should share the picture, or the scene comes
         from standard input, which a worker process cannot read.
     """
-    return Batch(settings, processes=1)._write_picture(job)
+    return Batch(settings, processes=1)._render_to_file(job)
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:

@@ -94,8 +94,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         import_module("OpenEXR")  # fail now if it is missing, not after rendering
     make_output_folder(arguments.output)
     settings = Settings(arguments.samples, arguments.size, file_format, arguments.quiet)
-    processes = min(arguments.processes or count_processors(), count_processors())
-    with closing(Batch(settings, processes)) as batch:
+    process_count = min(arguments.processes or count_processors(), count_processors())
+    with closing(Batch(settings, process_count)) as batch:
         if arguments.watch:
             return _watch(jobs, batch, quiet=arguments.quiet)
         return 0 if batch.render(jobs) else FAILED
@@ -204,7 +204,7 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     scenes, output, watch = arguments.scenes, arguments.output, arguments.watch
     for scene in scenes:
         if os.path.splitext(scene)[1][1:].lower() in FORMATS:
-            parser.error(f"{scene}: a picture is no scene; to write it, use -o {scene}")
+            parser.error(f"{scene}: a picture is not a scene; to write it, use -o {scene}")
     if "-" in scenes and (output is None or watch):
         parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
     if output == "-":

@@ -29,7 +29,7 @@ class Failure(Exception):  # noqa: N818
     remedy : str
         What the user can do about the failure.  If empty, the line is ``where: what``.
     status : int
-        Exit status of a command that fails only because of this.
+        Exit status of a command that fails only for this reason.
     """
 
     def __init__(self, where: str, what: str, remedy: str = "", status: int = 1) -> None:
@@ -67,7 +67,7 @@ def errors_as_failure(
     memory_remedy : str
         Replaces `remedy` if the error is a lack of memory.
     status : int
-        Exit status of a command that fails only because of this.
+        Exit status of a command that fails only for this reason.
     error_types : tuple of exception classes
         Classes of errors to convert in addition to OSError, MemoryError and SceneFileError.
 

@@ -30,7 +30,7 @@ _UNREAD = 141
 def run(module_name: str) -> NoReturn:
     """Run a command: import its module, call its function `main`, and end this process.
 
-    The exit status is what `main` returns or passes to `sys.exit`, or
+    The exit status is the one that `main` returns or passes to `sys.exit`, except in these cases:
 
     - the failure's own status if `main` raises a Failure;
     - 1 if there is not enough memory, or the standard output cannot be written;
@@ -141,7 +141,7 @@ def print_result(stream: TextIO | None, text: str) -> None:
     Raises
     ------
     OSError
-        If the line cannot be printed, for example because the stream is closed or the disk full.
+        If the line cannot be printed, for example because the stream is closed or the disk is full.
     """
     if stream is None or stream.closed:
         raise OSError("it is closed")

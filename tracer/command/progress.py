@@ -38,7 +38,7 @@ class Progress:
     """
 
     def __init__(self, total: int, unit: str, *, show: bool = True) -> None:
-        self._total, self._unit, self._start = total, unit, perf_counter()
+        self._total, self._unit, self._start_time = total, unit, perf_counter()
         is_closed = sys.stderr is None or sys.stderr.closed
         # A bar; None if it may be created later; False if there can be no bar.
         self._bar: Any = None if show and not is_closed and sys.stderr.isatty() else False
@@ -50,22 +50,22 @@ class Progress:
         if self._bar:
             self._bar.close()
 
-    def update(self, done: float, note: str = "") -> None:
+    def update(self, finished_work: float, note: str = "") -> None:
         """Show the amount of finished work in the bar, except during the first second of work.
 
         Parameters
         ----------
-        done : float
+        finished_work : float
             Total amount of finished work, in the unit of the bar's total.
         note : str
             Text to show next to the bar.
         """
-        seconds = perf_counter() - self._start
+        seconds = perf_counter() - self._start_time
         if self._bar is None and seconds >= _BAR_SECONDS:
             self._bar = self._create_bar(seconds)
         if self._bar:
             self._bar.set_postfix_str(note, refresh=False)
-            self._bar.update(round(done, 2) - self._bar.n)
+            self._bar.update(round(finished_work, 2) - self._bar.n)
 
     def _create_bar(self, seconds: float) -> Any:
         """Create a tqdm progress bar.

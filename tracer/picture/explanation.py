@@ -156,7 +156,7 @@ class Explanation:
         printer.text(str(self))
 
     def _text_lines(self) -> Iterator[str]:
-        """Yield the lines of text of the explanation, without line breaks.
+        """Yield the explanation as lines of text, without line breaks.
 
         kd and ks are the diffuse and specular colours of the surface.
         """
@@ -175,7 +175,7 @@ class Explanation:
         yield f"codes     {' '.join(map(str, self.codes))}"
 
     def _light_text_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
-        """Yield the lines of text that explain one light, without line breaks.
+        """Yield the explanation of one light as lines of text, without line breaks.
 
         Parameters
         ----------
@@ -188,8 +188,8 @@ class Explanation:
         ------
         line : str
             The first line contains the cosines n.l and n.h, and the surfaces that block the light.
-            If the light is not blocked, a line for its diffuse radiance and one for its specular
-            radiance follow.
+            If none does, a line with the diffuse and a line with the specular radiance follow,
+            which are computed from the surface's colours kd and ks.
         """
         other_surfaces = [str(ref) for ref in light.occluders if ref != self.surface]
         occluders = other_surfaces or ["the surface itself"] * len(light.occluders)
@@ -232,8 +232,8 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     Returns
     -------
     explanation : Explanation
-        The ray through the centre of the pixel, the hit, the contribution of each light, the
-        radiance and the codes.  ``print(explanation)`` shows them as text.
+        The ray through the centre of the pixel, the point that it hits, the contribution of each
+        light, the radiance and the 8-bit colour.  ``print(explanation)`` shows them as text.
 
     Raises
     ------
@@ -300,6 +300,7 @@ def _explain_light(
         The cosines, the surfaces that block the light, and the radiance that the light adds.
     """
     is_facing_light = compute_light_geometry(hit, prepared_light).n_dot_l.item() > 0
+    # A surface that faces away from the light blocks the light itself.
     occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
     for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).reflection_terms():
@@ -307,13 +308,13 @@ def _explain_light(
     point, normal = first_hit.point[0], first_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
     half_vector = normalize(to_light + normalize(hit.prepared.frame.eye - point))
-    file_index = scene.surfaces.file_index[occluders].tolist()
+    occluder_indices = scene.surfaces.file_index[occluders].tolist()
     return LightPart(
         line=light.line,
         intensity=_to_vector(light.intensity),
         n_dot_l=float(normal @ to_light),
         n_dot_h=float(normal @ half_vector),
-        occluders=tuple(SurfaceRef.from_index(scene, index) for index in file_index),
+        occluders=tuple(SurfaceRef.from_index(scene, index) for index in occluder_indices),
         diffuse=_to_vector(diffuse),
         specular=_to_vector(specular),
     )

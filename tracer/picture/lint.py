@@ -98,7 +98,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     prepared : PreparedScene
         The same scene, prepared for its camera.
     exposure : Exposure
-        Counts of lit and clipped pixels in the whole picture.
+        Counts of lit (not black) and clipped (brighter than 1) pixels in the whole picture.
 
     Yields
     ------
@@ -111,7 +111,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     yield from _aspect_warnings(scene)
     yield from _light_warnings(scene, prepared)
     if not exposure.lit_count:
-        reason, remedy = _explain_black(scene, prepared)
+        reason, remedy = _explain_black_picture(scene, prepared)
         yield f"{reason}: the picture is black; {remedy}"
     elif not first_range_warning and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
@@ -165,7 +165,7 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
 
 
 @np.errstate(all="ignore")
-def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
+def _explain_black_picture(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
     """Find out why the picture of a scene is black, and suggest a fix.
 
     Parameters
@@ -192,11 +192,11 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_surface_name(scene, visible_objects)}"
     has_color = (prepared.diffuse > 0) | (prepared.specular > 0)
-    reflects = has_color[:, visible_objects]
-    emits = np.array([light.intensity for light in scene.lights]) > 0
-    if not reflects.any():
+    reflects_channel = has_color[:, visible_objects]
+    emits_channel = np.array([light.intensity for light in scene.lights]) > 0
+    if not reflects_channel.any():
         return "all surfaces in view are black", shader_remedy
-    if emits.any() and not reflects[emits.any(axis=0)].any():
+    if emits_channel.any() and not reflects_channel[emits_channel.any(axis=0)].any():
         return "the surfaces in view reflect no colour of the lights", shader_remedy
     remedy = "see the lights' positions and intensities"
     objects_around_eye = visible_objects[prepared.is_eye_inside[visible_objects]]
@@ -207,7 +207,7 @@ def _explain_black(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
 
 
 def _find_visible_objects(prepared: PreparedScene) -> Ints:
-    """Find the objects that are visible_objects through the centre of at least one pixel.
+    """Find the objects that are visible through the centre of at least one pixel.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def _light_name(scene: Scene, index: int) -> str:
 
 
 def _surface_name(scene: Scene, object_index: Ints) -> str:
-    """Name the surface that comes first in the file, of one or more, by its index and line.
+    """Name the first of the given surfaces, in file order, by its index and line.
 
     Parameters
     ----------
@@ -311,8 +311,8 @@ def _surface_name(scene: Scene, object_index: Ints) -> str:
         Indices of the surfaces in the prepared scene, whose order is not that of the file; n is at
         least 1.
     """
-    index = scene.surfaces.file_index[object_index].min().item()
-    return indexed_name("surface", index, scene.surfaces[index].line)
+    surface_index = scene.surfaces.file_index[object_index].min().item()
+    return indexed_name("surface", surface_index, scene.surfaces[surface_index].line)
 
 
 def _color_range_warnings(scene: Scene) -> Iterator[str]:
@@ -327,10 +327,9 @@ def _color_range_warnings(scene: Scene) -> Iterator[str]:
         ("intensity", light.intensity, "light", index) for index, light in enumerate(scene.lights)
     ]
     # Each shader is named by the first surface in the file that uses it.
-    shader_indices, users = np.unique(
-        surfaces.shader_index[surfaces.array_index], return_index=True
-    )
-    for shader_index, user in zip(shader_indices.tolist(), users.tolist(), strict=True):
+    shader_of_surface = surfaces.shader_index[surfaces.array_index]
+    shader_indices, first_users = np.unique(shader_of_surface, return_index=True)
+    for shader_index, user in zip(shader_indices.tolist(), first_users.tolist(), strict=True):
         shader = surfaces.shaders[shader_index]
         colors.append(("diffuseColor", shader.diffuse, "surface", user))
         if isinstance(shader, Phong):

@@ -62,7 +62,7 @@ class Executor(Protocol):
         Returns
         -------
         future : Future
-            Receives the result of the call, or the exception that it raises.
+            The future, which receives the result of the call or the exception that it raises.
         """
 
 
@@ -141,8 +141,8 @@ class Distribution(Generic[_Item, _Result]):
     def submit(self) -> None:
         """Submit enough items to the executor to keep all its workers busy.
 
-        The iteration calls this method before it processes an item.  If an item takes long,
-        `function` should also call this method from time to time.
+        The iteration calls this method before this process takes an item.  If items take long,
+        `function` should also call it from time to time.
 
         An error of the executor is not raised.  Instead, `executor` is set to None, so that this
         process does all the remaining work.
@@ -188,10 +188,11 @@ class Distribution(Generic[_Item, _Result]):
     def _collect_results(self) -> None:
         """Store the results of all items that the executor has finished.
 
-        An item is processed in this process instead if it was cancelled, its future has an
-        exception, or `accepts` rejects its result.
+        If an item was cancelled or raised an exception, or `accepts` rejects its result, this
+        process processes the item.
         """
-        for index in [index for index, future in self._futures.items() if future.done()]:
+        finished_indices = [index for index, future in self._futures.items() if future.done()]
+        for index in finished_indices:
             future = self._futures.pop(index)
             # The exception may be a worker's KeyboardInterrupt, which must not be raised here.
             has_result = not future.cancelled() and future.exception() is None
@@ -261,7 +262,7 @@ class WorkerPool:
         Returns
         -------
         future : Future
-            Receives the result of the call, or the exception that it raises.
+            The future, which receives the result of the call or the exception that it raises.
 
         Raises
         ------

@@ -104,7 +104,7 @@ def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
-        Linear RGB radiance of the tile, which is whole rows of the picture or part of one row.
+        Linear RGB radiance of the tile: whole rows of the picture, or part of one row.
     from_left : bool
         Whether the tile begins at the left edge of the picture.  If so, each row is preceded by a
         zero byte, which means that the row is not filtered (PNG, 9.2).
@@ -162,7 +162,7 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     file.write(PNG)
     # 8 bits per channel, RGB, the only existing compression and filter methods, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-    # A zlib stream (RFC 1950): its prefix (window of 32 KB, fast compression), the blocks of the
+    # A zlib stream (RFC 1950): its header (window of 32 KB, fast compression), the blocks of the
     # tiles, an empty last block, and the checksum.
     prefix, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
     for tile in tiles:
@@ -212,7 +212,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The codes, as exact arithmetic would give them.
+        The codes that exact arithmetic would give.
 
     Raises
     ------
@@ -333,6 +333,5 @@ def _find_threshold(code: int) -> float:
         a, b = x.as_integer_ratio()
         return bool((2 * _MAX_CODE) ** p * a**q >= (2 * code - 1) ** p * b**q)
 
-    return next(
-        filter(reaches_code, (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5)))
-    )
+    candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))
+    return next(filter(reaches_code, candidates))

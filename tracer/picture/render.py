@@ -315,7 +315,8 @@ class RenderJob:
         """Estimate the rendering time of one pixel in one process, in seconds.
 
         The estimate is the product of the number of samples in the pixel, the number of lights, the
-        average number of objects that a ray meets, and a constant.
+        average number of objects that a ray meets, and a constant.  In an adaptive picture, only
+        pixels that edges cross have more than one sample.
         """
         prepared, sample_count = self.prepared, float(self._lattice.size)
         if self._is_adaptive:
@@ -329,7 +330,7 @@ class RenderJob:
         return sample_count * seconds_per_hit * prepared.depth_complexity
 
     def tiles(self, *, shared: bool) -> list[Rectangle]:
-        """Divide the picture into tiles, each of whole rows or part of one row.
+        """Divide the picture into tiles, each consisting of whole rows or part of one row.
 
         Parameters
         ----------
@@ -394,7 +395,7 @@ class RenderJob:
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
         out : (rows, columns, 3) float array, optional
-            Array to store the radiance in.  It must contain zeros, because pixels that show no
+            Array to store the radiance in.  It must contain only zeros, because pixels that show no
             object are not written.
 
         Returns
@@ -406,7 +407,8 @@ class RenderJob:
         rows, columns = rectangle
         tile_shape = rows.stop - rows.start, columns.stop - columns.start
         radiance = np.zeros((*tile_shape, 3)) if out is None else out
-        visible_rows, visible_columns = map(_intersect, rectangle, self.prepared.window)
+        # No object is visible outside the window of the prepared scene.
+        visible_rows, visible_columns = map(_intersect_ranges, rectangle, self.prepared.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
         visible_radiance = radiance[_to_tile_range(visible_rows, rows)]
@@ -439,12 +441,12 @@ def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
     Returns
     -------
     job : RenderJob
-        The job: the same object for equal arguments, as long as it is cached.
+        The job.  Equal arguments give the same object as long as it is cached.
     """
     return RenderJob(*pickle.loads(pickled_arguments))
 
 
-def _intersect(first: slice, second: slice) -> slice:
+def _intersect_ranges(first: slice, second: slice) -> slice:
     """Return the overlap of two ranges.
 
     Parameters
