@@ -2,17 +2,18 @@
 
     python -m reference.check SCENE.xml ...    writes NAME.check.png
 
-Both sample the pixels' centres.  With --flavour exact (the default) all light is compared, by this
-project's small Mitsuba plugins; with --flavour stock diffuse light alone, by Mitsuba's own plugins.
+Both sample the centres of the pixels.  With --flavour exact (the default), all light is compared,
+and Mitsuba uses this project's small plugins; with --flavour stock, only diffuse light is compared,
+and Mitsuba uses its built-in plugins.
 
 The verdict is one of three:
-  agrees     Mitsuba's picture is the tracer's.  Excluded are some pixels at edges, where Mitsuba's
-             float32 may fall on the other side, and ties: where surfaces coincide, Mitsuba may
-             show the other one.
+  agrees     The pictures are equal, apart from excluded pixels: some at edges, where Mitsuba's
+             float32 may fall on the other side, and ties, where two surfaces coincide and Mitsuba
+             may show the other one.
   DIFFERS    Exact arithmetic contradicts the tracer, or the pictures differ too much as a whole.
   undecided  Exact arithmetic confirms the tracer: Mitsuba or the converter is wrong.
 
-Exit status: 0 if all agree, 1 if one differs or cannot be compared, 2 for wrong usage or where
+Exit status: 0 if all agree, 1 if one differs or cannot be compared, 2 for wrong usage or if
 Mitsuba cannot run, 3 if one is undecided and none is worse.
 """
 
@@ -76,8 +77,7 @@ class Limits(NamedTuple):
         Maximum difference of a pixel in linear radiance.  In pictures brighter than 1, it is
         relative to the brightest pixel.
     shift : float
-        Maximum distance, in pixels along each axis, between the centre of a pixel that may differ
-        more and an edge.
+        A pixel may differ more if an edge is this close to its centre, in pixels along each axis.
     """
 
     difference: float
@@ -85,7 +85,7 @@ class Limits(NamedTuple):
 
 
 EXACT = Limits(1e-4, 0.003)
-# The stock camera is float32, and stock shadow rays start above the surface.
+# Mitsuba's built-in camera uses float32, and its shadow rays start above the surface.
 STOCK = Limits(1e-3, 0.03)
 
 MAX_EDGE_SHARE = 0.015  # maximum share of the picture's pixels that may differ because of edges
@@ -93,11 +93,11 @@ MIN_SSIM = 0.999
 MAX_MEDIAN = 1e-6  # maximum median of the differences
 
 # Number of pixels in one batch of exact arithmetic, which is slow.  Each batch is spread over the
-# whole picture, and often the first batch decides.
+# whole picture, so the first batch often suffices.
 _PIXELS_PER_BATCH = 100
 
-# Relative difference of radii, and distance in pixels, below which float64 may not decide correctly
-# which surface is in front.
+# Below this relative difference of radii, or this distance in pixels, float64 may show the wrong
+# one of two surfaces.
 _MAX_GROWTH, _MAX_SHIFT = 1e-12, 1e-6
 
 
@@ -157,33 +157,32 @@ class CheckResult:
         """
         if self.differing.any():
             return "DIFFERS" if self.wrong.any() else "undecided"
-        return "DIFFERS" if out_of_tolerance(self.figures) else "agrees"
+        return "DIFFERS" if list_figures_out_of_tolerance(self.figures) else "agrees"
 
     @property
     def remarks(self) -> list[str]:
         """The reasons for the verdict, as sentences without a full stop; may be empty."""
         sentences = []
         if self.ties.any():
-            count = _format_pixel_count(self.ties)
-            sentences.append(f"Mitsuba shows the other of surfaces that tie on {count}")
+            tie_count = _format_pixel_count(self.ties)
+            sentences.append(f"Mitsuba shows the other of surfaces that tie on {tie_count}")
         if not self.differing.any():
-            lines = out_of_tolerance(self.figures)
-            return [*sentences, *(f"out of tolerance: {line}" for line in lines)]
+            clauses = list_figures_out_of_tolerance(self.figures)
+            return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
         row, column = np.argwhere(self.wrong if self.wrong.any() else self.examined)[0]
-        place = f"{_format_pixel_count(self.differing)}, the first at column {column}, row {row}"
+        pixels = f"{_format_pixel_count(self.differing)}, the first at column {column}, row {row}"
         examined_count, wrong_count = int(self.examined.sum()), int(self.wrong.sum())
         if wrong_count:
-            share = f"{wrong_count} of {examined_count} pixels that were examined"
-            sentence = f"exact arithmetic contradicts the tracer on {share}; they differ on {place}"
+            wrong_share = f"{wrong_count} of {examined_count} pixels that were examined"
+            finding = f"exact arithmetic contradicts the tracer on {wrong_share}"
+            sentence = f"{finding}; they differ on {pixels}"
         else:
-            confirmed = f"exact arithmetic confirms the tracer on {examined_count}"
-            sentence = (
-                f"Mitsuba or the converter is wrong on {place}; {confirmed} that were examined"
-            )
+            finding = f"exact arithmetic confirms the tracer on {examined_count} that were examined"
+            sentence = f"Mitsuba or the converter is wrong on {pixels}; {finding}"
         return [*sentences, sentence]
 
     def report(self) -> str:
-        """Format the verdict, the figures, the rendering times and the remarks, a line for each."""
+        """Format the verdict, the figures, the rendering times and the remarks, each on a line."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
@@ -196,13 +195,13 @@ class CheckResult:
 
 
 def _format_pixel_count(mask: Bools) -> str:
-    """Format the number of pixels for which a mask (h, w) is True, for example "1,234 pixels"."""
+    """Format the number of True pixels in a mask (h, w), for example as "1,234 pixels"."""
     count = int(mask.sum())
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
-def out_of_tolerance(figures: Figures) -> list[str]:
-    """List the figures that show that two pictures differ too much as a whole.
+def list_figures_out_of_tolerance(figures: Figures) -> list[str]:
+    """List the figures that are too bad for two pictures that should be equal.
 
     Parameters
     ----------
@@ -211,23 +210,22 @@ def out_of_tolerance(figures: Figures) -> list[str]:
 
     Returns
     -------
-    lines : list of str
-        A clause for each figure that is out of tolerance, such as "SSIM 0.99800 is below 0.999";
-        empty if none is.
+    clauses : list of str
+        A clause for each figure that is out of tolerance, such as "SSIM 0.99800 is below 0.999".
     """
-    lines = []
+    clauses = []
     if figures.ssim < MIN_SSIM:
-        lines.append(f"SSIM {figures.ssim:.5f} is below {MIN_SSIM}")
+        clauses.append(f"SSIM {figures.ssim:.5f} is below {MIN_SSIM}")
     if figures.median > MAX_MEDIAN:
-        lines.append(f"median difference {figures.median:.1e} exceeds {MAX_MEDIAN:.0e}")
-    return lines
+        clauses.append(f"median difference {figures.median:.1e} exceeds {MAX_MEDIAN:.0e}")
+    return clauses
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find pixels that may differ in another renderer's picture because an edge is very close.
+    """Find the pixels of another renderer's picture that a very close edge can explain.
 
-    The tracer renders the scene four times, with all samples moved diagonally.  A pixel's radiance
-    can be explained by an edge if it lies between the minimum and the maximum of these pictures.
+    The tracer renders the scene four times, each time with all samples shifted diagonally.  An edge
+    can explain a pixel whose radiance lies between the minimum and the maximum of these pictures.
 
     Parameters
     ----------
@@ -236,21 +234,21 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     picture : (h, w, 3) float array
         The other renderer's picture of the scene, in linear radiance.
     shift : float
-        Distance in pixels, along each axis, by which the tracer's samples are moved.
+        Distance in pixels, along each axis, by which the tracer's samples are shifted.
     tolerance : float
-        Distance in linear radiance by which a pixel may be outside the range.
+        Linear radiance by which a pixel may exceed the range.
 
     Returns
     -------
-    is_near : (h, w) bool array
+    is_near_edge : (h, w) bool array
         Whether an edge can explain the pixel's radiance.
     """
     shifts = (-shift, shift)
-    moved_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
-    low = np.min(moved_pictures, axis=0) - tolerance
-    high = np.max(moved_pictures, axis=0) + tolerance
-    is_near: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
-    return is_near
+    shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
+    low = np.min(shifted_pictures, axis=0) - tolerance
+    high = np.max(shifted_pictures, axis=0) + tolerance
+    is_near_edge: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
+    return is_near_edge
 
 
 def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
@@ -263,8 +261,8 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
     variant : str, optional
         Mitsuba's variant; by default the fastest that works on this machine.
     flavour : str
-        "exact" to compare all light, which this project's Mitsuba plugins compute; "stock" to
-        compare only diffuse light, which Mitsuba's own plugins compute.
+        "exact" to compare all light, using this project's Mitsuba plugins; "stock" to compare only
+        diffuse light, using Mitsuba's built-in plugins.
 
     Returns
     -------
@@ -286,7 +284,7 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare all light in a scene, rendered by the tracer and by this project's Mitsuba plugins.
+    """Compare the tracer with this project's Mitsuba plugins on all light in a scene.
 
     Parameters
     ----------
@@ -316,10 +314,10 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the diffuse light in a scene, rendered by the tracer and by Mitsuba's own plugins.
+    """Compare the tracer with Mitsuba's built-in (stock) plugins on the diffuse light in a scene.
 
-    Both pictures have square pixels, as Mitsuba requires, so their height may differ from that of
-    the scene's picture.
+    Both pictures have the square pixels that Mitsuba requires, so they may be higher or lower than
+    the scene file states.
 
     Parameters
     ----------
@@ -343,25 +341,25 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
         If a radiance is not finite.
     """
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
-    matte = replace(with_square_pixels(scene), surfaces=Surfaces.from_objects(surfaces))
-    image, start = np.zeros((matte.height, matte.width, 3)), perf_counter()
-    for light in matte.lights:
-        image += _render_diffuse_light(replace(matte, lights=(light,)), variant)
-    rendering = Rendering(image, use_variant(variant).variant, perf_counter() - start)
-    return compare(matte, f"{name}, diffuse light by stock plugins", rendering, STOCK)
+    diffuse_scene = replace(with_square_pixels(scene), surfaces=Surfaces.from_objects(surfaces))
+    image, start_time = np.zeros((diffuse_scene.height, diffuse_scene.width, 3)), perf_counter()
+    for light in diffuse_scene.lights:
+        image += _render_diffuse_light(replace(diffuse_scene, lights=(light,)), variant)
+    rendering = Rendering(image, use_variant(variant).variant, perf_counter() - start_time)
+    return compare(diffuse_scene, f"{name}, diffuse light by stock plugins", rendering, STOCK)
 
 
-def _render_diffuse_light(matte: Scene, variant: str | None) -> Floats:
-    """Render a scene lit by one light with Mitsuba's own plugins, without the light's fall-off.
+def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
+    """Render a scene with one light using Mitsuba's built-in (stock) plugins, without fall-off.
 
-    Mitsuba's lights fall off with the square of the distance, and those of the scene format do
-    not.  Therefore Mitsuba also reports the point that each pixel shows, and the radiance is
-    multiplied by the squared distance between this point and the light.  With several lights,
-    Mitsuba would choose one of them at random for each pixel.
+    Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
+    To undo the fall-off, Mitsuba also outputs the point that each pixel shows, and the radiance is
+    multiplied by the squared distance from this point to the light.  More than one light is not
+    possible, because Mitsuba would choose one of them at random for each pixel.
 
     Parameters
     ----------
-    matte : Scene
+    diffuse_scene : Scene
         A scene of Lambertian surfaces with one light.
     variant : str or None
         Mitsuba's variant; None for the fastest that works on this machine.
@@ -376,11 +374,12 @@ def _render_diffuse_light(matte: Scene, variant: str | None) -> Floats:
     ConversionError
         If Mitsuba cannot represent the scene.
     """
-    light = matte.lights[0]
-    white = replace(light, intensity=(1.0, 1.0, 1.0))
-    document = convert_stock(replace(matte, lights=(white,)), 1)
-    plugins = {element.get("type"): element for element in document.root.iter()}
-    integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
+    light = diffuse_scene.lights[0]
+    white_light = replace(light, intensity=(1.0, 1.0, 1.0))
+    document = convert_stock(replace(diffuse_scene, lights=(white_light,)), 1)
+    plugin_by_type = {element.get("type"): element for element in document.root.iter()}
+    types = "direct", "multijitter", "point"
+    integrator, sampler, emitter = (plugin_by_type[name] for name in types)
     document.root.remove(integrator)
     document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
@@ -389,18 +388,18 @@ def _render_diffuse_light(matte: Scene, variant: str | None) -> Floats:
     radiance, hit_position = image[..., :3], image[..., -3:]
     position, intensity = next(emitter.iter("point")), next(emitter.iter("rgb"))
     light_vector = hit_position - [float(position.get(axis, "")) for axis in "xyz"]
-    distance2: Floats = (light_vector**2).sum(axis=2, keepdims=True)
-    # Mitsuba's radiance at distance 1 for a reflectance of 1 and light at right angles.
-    divisor = np.pi * choose_reflectance_divisor(matte.surfaces)
+    squared_distance: Floats = (light_vector**2).sum(axis=2, keepdims=True)
+    # Mitsuba's radiance at distance 1 for a reflectance of 1 and perpendicular light.
+    divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
     unit_radiance = float(intensity.get("value", "").split()[0]) / divisor
-    return radiance * distance2 / unit_radiance * light.intensity
+    return radiance * squared_distance / unit_radiance * light.intensity
 
 
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
     """Render a scene with the tracer, and compare the picture with Mitsuba's.
 
-    Pixels that differ are excluded if an edge is close to their centre.  A sample of the others is
-    traced in exact arithmetic, which decides which picture is wrong.
+    Differing pixels whose centre is close to an edge are excluded.  A sample of the others is
+    traced in exact arithmetic to decide which picture is wrong.
 
     Parameters
     ----------
@@ -409,7 +408,7 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     name : str
         Name of the scene in the result.
     rendering : Rendering
-        Mitsuba's picture, with the variant of Mitsuba and the time to render it.
+        Mitsuba's picture, with Mitsuba's variant and the rendering time.
     limits : Limits
         Tolerances for the differences of single pixels.
 
@@ -428,36 +427,36 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         raise ValueError(
             "Mitsuba's radiance is not finite; keep the colours and lights of the scene closer to 1"
         )
-    render(scene)  # the first time takes longer, so the second is measured
-    start = perf_counter()
+    render(scene)  # the first rendering takes longer, so the second is timed
+    start_time = perf_counter()
     tracer_image = render(scene)
-    seconds = perf_counter() - start
-    # Tolerances are for radiance up to 1.  Above, they grow with the darker picture, so that no
-    # mistake that makes one picture brighter increases them.
-    unit = max(1.0, min(float(tracer_image.max()), float(mitsuba_image.max())))
-    difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / unit
-    # If the pictures differ too much as a whole, pixels are compared again, with less tolerance.
+    tracer_seconds = perf_counter() - start_time
+    # Tolerances are for radiance up to 1.  Above 1, they scale with the darker picture's maximum,
+    # so that a bug that brightens one picture cannot increase them.
+    scale = max(1.0, min(float(tracer_image.max()), float(mitsuba_image.max())))
+    difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale
+    # If the pictures differ too much as a whole, compare the pixels again, with less tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
         is_different = difference > tolerance
         edges = is_different.copy()
         if is_different.any():
-            edges &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, tolerance * unit)
-        if edges.mean() > MAX_EDGE_SHARE:  # too many for rounding to be the cause: none is excluded
+            edges &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, tolerance * scale)
+        if edges.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
             edges[:] = False
         ties, examined, wrong = _examine_exactly(
-            scene, tracer_image, mitsuba_image, is_different & ~edges, tolerance * unit
+            scene, tracer_image, mitsuba_image, is_different & ~edges, tolerance * scale
         )
         excluded = edges | ties
-        # Excluded pixels of the tracer's picture are replaced by Mitsuba's, never the reverse.
-        shown = np.where(excluded[:, :, None], mitsuba_image, tracer_image)
+        # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
+        compared_image = np.where(excluded[:, :, None], mitsuba_image, tracer_image)
         mask = None if excluded.all() else excluded
-        figures = measure_differences(shown / unit, mitsuba_image / unit, mask)
-        if examined.any() or not out_of_tolerance(figures):
+        figures = measure_differences(compared_image / scale, mitsuba_image / scale, mask)
+        if examined.any() or not list_figures_out_of_tolerance(figures):
             break
     return CheckResult(
         name=name,
         tracer=tracer_image,
-        tracer_seconds=seconds,
+        tracer_seconds=tracer_seconds,
         mitsuba=rendering,
         edges=edges,
         ties=ties,
@@ -471,14 +470,13 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
 def _examine_exactly(
     scene: Scene, tracer_image: Floats, mitsuba_image: Floats, is_different: Bools, tolerance: float
 ) -> tuple[Bools, Bools, Bools]:
-    """Decide by exact arithmetic which of two pictures is wrong where they differ.
+    """Use exact arithmetic to decide which of two pictures is wrong where they differ.
 
-    Pixels are examined in batches, until a batch contains a pixel that is not a tie.  In a tie, two
-    surfaces coincide, and both pictures are right.
-
-    The tracer is right if its radiance is exact for the scene, or for a scene so similar that
-    float64 cannot distinguish the two.  If surfaces coincide, the tracer must show the one that
-    comes first in the scene file; Mitsuba may show the first or the last.
+    A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
+    may not distinguish the two.  If surfaces coincide, the tracer must show the one that comes
+    first in the scene file; Mitsuba may show the first or the last.  A pixel that is right in both
+    pictures is a tie.  Pixels are examined in batches, until a batch contains one that is not a
+    tie.
 
     Parameters
     ----------
@@ -489,29 +487,29 @@ def _examine_exactly(
     is_different : (h, w) bool array
         Pixels to examine.
     tolerance : float
-        Permitted difference between the radiance in a picture and the exact radiance.
+        Permitted difference between a picture's radiance and the exact radiance.
 
     Returns
     -------
     ties : (h, w) bool array
         Pixels that are ties.
     examined : (h, w) bool array
-        The other pixels of the last batch; all False if every pixel is a tie.
+        Pixels of the last batch that are not ties; all False if every pixel is a tie.
     wrong : (h, w) bool array
         Examined pixels in which the tracer is wrong.
     """
     ties, examined, wrong = np.zeros((3, *is_different.shape), dtype=np.bool_)
-    pixels = np.argwhere(is_different)
-    batch_count = -(-len(pixels) // _PIXELS_PER_BATCH)
+    positions = np.argwhere(is_different)
+    batch_count = -(-len(positions) // _PIXELS_PER_BATCH)
     for batch_index in range(batch_count):
-        rows, columns = pixels[batch_index::batch_count].T
+        rows, columns = positions[batch_index::batch_count].T
         radiance = np.stack([tracer_image[rows, columns], mitsuba_image[rows, columns]])
         tracer_is_right, mitsuba_is_right = np.zeros((2, len(rows)), dtype=np.bool_)
-        for near_scene, shift in _indistinguishable_scenes(scene):
+        for similar_scene, shift in _similar_scenes(scene):
             x, y = columns + 0.5 + shift, rows + 0.5 + shift
-            trace = partial(plain.trace, near_scene, x, y, arithmetic="decimal")
-            errors = [np.abs(radiance - trace(ties=shown).radiance) for shown in ("first", "last")]
-            is_exact = np.max(errors, axis=3) <= tolerance  # axes: shown surface, picture, pixel
+            trace = partial(plain.trace, similar_scene, x, y, arithmetic="decimal")
+            errors = [np.abs(radiance - trace(ties=tie).radiance) for tie in ("first", "last")]
+            is_exact = np.max(errors, axis=3) <= tolerance  # axes: surface shown, picture, pixel
             tracer_is_right |= is_exact[0, 0]
             mitsuba_is_right |= is_exact[:, 1].any(axis=0)
             if tracer_is_right.all():
@@ -524,11 +522,11 @@ def _examine_exactly(
     return ties, examined, wrong
 
 
-def _indistinguishable_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene, and similar scenes that float64 arithmetic may not distinguish from it.
+def _similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
+    """Yield a scene, and variations that float64 arithmetic may not distinguish from it.
 
-    In the similar scenes, either the samples are moved by 1e-6 of a pixel, or all spheres are
-    larger or smaller by 1e-12 of their radius.
+    Two variations shift the samples by 1e-6 of a pixel; two others make all spheres larger or
+    smaller by 1e-12 of their radius.
 
     Parameters
     ----------
@@ -537,23 +535,23 @@ def _indistinguishable_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
 
     Yields
     ------
-    near_scene : Scene
+    similar_scene : Scene
         The scene itself, or a copy with larger or smaller spheres.
     shift : float
-        Distance in pixels by which the samples are moved to the right and down.
+        Distance in pixels by which to shift the samples to the right and down.
     """
     for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
-    for factor in (1 - _MAX_GROWTH, 1 + _MAX_GROWTH):
+    for radius_factor in (1 - _MAX_GROWTH, 1 + _MAX_GROWTH):
         surfaces = (
-            replace(s, radius=s.radius * factor) if isinstance(s, Sphere) else s
+            replace(s, radius=s.radius * radius_factor) if isinstance(s, Sphere) else s
             for s in scene.surfaces
         )
         yield replace(scene, surfaces=Surfaces.from_objects(surfaces)), 0.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare all scenes on the command line, print the results, and write comparison pictures.
+    """Compare the scenes on the command line, print the results, and write comparison pictures.
 
     Parameters
     ----------
@@ -562,9 +560,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    status : int
-        The exit status: 0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
-        undecided and no other is worse.
+    exit_status : int
+        0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is undecided and
+        none is worse.
 
     Raises
     ------
@@ -575,20 +573,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     command_parser = make_parser("reference.check")
     add_scene_arguments(command_parser)
-    add = command_parser.add_argument
-    add("--flavour", choices=("exact", "stock"), default="exact", help="see above")
+    flavours = "exact", "stock"
+    command_parser.add_argument("--flavour", choices=flavours, default="exact", help="see above")
     options = command_parser.parse_args(arguments)
-    scenes = skip_converted(options.scenes)
+    scene_paths = skip_converted(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
-    default_paths = [str(scene.parent / f"{scene.stem}{ending}") for scene in scenes]
-    scene_names = [*map(str, scenes)]
+    default_paths = [str(path.parent / f"{path.stem}{ending}") for path in scene_paths]
+    scene_names = [*map(str, scene_paths)]
     outputs = choose_output_paths(command_parser, scene_names, options.output, default_paths)
     choose_variant(options.variant, exit_status=MISUSED)
     make_output_folder(options.output)
-    # Warnings, for example of a black picture, are omitted: the comparison shows what is wrong.
+    # Ignore warnings, for example of a black picture: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)
-    paths = track(zip(scenes, map(Path, outputs), strict=True), len(scenes), "scenes")
-    return worst_status([attempt(_check_and_print, *pair, options) for pair in paths])
+    path_pairs = zip(scene_paths, map(Path, outputs), strict=True)
+    tracked_pairs = track(path_pairs, len(scene_paths), "scenes")
+    return worst_status([attempt(_check_and_print, *pair, options) for pair in tracked_pairs])
 
 
 def worst_status(results: Iterable[CheckResult | Failure]) -> int:
@@ -597,12 +596,12 @@ def worst_status(results: Iterable[CheckResult | Failure]) -> int:
     Parameters
     ----------
     results : iterable of CheckResult or Failure
-        For each scene the comparison, or the reason why it failed.
+        For each scene, the comparison, or the reason why it failed.
 
     Returns
     -------
-    status : int
-        1 if a scene differs or its comparison failed; otherwise 3 if one is undecided; otherwise
+    exit_status : int
+        1 if a scene differs or a comparison failed; otherwise 3 if a scene is undecided; otherwise
         0.
     """
     statuses = (
@@ -612,7 +611,7 @@ def worst_status(results: Iterable[CheckResult | Failure]) -> int:
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
-    """Compare the tracer and Mitsuba on one scene, print the result, and write it as a picture.
+    """Compare the tracer and Mitsuba on one scene, print the result, and draw it as a picture.
 
     Parameters
     ----------
@@ -634,11 +633,11 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
         If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
     result = check(path, options.variant, options.flavour)
-    pair = to_codes(result.tracer), to_codes(result.mitsuba.image)
+    picture_pair = to_codes(result.tracer), to_codes(result.mitsuba.image)
     difference = largest_difference(result.tracer - result.mitsuba.image)
     labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
     with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY):
-        write_comparison(comparison_path, pair, difference, labels)
+        write_comparison(comparison_path, picture_pair, difference, labels)
     print_line(sys.stdout, result.report())
     print_line(sys.stdout, printable(f"  {comparison_path}"))
     return result

@@ -4,12 +4,11 @@
     python -m reference.compare HAND-INS/ SCENES/
 
 RIGHT is a scene file, which is rendered, a picture, or a folder of these.  A mistake is reported if
-the scene, rendered with this mistake, gives the picture that was handed in; if there is none, the
-nearest mistake, and where the pictures differ.  With a picture in place of a scene, only some
-mistakes of the camera and of the encoding are known.  All pictures in a folder and its subfolders
-are compared with the scenes of their names: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png
-with NAME.xml.
-Exit status: 0 if all agree, or are within the tolerances; 1 if some do not, or are missing; 2 for
+rendering the scene with this mistake reproduces the hand-in.  If no mistake does, the report names
+the nearest one, and where the pictures differ.  If RIGHT is a picture, only some mistakes of the
+camera and of the encoding can be found.  All pictures in a folder and its subfolders are compared
+with the scenes of the same name: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png with NAME.xml.
+Exit status: 0 if all agree, or are within the tolerances; 1 if some differ or are missing; 2 for
 wrong usage; 3 if some cannot be compared.
 """
 
@@ -54,26 +53,28 @@ from tracer.messages import printable
 
 # Time between updates of the progress bar of a single comparison.
 _REFRESH_SECONDS = 0.5
-# Why a hand-in is not compared if its worker dies.
-_LOST = "cannot be compared: its process was ended; is there enough memory?"
+# The error of a hand-in whose worker process has died.
+_WORKER_DIED = "cannot be compared: its process was ended; is there enough memory?"
 
 
-def parse_tolerance(text: str) -> float:
-    """Convert a command-line argument to a number of at least 0.
+def parse_tolerance(argument: str) -> float:
+    """Convert a command-line argument to a non-negative number.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        If the text is not a number, or the number is negative or NaN.
+        If the argument is not a number, or is negative or NaN.
     """
     with suppress(ValueError):
-        if (number := float(text)) >= 0:
-            return number
-    raise argparse.ArgumentTypeError(f"must be 0 or more, not {text}")
+        if (tolerance := float(argument)) >= 0:
+            return tolerance
+    raise argparse.ArgumentTypeError(f"must be 0 or more, not {argument}")
 
 
 def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Namespace, list[HandIn]]:
-    """Parse the command line, and find the reference picture or scene of each hand-in.
+    """Parse the command line, and match each hand-in with its reference picture or scene.
+
+    A hand-in is a picture that a student handed in.
 
     Parameters
     ----------
@@ -84,67 +85,72 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     -------
     options : Namespace
         The options.  In addition, `is_class` is True if the first argument is a folder, and
-        `folder` is that folder, or the folder of the picture.
+        `folder` is that folder, or otherwise the picture's folder.
     hand_ins : list of HandIn
-        The pictures that were handed in, and those that are missing.
+        Each picture to compare, or missing, with its reference.
 
     Raises
     ------
     SystemExit
-        For wrong usage, with status 2 after a message.
+        For wrong usage; a message is printed, and the exit status is 2.
     Failure
         If a file does not exist.
     """
     command_parser = make_parser("reference.compare")
-    add, exit_with = command_parser.add_argument, command_parser.error
-    add("a", metavar="HAND-IN", type=Path, help="the picture in question, or a folder")
-    add("b", metavar="RIGHT", type=Path, help="a scene file, a picture, or a folder of these")
-    add("--ssim", type=parse_tolerance, metavar="S", help="smallest SSIM to accept")
-    add("--max", type=parse_tolerance, metavar="M", help="largest linear difference to accept")
+    add_argument, report_error = command_parser.add_argument, command_parser.error
+    add_argument("hand_in", metavar="HAND-IN", type=Path, help="the picture to check, or a folder")
+    reference_help = "a scene file, a picture, or a folder of these"
+    add_argument("reference", metavar="RIGHT", type=Path, help=reference_help)
+    add_argument("--ssim", type=parse_tolerance, metavar="S", help="smallest SSIM to accept")
+    max_help = "largest linear difference to accept"
+    add_argument("--max", type=parse_tolerance, metavar="M", help=max_help)
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
-    add("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
-    add("--html", type=parse_path, metavar="OUT.html", help="write one page that shows all of them")
+    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
+    html_help = "write one page that shows all pictures"
+    add_argument("--html", type=parse_path, metavar="OUT.html", help=html_help)
     formats = command_parser.add_mutually_exclusive_group()
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
-    add_format("--json", const=format_json, help="print a list with an object per picture")
+    add_format("--json", const=format_json, help="print a list with one object per picture")
     add_format("--csv", const=format_csv, help="print the same as a table")
     options = command_parser.parse_args(arguments)
-    for path in (options.a, options.b):
+    submission, reference = options.hand_in, options.reference
+    for path in (submission, reference):
         if not path.exists():
             raise Failure(str(path), "does not exist", status=FAILED_STATUS)
-    options.is_class = options.a.is_dir()
-    options.folder = options.a if options.is_class else options.a.parent
-    pictures = list_hand_ins(options.a) if options.is_class else [options.a]
-    if options.a.suffix.lower() == ".xml" or (not pictures and [*options.a.glob("*.xml")]):
-        exit_with(printable(f"{options.a}: a hand-in is a picture; give it first, then the scene"))
-    if not pictures:
-        exit_with(printable(f"{options.a}: contains no pictures"))
+    options.is_class = submission.is_dir()
+    options.folder = submission if options.is_class else submission.parent
+    picture_paths = list_hand_ins(submission) if options.is_class else [submission]
+    if submission.suffix.lower() == ".xml" or (not picture_paths and [*submission.glob("*.xml")]):
+        problem = "a hand-in is a picture; give it first, then the scene"
+        report_error(printable(f"{submission}: {problem}"))
+    if not picture_paths:
+        report_error(printable(f"{submission}: contains no pictures"))
     if options.is_class and options.output and not is_folder(options.output):
-        problem = "several pictures need a folder; end it in"
-        exit_with(printable(f"-o {options.output}: {problem} {os.sep}"))
-    hand_ins = match_hand_ins(pictures, options.a, options.b)
-    outputs = [_comparison_path(options, picture) for picture in pictures if options.output]
+        problem = f"several pictures need a folder; end it in {os.sep}"
+        report_error(printable(f"-o {options.output}: {problem}"))
+    hand_ins = match_hand_ins(picture_paths, submission, reference)
+    outputs = [_choose_comparison_path(options, path) for path in picture_paths if options.output]
     outputs += [Path(options.html)] if options.html else []
-    references = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
-    forbid_overwriting_inputs(command_parser, outputs, (*pictures, *references))
+    reference_paths = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
+    forbid_overwriting_inputs(command_parser, outputs, (*picture_paths, *reference_paths))
     return options, hand_ins
 
 
-def _comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
-    """Return the path of the comparison picture, which shows a hand-in beside its reference.
+def _choose_comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
+    """Choose the file in which to draw a submitted picture beside its reference.
 
     Parameters
     ----------
     options : Namespace
-        The command-line options, with -o (`output`).
+        The command-line options.  Its `output` is the argument of -o.
     picture_path : Path
-        The picture that was handed in.
+        The submitted picture.
 
     Returns
     -------
     path : Path
-        The file that -o names; or, if -o names a folder, a file in that folder, which is different
-        for each picture of a class.
+        The argument of -o if it names a file.  If it names a folder, a file in that folder; each
+        picture of a class has a different one.
     """
     if not is_folder(options.output):
         return Path(options.output)
@@ -153,9 +159,9 @@ def _comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare pictures that were handed in with their references, and print the results.
+    """Compare submitted pictures with their references, and print the results.
 
-    If the options request it, an HTML page and comparison pictures are written, too.
+    Depending on the options, also write an HTML page and comparison pictures.
 
     Parameters
     ----------
@@ -164,30 +170,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    status : int
+    exit_status : int
         0 if all pictures agree; 1 if some differ or are missing; 3 if some cannot be compared.
 
     Raises
     ------
     SystemExit
-        For wrong usage, with status 2.
+        For wrong usage, with exit status 2.
     Failure
-        If a file does not exist or cannot be written, or if a single picture cannot be compared.
+        If a file does not exist or cannot be written, or if the only picture cannot be compared.
     """
     options, hand_ins = _parse_command_line(arguments)
-    # Hand-ins of one scene follow one another: what is computed for the scene serves all of them.
-    jobs = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
-    if len(jobs) == 1:
-        results_and_pairs = [_compare_with_progress_bar(options, jobs[0])]
+    # Sort by reference, so that consecutive hand-ins can use the same cached reference.
+    hand_ins = sorted(hand_ins, key=lambda hand_in: str(hand_in.reference))
+    if len(hand_ins) == 1:
+        results_and_pairs = [_compare_with_progress_bar(options, hand_ins[0])]
     else:
         compare = partial(compare_hand_in, options)
-        compared = map_in_workers(compare, jobs, lambda job: compare(job._replace(error=_LOST)))
-        results_and_pairs = sorted(track(compared, len(jobs), "pictures"), key=_sort_key)
+        comparisons = map_in_workers(
+            compare, hand_ins, lambda hand_in: compare(hand_in._replace(error=_WORKER_DIED))
+        )
+        results_and_pairs = sorted(track(comparisons, len(hand_ins), "pictures"), key=_sort_key)
     results = with_common_causes_first([result for result, _ in results_and_pairs])
     if options.html:
         pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
-        page = render_class_page(results, pairs, options.folder)
-        write_page(Path(options.html), page, "choose another with --html", FAILED_STATUS)
+        html = render_class_page(results, pairs, options.folder)
+        write_page(Path(options.html), html, "choose another with --html", FAILED_STATUS)
     if results[0].error and not (options.is_class or options.format_results):
         raise Failure("", results[0].error, status=FAILED_STATUS)
     format_results = options.format_results or partial(format_text, as_list=options.is_class)
@@ -201,7 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _compare_with_progress_bar(
     options: argparse.Namespace, hand_in: HandIn
 ) -> tuple[Result, Pair | None]:
-    """Compare one picture, and show the elapsed time in a progress bar after the first second.
+    """Compare one picture with its reference, showing a progress bar after the first second.
 
     Parameters
     ----------
@@ -213,9 +221,10 @@ def _compare_with_progress_bar(
     Returns
     -------
     result : Result
-        The diagnosis and the figures, or an error, as `compare_hand_in` returns it.
+        The mistakes in the picture and measures of the difference, or an error.
     pair : dict or None
-        Both pictures, as the HTML page needs them; None without a page.
+        The HTML page's data on both pictures; None if no page is requested, or if there is an
+        error.
     """
     with Progress(1, "pictures") as bar, ThreadPoolExecutor(1) as executor:
         future = executor.submit(compare_hand_in, options, hand_in)
@@ -225,39 +234,36 @@ def _compare_with_progress_bar(
 
 
 def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
-    """Return a key that sorts results: pictures by their paths, then missing ones by student.
+    """Return a sort key that puts pictures first, by path, then missing pictures, by student.
 
-    Scenes without any picture come last.
+    Scenes that nobody has handed in come last.
 
     Parameters
     ----------
-    result_and_pair : tuple of Result and Pair
-        The result of comparing a picture, and the pair of pictures for the HTML page or None.  Only
-        the result is used.
+    result_and_pair : tuple of Result and (Pair or None)
+        The result of a comparison, and the page's data on both pictures, which are ignored here.
 
     Returns
     -------
     is_missing : bool
-        Whether no picture was handed in.
-    name : str
-        The path of the picture, or else the student's name.
+        Whether the picture is missing.
+    path_or_student : str
+        The path of the picture; if it is missing, the student's name, or "~" for nobody.
     scene : str
         The scene's name.
     """
-    result = result_and_pair[0]
+    result, _ = result_and_pair
     return not result.picture, result.picture or result.student or "~", result.scene
 
 
 @lru_cache(maxsize=1)
 def _load_solution(path: Path) -> Solution:
-    """Load a reference, with which hand-ins are compared: a scene or a picture.
-
-    A second call with the same path returns the same object, unless another path came in between.
+    """Load the reference scene or picture to compare hand-ins with; cache the most recent one.
 
     Parameters
     ----------
     path : Path
-        A scene file, whose name ends in .xml, or a picture.
+        A scene file if the name ends in .xml, otherwise a picture.
 
     Returns
     -------
@@ -276,7 +282,7 @@ def _load_solution(path: Path) -> Solution:
 
 
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a picture that was handed in with its reference; return errors instead of raising.
+    """Compare a submitted picture with its reference, returning errors instead of raising them.
 
     Parameters
     ----------
@@ -288,54 +294,55 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
     Returns
     -------
     result : Result
-        The diagnosis and the figures.  If the picture is missing or cannot be compared, the result
-        contains the reason instead, as its `error`.
+        The mistakes in the picture and measures of the difference.  If the picture is missing or
+        cannot be compared, the `error` of the result states why.
     pair : dict or None
-        Both pictures, as the HTML page needs them.  None if no page is requested, if the sizes
-        differ, or if the picture cannot be compared.
+        The HTML page's data on both pictures.  None if no page is requested, if the sizes differ,
+        or if the picture cannot be compared.
     """
     paths = hand_in.picture, hand_in.reference
     picture_name, reference_name = (str(path) if path else None for path in paths)
     result = Result(hand_in.student, hand_in.scene, picture_name, reference_name)
     missing_name = Path(hand_in.student, hand_in.scene) if hand_in.student else reference_name
-    where = picture_name or str(missing_name)
+    name_in_error = picture_name or str(missing_name)
     try:
         if hand_in.error or not (hand_in.picture and hand_in.reference):
-            raise Failure(where, hand_in.error)
-        with errors_as_failure(where, "compared", memory_remedy="compare a part"):
+            raise Failure(name_in_error, hand_in.error)
+        with errors_as_failure(name_in_error, "compared", memory_remedy="compare a part"):
             return _compare_files(options, hand_in.picture, hand_in.reference, result)
     except Failure as failure:
         return result._replace(error=str(failure)), None
     except Exception as bug:
-        cause = f"{type(bug).__name__}: {bug}; this is a bug, please report it"
-        return result._replace(error=str(Failure(where, f"cannot be compared: {cause}"))), None
+        problem = f"cannot be compared: {type(bug).__name__}: {bug}"
+        error = Failure(name_in_error, problem, "this is a bug, please report it")
+        return result._replace(error=str(error)), None
 
 
 def _compare_files(
     options: argparse.Namespace, picture_path: Path, reference_path: Path, result: Result
 ) -> tuple[Result, Pair | None]:
-    """Compare a picture with its reference; if requested, write a comparison picture.
+    """Compare a picture with its reference, and draw them side by side if requested.
 
-    The comparison picture shows both side by side.  In a class, it is written only for pictures
-    that differ.
+    If a whole class is compared, only pictures that differ are drawn.
 
     Parameters
     ----------
     options : Namespace
         The command-line options.
     picture_path : Path
-        The picture that was handed in.
+        The submitted picture.
     reference_path : Path
         The reference: a picture or a scene file.
     result : Result
-        The names of the student, of the scene and of both files.
+        The names of the student, the scene and both files.
 
     Returns
     -------
     result : Result
-        A copy of `result` with the diagnosis and, unless the sizes differ, the figures.
+        A copy of `result` that also has the diagnosis (the mistakes in the picture) and, unless the
+        sizes differ, measures of the difference.
     pair : dict or None
-        Both pictures, as the HTML page needs them.  None if no page is requested, or if the sizes
+        The HTML page's data on both pictures.  None if no page is requested, or if the sizes
         differ.
 
     Raises
@@ -363,10 +370,11 @@ def _compare_files(
     )  # fmt: skip
     pair = make_pair(result, picture.codes, solution.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
-        output = _comparison_path(options, picture_path)
+        comparison_path = _choose_comparison_path(options, picture_path)
         labels = printable(picture_path.name), printable(reference_path.name)
-        with errors_as_failure(output, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
-            output.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output, (picture.codes, solution.codes), difference, labels)
-        result = result._replace(comparison=str(output))
+        error_types = (ValueError,)
+        with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY, error_types=error_types):
+            comparison_path.parent.mkdir(parents=True, exist_ok=True)
+            write_comparison(comparison_path, (picture.codes, solution.codes), difference, labels)
+        result = result._replace(comparison=str(comparison_path))
     return result, pair

@@ -132,7 +132,9 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
     if tracer_errs:
         replace_tracer(monkeypatch, wrong)
     result = compared(scene, image if tracer_errs else wrong)
-    assert any(line.startswith(figure) for line in check.out_of_tolerance(result.figures))
+    assert any(
+        line.startswith(figure) for line in check.list_figures_out_of_tolerance(result.figures)
+    )
     assert result.verdict == ("DIFFERS" if tracer_errs else "undecided")
     if not tracer_errs:
         assert compared(scene, image + 5e-7 * (image > 0)).verdict == "agrees"
@@ -144,7 +146,7 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
 def test_tolerances_of_whole_pictures():
     def lines(ssim: float, median: float) -> list[str]:
         figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over=0)
-        return check.out_of_tolerance(figures)
+        return check.list_figures_out_of_tolerance(figures)
 
     assert lines(0.99901, 0.99e-6) == []
     assert lines(0.99899, 0) == ["SSIM 0.99899 is below 0.999"]

@@ -45,7 +45,7 @@ def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
     # Variants of Mitsuba may decide ties differently: such pixels do not count in SSIM either.
     shown = np.where(excluded[:, :, None], then.mitsuba.image, now.mitsuba.image)
     measured = measure_differences(shown, then.mitsuba.image, excluded)
-    assert check.out_of_tolerance(measured) == []
+    assert check.list_figures_out_of_tolerance(measured) == []
     assert measured.max <= check.EXACT.difference
 
 
