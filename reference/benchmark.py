@@ -42,8 +42,8 @@ from reference.measured.workloads import field_scene, resize_picture
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import count_processors
 
-_FEW_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
-_SPEEDUPS = ("speedup over exact", "speedup over stock")
+_SELECTED_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
+_SPEEDUP_COLUMNS = ("speedup over exact", "speedup over stock")
 _SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE = (320, 180), (1280, 720), (2560, 1440)
 
 # A typical script that renders scenes with Mitsuba.  Its arguments are the variant, then pairs of a
@@ -77,22 +77,22 @@ ROUNDS = 3
 """Minimum number of rounds in which each task is timed."""
 
 
-def compute_speedup(timing: Timing, other_timing: Timing) -> float:
-    """Compute how many times as fast as another task a task is, by their median times.
+def compute_speedup(timing: Timing, baseline_timing: Timing) -> float:
+    """Compute a task's speedup over a baseline: the ratio of their median times.
 
-    The result is above 1 if the first task is faster.
+    The speedup is above 1 if the task is faster than the baseline.
     """
-    return other_timing.median / timing.median
+    return baseline_timing.median / timing.median
 
 
 def format_ratio(ratio: float) -> str:
-    """Format a positive ratio with at least two significant digits: 0.50×, 3.0×, 42×."""
-    decimals = 2 if ratio < 0.995 else 1 if ratio < 9.95 else 0
-    return f"{ratio:.{decimals}f}×"
+    """Format a positive ratio with at least two significant digits, such as 0.50×, 3.0× or 42×."""
+    decimal_places = 2 if ratio < 0.995 else 1 if ratio < 9.95 else 0
+    return f"{ratio:.{decimal_places}f}×"
 
 
 def format_section(
-    title: str, note: str, columns: Sequence[str], rows: Sequence[Sequence[object]]
+    title: str, note: str, column_titles: Sequence[str], rows: Sequence[Sequence[object]]
 ) -> str:
     """Format a section of a Markdown page: a heading, a note and a table.
 
@@ -100,37 +100,37 @@ def format_section(
     ----------
     title, note : str
         The heading, and a paragraph that describes the table.
-    columns : sequence of str
+    column_titles : sequence of str
         Titles of the table's columns.
     rows : sequence of sequences
-        The rows of the table.  Floats are formatted as ratios, all other objects by `str`.
+        The rows of the table.  Floats are formatted as ratios, other values by `str`.
 
     Returns
     -------
     section : str
-        The section, without a line end after its last line.
+        The Markdown text, without a final newline.
     """
-    cells = [[format_ratio(x) if isinstance(x, float) else str(x) for x in row] for row in rows]
-    lines = [columns, ["---"] * len(columns), *cells]
-    return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(line)} |" for line in lines)])
+    table = [column_titles, ["---"] * len(column_titles)]
+    table += ([format_ratio(x) if isinstance(x, float) else str(x) for x in row] for row in rows)
+    return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(cells)} |" for cells in table)])
 
 
 def _time_tracer_and_mitsuba(scene: Scene, mitsuba_scene: str) -> tuple[Timing, Timing]:
-    """Time how the tracer and Mitsuba render a scene in this process, alternately.
+    """Time alternate renderings of a scene by the tracer and by Mitsuba, in this process.
 
     Parameters
     ----------
     scene : Scene
-        The scene for the tracer.
+        The scene in the tracer's format.
     mitsuba_scene : str
         The same scene in Mitsuba's XML format.  It is loaded before the clock starts.
 
     Returns
     -------
     tracer_timing, mitsuba_timing : Timing
-        Times in which each of them renders one picture.
+        Time that each renderer takes for one picture.
     """
-    gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
+    gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     loaded_scene = mi.load_string(mitsuba_scene)
     tasks: dict[str, Task] = {"tracer": partial(render, scene)}
     tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
@@ -144,20 +144,20 @@ def benchmark_whole_process(quick: bool) -> str:
     Parameters
     ----------
     quick : bool
-        Whether to render one scene in a small picture only.
+        Whether to render only one scene, at a small size.
 
     Returns
     -------
     section : str
-        The section of the Markdown page with these times.
+        A section of a Markdown page, with these times.
     """
     variant, png_path = use_variant().variant, str(build_path("out.png"))
     tracer_command = [sys.executable, "-m", "tracer", "--quiet", "-o", png_path]
     mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT]
     rows: list[tuple[object, ...]] = []
-    pictures = [*product((_SMALL_SIZE, _LARGE_SIZE), _FEW_SCENES)]
-    for size, name in pictures[:1] if quick else pictures:
-        scene = resize_picture(load_scene(SCENES / f"{name}.xml"), *size)
+    cases = [*product((_SMALL_SIZE, _LARGE_SIZE), _SELECTED_SCENES)]
+    for size, scene_name in cases[:1] if quick else cases:
+        scene = resize_picture(load_scene(SCENES / f"{scene_name}.xml"), *size)
         save_scene(scene, scene_file := build_path("tracer.xml"))
         (exact_file := build_path("exact.xml")).write_text(str(convert_exact(scene)))
         (stock_file := build_path("stock.xml")).write_text(str(convert_stock(scene, 1)))
@@ -172,35 +172,33 @@ def benchmark_whole_process(quick: bool) -> str:
             commands["POV-Ray"] = povray.write_scene_and_command(scene, Path(png_path))
         tasks = {name: make_command_task(command) for name, command in commands.items()}
         timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
-        speedup_over_exact, *speedups_over_stock = (
-            compute_speedup(timings["tracer"], timings[other])
-            for other in ("Mitsuba exact", "Mitsuba stock", "the same, scalar")
-        )
-        cells = (*timings.values(), speedup_over_exact, min(speedups_over_stock))
-        rows.append((f"{name} {size[0]}×{size[1]}", *cells))
+        baselines = (timings[x] for x in ("Mitsuba exact", "Mitsuba stock", "the same, scalar"))
+        over_exact, *over_stock = (compute_speedup(timings["tracer"], x) for x in baselines)
+        cells = (*timings.values(), over_exact, min(over_stock))
+        rows.append((f"{scene_name} {size[0]}×{size[1]}", *cells))
     return format_section(
         "Whole process: from XML to PNG",
         f"Milliseconds, from the shell. Mitsuba {variant} has a warm kernel cache. Its stock"
         f" plugins are also timed in {SCALAR}, which has no kernels to load; the speedup over stock"
         " is over the faster of the two. `import numpy` starts OpenBLAS's threads; the tracer"
         " imports NumPy without them.",
-        ("scene", *commands, *_SPEEDUPS),
+        ("scene", *commands, *_SPEEDUP_COLUMNS),
         rows,
     )
 
 
 def benchmark_rendering(quick: bool) -> str:
-    """Time the rendering of every scene in this process, without reading and writing files.
+    """Time the rendering of every scene in this process, without reading or writing files.
 
     Parameters
     ----------
     quick : bool
-        Whether to render a few scenes in small pictures only.
+        Whether to render only a few scenes, at a small size.
 
     Returns
     -------
     section : str
-        The section of the Markdown page with these times.
+        A section of a Markdown page, with these times.
     """
     variant = use_variant().variant
     rows: list[tuple[object, ...]] = []
@@ -208,7 +206,7 @@ def benchmark_rendering(quick: bool) -> str:
         speedups: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in own_scenes()}
         scenes |= {f"field-{count}": field_scene(count) for count in (1000, 10_000)}
-        for name in _FEW_SCENES if quick else scenes:
+        for name in _SELECTED_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
             exact_scene, stock_scene = str(convert_exact(scene)), str(convert_stock(scene, 1))
             timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_scene)
@@ -217,16 +215,16 @@ def benchmark_rendering(quick: bool) -> str:
             speedups.append((over_exact, compute_speedup(second_timing, stock_timing)))
             cells = timing, exact_timing, stock_timing, *speedups[-1]
             rows.append((f"{name} {size[0]}×{size[1]}", *cells))
-        means = (geometric_mean(column) for column in zip(*speedups, strict=True))
-        rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *means))
+        mean_speedups = map(geometric_mean, zip(*speedups, strict=True))
+        rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *mean_speedups))
     return format_section(
         "Rendering alone",
         "Milliseconds in one process, one sample per pixel, timed alternately with pauses of 20 ms,"
         " because Mitsuba's threads keep spinning that long. The tracer uses one process, Mitsuba"
         f" {variant} {count_processors()} processors, with scene and kernels ready. Exact: the same"
-        " picture, by this project's plugins. Stock: a similar one by Mitsuba's own plugins, with"
-        " one light per sample; its speedup refers to a second timing of the tracer.",
-        ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUPS),
+        " picture, by this project's plugins. Stock: a similar one by Mitsuba's built-in plugins,"
+        " with one light per sample; its speedup refers to a second timing of the tracer.",
+        ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUP_COLUMNS),
         rows,
     )
 
@@ -237,22 +235,22 @@ def benchmark_objects(quick: bool) -> str:
     Parameters
     ----------
     quick : bool
-        Whether to use 10 and 100 objects only.
+        Whether to use only 10 and 100 objects.
 
     Returns
     -------
     section : str
-        The section of the Markdown page with these times.
+        A section of a Markdown page, with these times.
     """
     use_variant()
     rows: list[tuple[object, ...]] = []
     for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
-        save_scene(field_scene(count), path := build_path("objects.xml"))
-        scene = load_scene(path)
+        save_scene(field_scene(count), scene_file := build_path("objects.xml"))
+        scene = load_scene(scene_file)
         mitsuba_scene = str(convert_exact(scene))
-        tasks: dict[str, Task] = {"parse": partial(ET.parse, path)}
-        tasks |= {"load": partial(load_scene, path), "render": partial(render, scene)}
-        # Mitsuba's many objects must not slow down the garbage collector, nor its kernels.
+        tasks: dict[str, Task] = {"parse": partial(ET.parse, scene_file)}
+        tasks |= {"load": partial(load_scene, scene_file), "render": partial(render, scene)}
+        # Exclude Mitsuba's many objects from garbage collection: they would distort the timings.
         gc.collect()
         gc.freeze()
         timings = time_interleaved(tasks, ROUNDS)
@@ -261,9 +259,9 @@ def benchmark_objects(quick: bool) -> str:
     return format_section(
         "Many objects",
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
-        " pixel. Loading is the time from the text to the scene, for Mitsuba with one shape per"
-        " object. `xml.etree` only parses the text. Mitsuba's first picture compiles its kernels."
-        " Mitsuba is timed once.",
+        " pixel. Loading turns XML text into a scene that is ready to render; in Mitsuba, each"
+        " object is a separate shape. `xml.etree` only parses the text. Before its first picture,"
+        " Mitsuba compiles its kernels. Mitsuba is timed once.",
         ("objects", "xml.etree", "tracer: loading", "rendering",
          "Mitsuba: loading", "first picture", "next picture"),
         rows,
@@ -271,7 +269,7 @@ def benchmark_objects(quick: bool) -> str:
 
 
 def _time_mitsuba_once(mitsuba_scene: str) -> list[Timing]:
-    """Time once how Mitsuba loads a scene, renders it, and renders it again.
+    """Time Mitsuba once as it loads a scene and renders it twice.
 
     Parameters
     ----------
@@ -281,27 +279,29 @@ def _time_mitsuba_once(mitsuba_scene: str) -> list[Timing]:
     Returns
     -------
     timings : list of three Timing
-        Times of loading, of the first picture, for which kernels are compiled, and of the second
-        picture.
+        The times for loading, for the first rendering (including the compilation of kernels), and
+        for the second rendering.
     """
-    times = [perf_counter()]
+    timestamps = [perf_counter()]
     scene = mi.load_string(mitsuba_scene)
-    times.append(perf_counter())
+    timestamps.append(perf_counter())
     for _ in range(2):
         np.array(mi.render(scene))
-        times.append(perf_counter())
-    return [Timing(seconds, seconds, seconds) for seconds in np.diff(times).tolist()]
+        timestamps.append(perf_counter())
+    return [Timing(seconds, seconds, seconds) for seconds in np.diff(timestamps).tolist()]
 
 
-def write_frames_and_commands(count: int, size: tuple[int, int]) -> dict[str, list[list[str]]]:
-    """Write an animation's frames as scene files, and return each renderer's commands for them.
+def write_frames_and_commands(
+    frame_count: int, size: tuple[int, int]
+) -> dict[str, list[list[str]]]:
+    """Write an animation's frames as scene files, and return the commands that render them.
 
-    The files are written to the build folder, in the format of each renderer.  The eye moves away
-    from the scene, from frame to frame.
+    The files are written to the build folder, in each renderer's format.  In each frame, the eye is
+    further away from the scene than in the frame before.
 
     Parameters
     ----------
-    count : int
+    frame_count : int
         Number of frames.
     size : (int, int)
         Width and height of each frame in pixels.
@@ -309,36 +309,38 @@ def write_frames_and_commands(count: int, size: tuple[int, int]) -> dict[str, li
     Returns
     -------
     commands : dict of str to list of commands
-        For the name of each renderer, commands to run one after the other.  A command is a list of
-        the program and its arguments.  Only POV-Ray, if it is installed, needs more than one
-        command.
+        Maps the name of each renderer to the commands to run, one after the other.  A command is a
+        list of a program and its arguments.  POV-Ray, if installed, needs one command per frame;
+        every other renderer needs one command for all frames.
     """
     scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
-    files, povray_commands = list[str](), list[list[str]]()
+    scene_files, povray_commands = list[str](), list[list[str]]()
     mitsuba_files = {"exact": list[str](), "stock": list[str]()}
-    for k in range(count):
-        frame = replace(scene, camera=replace(camera, view_point=eye * (1 + k / count)))
-        save_scene(frame, path := build_path(f"frame-{k}.xml"))
-        files.append(str(path))
-        converted = {"exact": convert_exact(frame), "stock": convert_stock(frame, 1)}
+    for frame_index in range(frame_count):
+        frame_eye = eye * (1 + frame_index / frame_count)
+        frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
+        save_scene(frame_scene, scene_file := build_path(f"frame-{frame_index}.xml"))
+        scene_files.append(str(scene_file))
+        converted = {"exact": convert_exact(frame_scene), "stock": convert_stock(frame_scene, 1)}
         for flavour, mitsuba_scene in converted.items():
-            (path := build_path(f"frame-{k}.{flavour}.xml")).write_text(str(mitsuba_scene))
-            mitsuba_files[flavour] += [str(path), f"{path}.png"]
-        picture = build_path(f"frame-{k}.png")
-        povray_commands.append(povray.write_scene_and_command(frame, picture))
-    tracer = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
-    halves = [shlex.join([*tracer, "1", *files[k::2]]) for k in (0, 1)]
+            mitsuba_file = build_path(f"frame-{frame_index}.{flavour}.xml")
+            mitsuba_file.write_text(str(mitsuba_scene))
+            mitsuba_files[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
+        picture = build_path(f"frame-{frame_index}.png")
+        povray_commands.append(povray.write_scene_and_command(frame_scene, picture))
+    tracer_command = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
+    half_commands = [shlex.join([*tracer_command, "1", *scene_files[odd::2]]) for odd in (0, 1)]
     pool_script = [sys.executable, "-c", _POOL_SCRIPT]
     mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT, use_variant().variant]
     commands = {
-        "tracer, 1 process": [[*tracer, "1", *files]],
-        "tracer, 2 processes": [[*tracer, "2", *files]],
+        "tracer, 1 process": [[*tracer_command, "1", *scene_files]],
+        "tracer, 2 processes": [[*tracer_command, "2", *scene_files]],
         "two such commands, 1 process and half of the frames each": [
-            ["sh", "-c", f"{halves[0]} & {halves[1]}; wait"]
+            ["sh", "-c", f"{half_commands[0]} & {half_commands[1]}; wait"]
         ],
-        "pool.map(tracer.to_png), 1 worker": [[*pool_script, "1", *files]],
-        "pool.map(tracer.to_png), 2 workers": [[*pool_script, "2", *files]],
+        "pool.map(tracer.to_png), 1 worker": [[*pool_script, "1", *scene_files]],
+        "pool.map(tracer.to_png), 2 workers": [[*pool_script, "2", *scene_files]],
         "Mitsuba exact": [[*mitsuba_script, *mitsuba_files["exact"]]],
         "Mitsuba stock": [[*mitsuba_script, *mitsuba_files["stock"]]],
     }
@@ -346,26 +348,26 @@ def write_frames_and_commands(count: int, size: tuple[int, int]) -> dict[str, li
 
 
 def benchmark_frames(quick: bool) -> str:
-    """Time the commands with which each renderer renders the frames of an animation.
+    """Time each renderer's commands for rendering the frames of an animation.
 
     Parameters
     ----------
     quick : bool
-        Whether to render a few small frames only.
+        Whether to render only a few small frames.
 
     Returns
     -------
     section : str
-        The section of the Markdown page with these times.
+        A section of a Markdown page, with these times.
     """
-    count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
-    renderers = write_frames_and_commands(count, size)
-    tasks = {name: partial(run_commands, commands) for name, commands in renderers.items()}
+    frame_count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
+    renderer_commands = write_frames_and_commands(frame_count, size)
+    tasks = {name: partial(run_commands, commands) for name, commands in renderer_commands.items()}
     timings = time_interleaved(tasks, ROUNDS)
-    timings = {name: timing.divided_by(count) for name, timing in timings.items()}
+    timings = {name: timing.divided_by(frame_count) for name, timing in timings.items()}
     first_timing = timings["tracer, 1 process"]
     return format_section(
-        f"{count} frames of {size[0]}×{size[1]}",
+        f"{frame_count} frames of {size[0]}×{size[1]}",
         "Milliseconds per frame: files are read, one sample per pixel is rendered, and PNG files"
         f" are written, from the shell, on {count_processors()} processors. Starting the"
         " programs is included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for"
@@ -376,7 +378,7 @@ def benchmark_frames(quick: bool) -> str:
 
 
 def run_commands(commands: Sequence[Sequence[str]]) -> None:
-    """Run commands one after the other; raise CalledProcessError if one fails."""
+    """Run commands one after the other, and raise CalledProcessError if one fails."""
     for command in commands:
         make_command_task(command)()
 
@@ -385,16 +387,16 @@ SECTIONS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, ben
 
 
 def main() -> None:
-    """Measure all sections, print each when it is measured, and write the Markdown page."""
+    """Run all benchmarks, print each result when it is ready, and write the Markdown page."""
     arguments = make_parser("reference.benchmark", "small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
-    page = [
+    sections = [
         "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"
         f" least {ROUNDS} rounds. A speedup above 1 means that the tracer is faster. Measured on"
         f" {describe_origin()}."
     ]
-    for section in SECTIONS:
-        page.append(section(arguments.quick))
-        print(page[-1], end="\n\n", flush=True)
-    path = build_path("benchmark.md") if arguments.quick else HERE / "benchmark.md"
-    path.write_text("\n\n".join(page) + "\n", encoding="utf-8")
+    for benchmark in SECTIONS:
+        sections.append(benchmark(arguments.quick))
+        print(sections[-1], end="\n\n", flush=True)
+    page_path = build_path("benchmark.md") if arguments.quick else HERE / "benchmark.md"
+    page_path.write_text("\n\n".join(sections) + "\n", encoding="utf-8")

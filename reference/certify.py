@@ -44,7 +44,7 @@ _DEFAULT_ERROR = Fraction(1, 128)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Certify a scene's picture, write it as a PNG file, and print what is certain about it.
+    """Render a scene with proven error bounds, write the picture, and print what is proven.
 
     Parameters
     ----------
@@ -53,9 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    status : int
-        The exit status: 1 if the picture given by `--judge` has codes that are certainly wrong,
-        otherwise 0.
+    exit_status : int
+        1 if the picture given by `--judge` has codes that are certainly wrong, otherwise 0.
 
     Raises
     ------
@@ -66,27 +65,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     command_parser = _make_command_parser()
     arguments = command_parser.parse_args(argv)
-    path, output = arguments.scene, arguments.output or f"{arguments.scene}.certified.png"
-    inputs = [Path(file) for file in (path, arguments.judge) if file]
-    forbid_overwriting_inputs(command_parser, [Path(output)], inputs)
+    scene_path: str = arguments.scene
+    output_path = arguments.output or f"{scene_path}.certified.png"
+    input_paths = [Path(file) for file in (scene_path, arguments.judge) if file]
+    forbid_overwriting_inputs(command_parser, [Path(output_path)], input_paths)
     failure_if_not = partial(errors_as_failure, status=FAILED_STATUS)
-    with failure_if_not(path, "read", memory_remedy="split the scene"):
-        scene = load_scene(path)
+    with failure_if_not(scene_path, "read", memory_remedy="split the scene"):
+        scene = load_scene(scene_path)
     judged_codes = _read_codes(arguments.judge, scene) if arguments.judge else None
     start = perf_counter()
     with (
-        failure_if_not(path, "certified", error_types=(ValueError, RuntimeError)),
-        Progress(1, "pictures") as bar,
+        failure_if_not(scene_path, "certified", error_types=(ValueError, RuntimeError)),
+        Progress(1, "pictures") as progress,
     ):
-        certificate = certify(scene, float(arguments.error), bar.update)
+        certificate = certify(scene, float(arguments.error), progress.update)
     lines, wrong_count = _summarise_certificate(certificate, arguments.error), 0
     seconds = perf_counter() - start
     if judged_codes is not None:
         wrong_count, verdict = count_wrong_codes(certificate, judged_codes)
         lines.append(f"{arguments.judge}: {verdict}")
-    lines.append(f"{output}: {certificate.cell_count} cells in {seconds:.2f} s")
-    with failure_if_not(output, "written", "choose another with -o"):
-        write_png(output, certificate.image)
+    lines.append(f"{output_path}: {certificate.cell_count} cells in {seconds:.2f} s")
+    with failure_if_not(output_path, "written", "choose another with -o"):
+        write_png(output_path, certificate.image)
     with failure_if_not("standard output", "written"):
         print_result(sys.stdout, "\n".join(map(printable, lines)))
     return 1 if wrong_count else 0
@@ -108,28 +108,28 @@ def _make_command_parser() -> CommandParser:
 
 
 def _parse_positive_fraction(argument: str) -> Fraction:
-    """Parse a command-line argument that must be a positive number or fraction, such as 1/128.
+    """Parse a command-line argument as a positive number or fraction, such as 1/128.
 
     Raises
     ------
     ArgumentTypeError
-        If the argument is not such a number.
+        If the argument is not a positive number or fraction.
     """
     with suppress(OverflowError, ValueError, ZeroDivisionError):
-        if float(error := Fraction(argument)) > 0:
-            return error
-    raise argparse.ArgumentTypeError(f"must be a number or fraction above 0, is {argument!r}")
+        if float(fraction := Fraction(argument)) > 0:
+            return fraction
+    raise argparse.ArgumentTypeError(f"must be a positive number or fraction, not {argument!r}")
 
 
 def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read the 8-bit codes of a picture that must have the size of a scene's picture.
+    """Read the 8-bit codes of a picture, and check that it has the size that a scene specifies.
 
     Parameters
     ----------
     path : str
         The picture file.
     scene : Scene
-        The scene.
+        The scene that specifies the size.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     Raises
     ------
     Failure
-        If the picture cannot be read, or its size differs from that of the scene's picture.
+        If the picture cannot be read, or has a different size.
     """
     codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
@@ -150,27 +150,29 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     return codes
 
 
-def _summarise_certificate(certificate: Certificate, error: Fraction) -> list[str]:
-    """State what is certain about a picture, in two or three lines.
+def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) -> list[str]:
+    """Summarise in two or three lines what is proven about a picture.
 
     Parameters
     ----------
     certificate : Certificate
-        The picture, with bounds on each pixel.
-    error : Fraction
-        The permitted error of each pixel's mean radiance.
+        The picture, with bounds on the mean radiance of each pixel.
+    permitted_error : Fraction
+        The requested limit on the error of each pixel's mean radiance.
 
     Returns
     -------
     lines : list of str
         The lines to print.
     """
-    exceeds, is_certain = certificate.error > float(error), certificate.is_certain
-    exceeding_count, of_pixels = np.count_nonzero(exceeds), f"of {exceeds.size} pixels"
+    exceeds_permitted = certificate.error > float(permitted_error)
+    exceeding_count, has_certain_codes = np.count_nonzero(exceeds_permitted), certificate.is_certain
+    pixel_count = exceeds_permitted.size
     lines = [
-        f"{exceeds.size - exceeding_count} {of_pixels} are within {error};"
+        f"{pixel_count - exceeding_count} of {pixel_count} pixels are within {permitted_error};"
         f" all within {certificate.error.max():.2g}",
-        f"{np.count_nonzero(is_certain)} {of_pixels} have certain codes, {is_certain.mean():.2%}",
+        f"{np.count_nonzero(has_certain_codes)} of {pixel_count} pixels have certain codes,"
+        f" {has_certain_codes.mean():.2%}",
     ]
     if exceeding_count:
         explanation = "exceed the permitted error: edges touch each other there"
@@ -179,30 +181,31 @@ def _summarise_certificate(certificate: Certificate, error: Fraction) -> list[st
 
 
 def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]:
-    """Count the 8-bit codes of a picture that are certainly wrong.
+    """Count the 8-bit codes of a picture that the certificate proves wrong.
 
     Parameters
     ----------
     certificate : Certificate
         Bounds on the mean radiance of each pixel of the scene.
     codes : (height, width, 3) uint8 array
-        The codes of a picture of the scene.
+        The 8-bit codes of a picture of the scene.
 
     Returns
     -------
     wrong_count : int
-        Number of codes that do not belong to any radiance within the bounds.
+        Number of codes that no radiance within the bounds can have.
     verdict : str
-        A sentence with this number, and the position of the worst code.
+        A phrase that gives this number, and the position and value of the worst code.
     """
-    low, high = (to_codes(bound).astype(int) for bound in (certificate.low, certificate.high))
-    excess = np.maximum(np.maximum(low - codes, codes - high), 0)
-    wrong_count = int(np.count_nonzero(excess))
+    lowest_codes = to_codes(certificate.low).astype(int)
+    highest_codes = to_codes(certificate.high).astype(int)
+    deviation = np.maximum(np.maximum(lowest_codes - codes, codes - highest_codes), 0)
+    wrong_count = int(np.count_nonzero(deviation))
     if not wrong_count:
         return 0, "no code is certainly wrong"
-    row, column, channel = worst = np.unravel_index(excess.argmax(), excess.shape)
-    ends = sorted({low[worst], high[worst]})
+    row, column, channel = worst = np.unravel_index(deviation.argmax(), deviation.shape)
+    limits = sorted({lowest_codes[worst], highest_codes[worst]})
     position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst]}"
-    requirement = f"must be {' to '.join(map(str, ends))}"
-    verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {excess.max()}"
+    requirement = f"must be {' to '.join(map(str, limits))}"
+    verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {deviation.max()}"
     return wrong_count, f"{verdict}, {position} and {requirement}"

@@ -37,84 +37,84 @@ def _measure_cpu_seconds(commands: list[list[str]]) -> float:
     Parameters
     ----------
     commands : list of lists of str
-        For each command, the program and its arguments.
+        The commands, each a list of a program and its arguments.
 
     Returns
     -------
     seconds : float
-        CPU time of all processes that the commands started and waited for.
+        Total CPU time of the processes that the commands started and waited for.
     """
-    before = os.times()
+    times_before = os.times()
     run_commands(commands)
-    after = os.times()
-    user_seconds = after.children_user - before.children_user
-    return user_seconds + after.children_system - before.children_system
+    times_after = os.times()
+    user_seconds = times_after.children_user - times_before.children_user
+    return user_seconds + times_after.children_system - times_before.children_system
 
 
-def _measure_scheduler_seconds(count: int) -> float:
-    """Measure how long Dask's scheduler takes for a task that does nothing.
+def _measure_scheduler_seconds(task_count: int) -> float:
+    """Measure how long Dask takes to schedule a task that does almost nothing.
 
     Parameters
     ----------
-    count : int
-        Number of timed tasks.  The same number of tasks runs before, to start the worker.
+    task_count : int
+        Number of tasks to time.  The same number runs untimed beforehand, to warm up the worker.
 
     Returns
     -------
     seconds : float
-        Elapsed time per task.
+        Elapsed time per task, in seconds.
     """
     options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
     with LocalCluster(1, **options) as cluster, Client(cluster) as client:
-        client.gather(client.map(abs, range(count)))
+        client.gather(client.map(abs, range(task_count)))
         start = perf_counter()
-        client.gather(client.map(abs, range(count, 2 * count)))
-        return (perf_counter() - start) / count
+        client.gather(client.map(abs, range(task_count, 2 * task_count)))
+        return (perf_counter() - start) / task_count
 
 
 def main() -> None:
-    """Measure what limits rendering on a cluster, and write and print the page about its costs."""
+    """Measure the costs and limits of rendering on a cluster, and write and print the page."""
     arguments = make_parser("reference.cluster", "few and small frames").parse_args()
-    count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
-    commands = write_frames_and_commands(count, size)
-    names = [name for name in _RENDERERS if name in commands]
-    cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / count for name in names}
-    hours = {name: seconds * _FRAMES / 3600 for name, seconds in cpu_seconds.items()}
-    task_seconds, tracer_seconds = _measure_scheduler_seconds(50 * count), cpu_seconds[names[0]]
-    png_bytes = sum(build_path(f"frame-{k}.xml.png").stat().st_size for k in range(count)) / count
+    frame_count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
+    commands = write_frames_and_commands(frame_count, size)
+    renderers = [name for name in _RENDERERS if name in commands]
+    cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / frame_count for name in renderers}
+    tracer_seconds = cpu_seconds["tracer, 1 process"]
+    task_seconds = _measure_scheduler_seconds(50 * frame_count)
+    png_files = [build_path(f"frame-{k}.xml.png") for k in range(frame_count)]
+    png_bytes = sum(path.stat().st_size for path in png_files) / frame_count
     core_count = tracer_seconds / task_seconds
     costs = format_section(
         "What they would cost",
-        f"Measured with {count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time for"
-        " reading scenes, rendering and writing PNG files. Programs start once for all frames,"
-        " POV-Ray for each. The price of a core is an assumption. The tracer's PNG files have"
-        f" {png_bytes * _FRAMES / 1e9:,.0f} GB together.",
+        f"Measured with {frame_count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time"
+        " for reading scenes, rendering and writing PNG files. POV-Ray starts anew for each frame;"
+        " the other programs start once. The price of a core is an assumption. The tracer's PNG"
+        f" files take {png_bytes * _FRAMES / 1e9:,.0f} GB.",
         ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
         [
-            (name, f"{1e3 * cpu_seconds[name]:.0f}", f"{hours[name]:,.0f}",
-             f"${hours[name] * _DOLLARS_PER_CORE_HOUR:,.2f}")
-            for name in cpu_seconds
+            (name, f"{1e3 * seconds:.0f}", f"{(hours := seconds * _FRAMES / 3600):,.0f}",
+             f"${hours * _DOLLARS_PER_CORE_HOUR:,.2f}")
+            for name, seconds in cpu_seconds.items()
         ],
     )  # fmt: skip
-    batch_size, max_frames = _FRAMES_PER_TASK, _CLIENT_BYTES / png_bytes
     limits = format_section(
         "What would break first",
         f"Measured: Dask's scheduler takes {1e3 * task_seconds:.2f} ms per task, and a PNG file"
-        f" has {png_bytes / 1e3:,.0f} kB. Computed: when each limit is reached with one frame per"
-        " task.",
+        f" takes {png_bytes / 1e3:,.0f} kB. Computed: when each limit is reached with one frame"
+        " per task.",
         ("limit", "reached with", "remedy"),
         [
             ("the scheduler is too slow for the workers", f"{core_count:,.0f} cores",
-             f"{batch_size} frames per task, for {core_count * batch_size:,.0f} cores; a worker"
-             f" that dies then costs {tracer_seconds * batch_size:,.0f} s of CPU time"),
+             f"{_FRAMES_PER_TASK} frames per task, for {core_count * _FRAMES_PER_TASK:,.0f} cores;"
+             f" a lost worker then costs {tracer_seconds * _FRAMES_PER_TASK:,.0f} s of CPU time"),
             (f"gathered PNG files fill a memory of {_CLIENT_BYTES / 1e9:.0f} GB",
-             f"{max_frames:,.0f} frames", "tasks that write their files, and return nothing"),
+             f"{_CLIENT_BYTES / png_bytes:,.0f} frames", "tasks that write the files themselves"),
             ("a folder has too many files for its file system", "(not measured)",
              "a folder for each thousand frames"),
         ],
     )  # fmt: skip
     origin = f"Written by `python -m reference.cluster`, measured on {describe_origin()}."
-    text = "\n\n".join(["# A million frames on a cluster", origin, costs, limits]) + "\n"
-    path = build_path("cluster.md") if arguments.quick else HERE / "cluster.md"
-    path.write_text(text, encoding="utf-8")
-    print(text, end="")
+    page = "\n\n".join(["# A million frames on a cluster", origin, costs, limits]) + "\n"
+    page_path = build_path("cluster.md") if arguments.quick else HERE / "cluster.md"
+    page_path.write_text(page, encoding="utf-8")
+    print(page, end="")

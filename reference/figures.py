@@ -23,7 +23,7 @@ GAMMA = 2.2
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
 _SSIM_WINDOW = 7
-# Number of pixels in a band of rows, of which a large picture is compared one after the other.
+# A large picture is compared in bands of rows, which have about this number of pixels each.
 _PIXELS_PER_BAND = 500_000
 # Pixels that differ by more than this, in linear light, are counted.
 _COUNTED_DIFFERENCE = 1e-3
@@ -38,7 +38,7 @@ _BRIGHTER_COLOR, _DARKER_COLOR = (1.0, 0.62, 0.0), (0.34, 0.71, 0.91)
 
 
 def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
-    """Convert 8-bit codes of a picture to linear light, which is (code / 255)^2.2.
+    """Convert the 8-bit codes of a picture to linear light: (code / 255)^2.2.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
 
     Returns
     -------
-    light : float array of the same shape
+    linear_light : float array of the same shape
         Linear light from 0 to 1.
     """
-    linear_of_code: Floats = (np.arange(256) / 255) ** GAMMA
-    return np.asarray(linear_of_code[codes])
+    light_of_code: Floats = (np.arange(256) / 255) ** GAMMA
+    return np.asarray(light_of_code[codes])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +81,7 @@ class Figures:
     over: int
 
     def __str__(self) -> str:
-        """Format all figures as one line of text."""
+        """Format all measures as one line of text."""
         return (
             f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e}, 99.9% {self.p999:.1e},"
             f" median {self.median:.1e}, RMSE {self.rmse:.1e}, pixels over 1e-3: {self.over}"
@@ -89,20 +89,20 @@ class Figures:
 
 
 def measure_differences(first: Floats, second: Floats, mask: Bools | None = None) -> Figures:
-    """Measure how much two pictures differ.
+    """Measure how much two pictures differ in linear radiance.
 
     Parameters
     ----------
     first, second : (height, width, 3) float arrays
         The two pictures, in linear radiance.
     mask : (height, width) bool array, optional
-        True for pixels that are excluded from all figures but the structural similarity.
+        True for pixels to exclude from every measure except the structural similarity.
 
     Returns
     -------
     figures : Figures
         The structural similarity of the pictures; the maximum, 99.9th percentile, median and root
-        mean square of the differences; and the number of pixels that differ by more than 1e-3.
+        mean square of their differences; and the number of pixels that differ by more than 1e-3.
 
     Raises
     ------
@@ -113,29 +113,29 @@ def measure_differences(first: Floats, second: Floats, mask: Bools | None = None
         raise ValueError(f"the pictures' shapes differ: {first.shape} and {second.shape}")
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         raise ValueError("a picture contains values that are not finite")
-    kept = np.ones(first.shape[:2], dtype=np.bool_) if mask is None else ~mask
-    if not kept.any():
+    is_kept = np.ones(first.shape[:2], dtype=np.bool_) if mask is None else ~mask
+    if not is_kept.any():
         raise ValueError("every pixel is masked")
     padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in first.shape[:2]] + [(0, 0)]
-    displayed = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in (first, second)]
-    displayed = [np.pad(image, padding, mode="edge") for image in displayed]
-    ssim = structural_similarity(*displayed, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
-    difference = np.abs(first - second)[kept]
-    pixel_difference = difference.max(axis=1)
+    encoded = [picture.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for picture in (first, second)]
+    encoded = [np.pad(picture, padding, mode="edge") for picture in encoded]
+    ssim = structural_similarity(*encoded, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
+    channel_difference = np.abs(first - second)[is_kept]
+    pixel_difference = channel_difference.max(axis=1)
     return Figures(
         ssim=float(ssim),
         max=float(pixel_difference.max()),
         p999=float(np.percentile(pixel_difference, _PERCENTILE)),
-        rmse=float(np.sqrt(np.mean(difference**2))),
+        rmse=float(np.sqrt(np.mean(channel_difference**2))),
         median=float(np.median(pixel_difference)),
         over=int(np.count_nonzero(pixel_difference > _COUNTED_DIFFERENCE)),
     )
 
 
 def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Differences]:
-    """Compute the difference between two gamma-encoded pictures in linear light, and measure it.
+    """Measure how much two gamma-encoded pictures differ in linear light.
 
-    The pictures are divided into bands of rows, because the arrays of a band take about 100 bytes
+    The pictures are compared in bands of rows, because a comparison takes about 100 bytes of memory
     per pixel.
 
     Parameters
@@ -148,22 +148,22 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
     ssim : float
         Structural similarity of the pictures; 1 if they are equal.
     rmse, maximum : float
-        Root mean square and maximum of the absolute difference, over all pixels and channels.
+        Root mean square and maximum of the absolute differences of all pixels and channels.
     difference : (height, width) float32 array
         For each pixel, the difference of the channel that differs most; positive if the first
         picture is brighter.
     """
-    (height, width, _), margin = first.shape, _SSIM_WINDOW - 1
+    (height, width, _), window_margin = first.shape, _SSIM_WINDOW - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows in which a structural-similarity window can begin.
-    window_rows = max(1, height - margin)
+    # Number of rows at which a window of the structural similarity can begin.
+    window_rows = max(1, height - window_margin)
     ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
-    for start in range(0, height, band_height):
-        # The windows that begin in this band extend below it, by the margin.
-        rows = slice(start, start + band_height + margin)
+    for band_start in range(0, height, band_height):
+        # Include the rows below the band into which its windows extend.
+        rows = slice(band_start, band_start + band_height + window_margin)
         first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
         figures = measure_differences(first_light, second_light)
-        weight = max(0, min(band_height, window_rows - start)) / window_rows
+        weight = max(0, min(band_height, window_rows - band_start)) / window_rows
         ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
         channel_difference = (first_light - second_light)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
@@ -173,17 +173,17 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
 
 
 def write_comparison(
-    path: str | Path, pair: tuple[Codes, Codes], difference: Differences, labels: tuple[str, str]
+    path: str | Path, images: tuple[Codes, Codes], difference: Differences, labels: tuple[str, str]
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
-    Small pictures are enlarged, each pixel to a square.
+    Small pictures are enlarged, so that each pixel becomes a square.
 
     Parameters
     ----------
     path : str or Path
-        The file to write.  Only an existing PNG file is replaced.
-    pair : tuple of two (height, width, 3) uint8 arrays
+        The file to write.  An existing file is replaced only if it is a PNG file.
+    images : tuple of two (height, width, 3) uint8 arrays
         8-bit codes of the left and the right picture.
     difference : (height, width) float32 array
         For each pixel, the difference in linear radiance; positive if the left picture is brighter.
@@ -204,21 +204,21 @@ def write_comparison(
     panel_height = zoom * height + 2 * _LABEL_HEIGHT
     size = 3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
-    columns = zip((*pair, difference_codes), titles, legends, strict=True)
-    for k, (codes, title, legend) in enumerate(columns):
+    panels = zip((*images, difference_codes), titles, legends, strict=True)
+    for panel_index, (codes, title, legend) in enumerate(panels):
         panel = Image.new("RGB", (panel_width, panel_height), _PAPER_COLOR)
-        draw = ImageDraw.Draw(panel)
-        draw.text((0, 0), title, fill=_INK_COLOR, font=font)
-        draw.text((0, panel_height - _LABEL_HEIGHT + 4), legend, fill=_INK_COLOR, font=font)
+        drawing = ImageDraw.Draw(panel)
+        drawing.text((0, 0), title, fill=_INK_COLOR, font=font)
+        drawing.text((0, panel_height - _LABEL_HEIGHT + 4), legend, fill=_INK_COLOR, font=font)
         enlarged = codes.repeat(zoom, axis=0).repeat(zoom, axis=1)
         panel.paste(Image.fromarray(enlarged), (0, _LABEL_HEIGHT))
-        sheet.paste(panel, (_MARGIN + k * (panel_width + _MARGIN), _MARGIN))
+        sheet.paste(panel, (_MARGIN + panel_index * (panel_width + _MARGIN), _MARGIN))
     with atomic_file(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
 
 def largest_difference(channel_difference: Floats) -> Differences:
-    """Select, for each pixel of the difference between two pictures, the channel that differs most.
+    """Select the difference of the channel that differs most, for each pixel of two pictures.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def largest_difference(channel_difference: Floats) -> Differences:
     Returns
     -------
     difference : (height, width) float32 array
-        The value, positive or negative, of the channel with the largest absolute value.
+        For each pixel, the signed difference that has the largest absolute value.
     """
     lowest, highest = channel_difference.min(axis=2), channel_difference.max(axis=2)
     difference: Differences = np.where(highest >= -lowest, highest, lowest).astype(np.float32)
@@ -236,7 +236,7 @@ def largest_difference(channel_difference: Floats) -> Differences:
 
 
 def amplify_difference(difference: Differences) -> tuple[Codes, float]:
-    """Draw the difference between two pictures, amplified so that it is visible.
+    """Draw the difference between two pictures, amplified to be visible.
 
     Parameters
     ----------
@@ -249,19 +249,19 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     codes : (height, width, 3) uint8 array
         A picture that is orange where the first picture is brighter, and blue where it is darker.
     gain : float
-        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, chosen such
-        that 99.9 % of the amplified differences are at most 1.  0 if the pictures are equal.
+        Factor by which the difference is amplified: the largest 1, 2 or 5 times a power of ten for
+        which 99.9 % of the amplified differences are at most 1.  0 if the pictures are equal.
     """
-    absolute, codes = np.abs(difference), np.zeros((*difference.shape, 3), dtype=np.uint8)
-    shown_maximum = float(np.percentile(absolute, _PERCENTILE)) or float(absolute.max())
+    magnitude, codes = np.abs(difference), np.zeros((*difference.shape, 3), dtype=np.uint8)
+    shown_maximum = float(np.percentile(magnitude, _PERCENTILE)) or float(magnitude.max())
     if shown_maximum == 0:
         return codes, 0.0
     power_of_ten = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gains = [factor * power_of_ten for factor in (1, 2, 5)]
     gain = max(gain for gain in gains if gain * shown_maximum <= 1)
     amplified = np.clip(gain * difference, -1, 1)
-    for channel in range(3):  # all channels together would take much memory
-        brighter = 255 * _BRIGHTER_COLOR[channel] * amplified
-        darker = -255 * _DARKER_COLOR[channel] * amplified
-        codes[:, :, channel] = np.round(np.maximum(brighter, darker))
+    for channel in range(3):  # one channel at a time, to save memory
+        brighter_code = 255 * _BRIGHTER_COLOR[channel] * amplified
+        darker_code = -255 * _DARKER_COLOR[channel] * amplified
+        codes[:, :, channel] = np.round(np.maximum(brighter_code, darker_code))
     return codes, gain

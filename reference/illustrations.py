@@ -44,21 +44,21 @@ _CLASS_COLORS = np.array([[0.86, 0.93, 0.98], [0.99, 0.86, 0.6], [0.94, 0.62, 0.
 
 
 def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows]:
-    """Load a scene of this project with a picture of another width, and prepare it for rendering.
+    """Load one of this project's scenes, change the picture's width, and prepare for rendering.
 
     Parameters
     ----------
     name : str
         Name of the scene file without its suffix.
     width : int
-        Width of the picture in pixels.  The ratio of width and height stays the same.
+        Width of the picture in pixels.  The aspect ratio stays the same.
 
     Returns
     -------
     scene : Scene
-        The scene, with the picture's new size.
+        The scene, with the new picture size.
     prepared : PreparedScene
-        The scene, prepared for its camera.
+        The same scene, prepared for rendering.
     samples : Rows
         The samples through the centres of all pixels.
     """
@@ -68,7 +68,7 @@ def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows
 
 
 def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
-    """Show a picture in a panel of a figure, with one square for each pixel.
+    """Show a picture in a panel of a figure, with each pixel as a square.
 
     Parameters
     ----------
@@ -86,54 +86,56 @@ def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
 
 
 def draw_spans() -> None:
-    """Draw the spans (intervals of columns) of all objects in one row of a picture's pixels.
+    """Draw the spans of all objects in one row of pixels.
 
-    Only camera rays in an object's span are tested against the object.
+    The span of an object is an interval of columns.  Only camera rays in these columns are tested
+    against the object.
     """
     scene, prepared, samples = _load_and_prepare("four-spheres", 96)
-    row, count, ray_count = scene.height // 2, len(scene.surfaces), 0
-    _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 3.6), width_ratios=(1, 1.6))
-    _show_picture(left, to_codes(render(scene, samples=16)) / 255, f"Row {row} of the picture")
-    left.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
+    row, object_count, ray_count = scene.height // 2, len(scene.surfaces), 0
+    _, (image_axes, spans_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 3.6), width_ratios=(1, 1.6))
+    _show_picture(image_axes, to_codes(render(scene, samples=16)) / 255, f"Pixels, with row {row}")
+    image_axes.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     for shape in prepared.shapes:
-        object_index, span_row, start, length = samples.find_spans(shape, prepared)
-        kept = np.flatnonzero(span_row == row)
-        object_index, length = object_index[kept], length[kept]
+        object_index, span_row, span_start, span_length = samples.find_spans(shape, prepared)
+        in_row = np.flatnonzero(span_row == row)
+        object_index, span_length = object_index[in_row], span_length[in_row]
         color = prepared.diffuse[:, object_index].T ** (1 / 2.2)
-        first_column = start[kept] - row * scene.width
-        right.barh(object_index, length, 0.7, first_column, color=color, ec="k", zorder=2)
-        ray_count += int(length.sum())
-    right.set(yticks=range(count), ylim=(count - 0.5, -0.5), xlim=(0, scene.width))
-    right.set(xlabel="column of the pixel", ylabel="object")
-    right.set_title(f"Its spans: {ray_count} rays to test, of {count} × {scene.width}")
+        first_column = span_start[in_row] - row * scene.width
+        spans_axes.barh(object_index, span_length, 0.7, first_column, color=color, ec="k", zorder=2)
+        ray_count += int(span_length.sum())
+    spans_axes.set(xlabel="column of the pixel", xlim=(0, scene.width))
+    spans_axes.set(ylabel="object", ylim=(object_count - 0.5, -0.5), yticks=range(object_count))
+    spans_axes.set_title(f"Its spans: {ray_count} rays to test, of {object_count} × {scene.width}")
     _save_figure("spans")
 
 
 def draw_packets() -> None:
-    """Draw the packets (groups of neighbouring hits) in a picture, each in a random colour."""
+    """Draw the packets (groups of neighbouring hits) of a picture, each in a random colour."""
     scene, prepared, samples = _load_and_prepare("room", 96)
     hits = find_nearest_hits(prepared, samples)
     frontlit = np.ones((1, hits.sample.size), dtype=np.bool_)
-    squares, rows = build_packet_levels(hits, frontlit, None)
-    # The hits sorted by row packet, and the row packets sorted by square packet.
-    hit = join_ranges(rows.child_start, rows.child_count)
-    row_packet = np.arange(rows.child_count.size).repeat(rows.child_count)
-    square_packet = np.arange(squares.child_count.size).repeat(squares.child_count)[row_packet]
-    _, panels = plt.subplots(1, 3, figsize=(_WIDTH, 2.2))
-    _show_picture(panels[0], to_codes(render(scene)) / 255, f"{hits.sample.size:,} hits")
-    packets = {"row": row_packet, "square": square_packet}
-    for panel, (name, packet) in zip(panels[1:], packets.items(), strict=True):
-        image, count = np.ones((samples.size, 3)), packet[-1] + 1
-        image[hits.sample[hit]] = np.random.default_rng(3).uniform(0.3, 1, (count, 3))[packet]
-        _show_picture(panel, image.reshape(scene.height, scene.width, 3), f"{count} {name} packets")
+    square_level, row_level = build_packet_levels(hits, frontlit, None)
+    # Sort the hits by row packet, and the row packets by square packet.
+    hit_index = join_ranges(row_level.child_start, row_level.child_count)
+    row_packet = np.arange(row_level.child_count.size).repeat(row_level.child_count)
+    square_packet = np.arange(square_level.child_count.size).repeat(square_level.child_count)
+    _, axes = plt.subplots(1, 3, figsize=(_WIDTH, 2.2))
+    _show_picture(axes[0], to_codes(render(scene)) / 255, f"{hits.sample.size:,} hits")
+    packet_of_hit = {"row": row_packet, "square": square_packet[row_packet]}
+    for packet_axes, (name, packet_index) in zip(axes[1:], packet_of_hit.items(), strict=True):
+        image, packet_count = np.ones((scene.height, scene.width, 3)), packet_index[-1] + 1
+        packet_color = np.random.default_rng(3).uniform(0.3, 1, (packet_count, 3))
+        image.reshape(-1, 3)[hits.sample[hit_index]] = packet_color[packet_index]
+        _show_picture(packet_axes, image, f"{packet_count} {name} packets")
     _save_figure("packets")
 
 
 def _cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     """Compute the outlines of a light grid's cells in the octahedral map of directions.
 
-    The map unfolds all directions to the square from -1 to 1.  Octants towards positive z fill the
-    inner diamond, and the others are folded outwards.
+    The map unfolds all directions into the square from -1 to 1.  The octants towards positive z
+    fill the inner diamond, and the other octants are folded outwards.
 
     Parameters
     ----------
@@ -151,29 +153,30 @@ def _cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     for octant, patch_index in enumerate(grid.patch.tolist()):
         if patch_index >= 0:
             origin, size = grid.origin[:, patch_index, None], grid.size[:, patch_index, None]
+            # The grid's lines are at u and v, the absolute coordinates in an inner octant.
             u, v = np.meshgrid(*(origin + size * fraction))
             # Bit k of `octant` is set where component k of the direction is negative.
             x, y = (1 - v, 1 - u) if octant & 4 else (u, v)
-            corner = np.stack([-x if octant & 1 else x, -y if octant & 2 else y], axis=-1)
-            cell = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
-            polygons.append(np.stack(cell, axis=2).reshape(-1, 4, 2))
+            nodes = np.stack([-x if octant & 1 else x, -y if octant & 2 else y], axis=-1)
+            cell_corners = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
+            polygons.append(np.stack(cell_corners, axis=2).reshape(-1, 4, 2))
     # Each cell has four lists, which follow each other.
     return np.concatenate(polygons), np.diff(grid.list_start[::4].astype(np.float64))
 
 
 def draw_light_grid() -> None:
-    """Draw the grid of directions around a light, coloured by the number of objects per cell."""
+    """Draw the grid of directions around a light, each cell coloured by its number of objects."""
     scene, prepared, _ = _load_and_prepare("many-objects", 320)
     grid = prepared.prepare_lights(slice(1, 2)).grid
     assert grid is not None
     polygons, object_count = _cell_polygons(grid)
-    _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 2.6), width_ratios=(1, 1.1))
-    _show_picture(left, to_codes(render(scene)) / 255, f"{len(scene.surfaces)} objects")
+    _, (image_axes, grid_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 2.6), width_ratios=(1, 1.1))
+    _show_picture(image_axes, to_codes(render(scene)) / 255, f"{len(scene.surfaces)} objects")
     cells = PolyCollection([*polygons], array=object_count, cmap="cividis", ec="w", lw=0.2)
-    right.add_collection(cells)
-    right.set(xticks=[], yticks=[], title=f"{object_count.size:,} cells around a light")
-    right.axis("image")
-    plt.colorbar(cells, ax=right, label="objects listed")
+    grid_axes.add_collection(cells)
+    grid_axes.set(xticks=[], yticks=[], title=f"{object_count.size:,} cells around a light")
+    grid_axes.axis("image")
+    plt.colorbar(cells, ax=grid_axes, label="objects listed")
     _save_figure("light-grid")
 
 
@@ -183,25 +186,25 @@ def _clip_lines(classified: Classification) -> Iterable[Floats]:
     Parameters
     ----------
     classified : Classification
-        The cells, and the lines along the edges.
+        The cells, and for each cell the lines along its edges.
 
     Yields
     ------
     segment : (2, 2) float array
-        Both ends (x, y) of a line's part in its cell, in pixels.
+        The two end points (x, y) of a clipped line, in pixels.
     """
-    cells, side = classified.cells, np.array([-0.5, 0.5])
+    cells, sides = classified.cells, np.array([-0.5, 0.5])
     for cell, a, b, c in zip(*classified.lines, strict=True):
         # The line a x + b y + c = 0 meets each of the four sides of the square at most once.
-        ends = [*zip(side, -(c + a * side) / b, strict=True)]
-        ends += [*zip(-(c + b * side) / a, side, strict=True)]
-        ends_inside = [end for end in ends if np.abs(end).max() <= 0.5 + 1e-9]
-        if len(ends_inside) >= 2:
-            yield np.array(ends_inside[:2]) + np.array([cells.center_x[cell], cells.center_y[cell]])
+        crossings = [*zip(sides, -(c + a * sides) / b, strict=True)]
+        crossings += [*zip(-(c + b * sides) / a, sides, strict=True)]
+        ends = [point for point in crossings if np.abs(point).max() <= 0.5 + 1e-9]
+        if len(ends) >= 2:
+            yield np.array(ends[:2]) + np.array([cells.center_x[cell], cells.center_y[cell]])
 
 
 def draw_classes() -> None:
-    """Draw pixels coloured by class, the edges that cross them, and their samples."""
+    """Draw pixels coloured by class, with their edges and samples."""
     scene, prepared, _ = _load_and_prepare("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
@@ -212,20 +215,20 @@ def draw_classes() -> None:
     class_index = np.zeros(every_pixel.size, dtype=np.intp)
     class_index[classified.lines.cell] = 1
     class_index[classified.is_unresolved] = 2
-    _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
-    _show_picture(left, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")
+    _, (image_axes, class_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
+    _show_picture(image_axes, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")
     colors = _CLASS_COLORS[class_index].reshape(20, 28, 3)
-    _show_picture(right, colors, "Classes, edges and samples")
+    _show_picture(class_axes, colors, "Classes, edges and samples")
     corner = np.array([columns.start, rows.start])
     segments = [segment - corner for segment in _clip_lines(classified)]
-    right.add_collection(LineCollection(segments, colors="k", lw=1))
+    class_axes.add_collection(LineCollection(segments, colors="k", lw=1))
     sampled = np.flatnonzero(class_index == 1)
     for point in Lattice(1, 25).points():
         x, y = cells.positions(sampled, np.full(sampled.size, point))
-        right.plot(x - corner[0], y - corner[1], ",", color="#0072b2")
+        class_axes.plot(x - corner[0], y - corner[1], ",", color="#0072b2")
     for color, name in zip(_CLASS_COLORS, ("smooth", "straight edges", "other edges"), strict=True):
-        right.plot([], [], "s", color=color, markeredgecolor="k", label=name)
-    right.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3)
+        class_axes.plot([], [], "s", color=color, markeredgecolor="k", label=name)
+    class_axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3)
     _save_figure("classes")
 
 
@@ -233,22 +236,22 @@ def draw_certificate() -> None:
     """Draw the cells into which the certificate divides a picture."""
     scene, _, _ = _load_and_prepare("four-spheres", 48)
     picture_class = certificate._Picture
-    with patch.object(picture_class, "add", autospec=True, side_effect=picture_class.add) as add:
-        proof = certificate.certify(scene, 1 / 256)
+    with patch.object(picture_class, "add", autospec=True, side_effect=picture_class.add) as spy:
+        certified = certificate.certify(scene, 1 / 256)
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     squares: list[Floats] = []
-    for _, cells, index, _ in (call.args for call in add.call_args_list):
-        center = np.stack([cells.x[index], cells.y[index]], axis=-1)
-        squares += [*(center[:, None] + cells.width * corners)]
-    _, (left, right) = plt.subplots(1, 2, figsize=(_WIDTH, 4.7))
-    _show_picture(left, to_codes(proof.image) / 255, "Certified within 1/256")
-    _show_picture(right, np.ones((scene.height, scene.width, 3)), f"{len(squares):,} cells")
-    right.add_collection(PolyCollection(squares, fc="#dbeefb", ec="#0072b2", lw=0.3))
+    for _, cells, cell_index, _ in (call.args for call in spy.call_args_list):
+        centers = np.stack([cells.x[cell_index], cells.y[cell_index]], axis=-1)
+        squares += [*(centers[:, None] + cells.width * corners)]
+    _, (image_axes, cell_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.7))
+    _show_picture(image_axes, to_codes(certified.image) / 255, "Certified within 1/256")
+    _show_picture(cell_axes, np.ones((scene.height, scene.width, 3)), f"{len(squares):,} cells")
+    cell_axes.add_collection(PolyCollection(squares, fc="#dbeefb", ec="#0072b2", lw=0.3))
     _save_figure("certificate")
 
 
 def _save_figure(name: str) -> None:
-    """Write the current figure to the folder of illustrations as NAME.png, and close it."""
+    """Save the current figure as a PNG file in the folder of illustrations, and close it."""
     figure = plt.gcf()
     figure.tight_layout()
     figure.savefig(_FOLDER / f"{name}.png", dpi=_DOTS_PER_INCH, bbox_inches="tight")
@@ -257,7 +260,7 @@ def _save_figure(name: str) -> None:
 
 @np.errstate(all="ignore")  # as the tracer does when it renders
 def main() -> None:
-    """Draw all illustrations and write them to the folder of the study."""
+    """Draw all illustrations, and save them in the folder of the study."""
     make_parser("reference.illustrations").parse_args()
     for draw in (draw_spans, draw_packets, draw_light_grid, draw_classes, draw_certificate):
         draw()

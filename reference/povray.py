@@ -33,7 +33,7 @@ _HEADER = "#version 3.7; global_settings { assumed_gamma 1 } background { rgb 0 
 
 
 def is_installed() -> bool:
-    """Test whether POV-Ray, the command `povray`, is installed."""
+    """Test whether POV-Ray's command, `povray`, is installed."""
     return shutil.which("povray") is not None
 
 
@@ -45,8 +45,8 @@ def _format_vector(numbers: Iterable[float]) -> str:
 def _convert_shader(shader: Shader) -> str:
     """Convert a Lambertian or Blinn-Phong shader to a texture in the POV-Ray language.
 
-    A coloured highlight becomes grey, with the mean of its channels, because POV-Ray has no
-    coloured highlights.
+    A coloured highlight becomes grey, the mean of its channels, because POV-Ray has no coloured
+    highlights.
     """
     finish = "ambient 0 diffuse 1"
     if isinstance(shader, Phong) and any(shader.specular):
@@ -58,17 +58,17 @@ def _convert_shader(shader: Shader) -> str:
 def _convert_camera(scene: Scene) -> str:
     """Convert a scene's camera to the POV-Ray language.
 
-    POV-Ray describes a camera by vectors to the window's centre and along its sides.  They need not
-    be perpendicular to each other, because the window may be oblique.
+    POV-Ray defines a camera by a vector to the centre of the window and vectors along its sides.
+    These vectors need not be perpendicular, because the window may be oblique.
     """
     camera = scene.camera
-    ahead, normal = np.array(camera.view_dir), np.array(camera.normal)
-    towards_eye = -np.copysign(1, normal @ ahead) * normal
+    forward, normal = np.array(camera.view_dir), np.array(camera.normal)
+    towards_eye = -np.copysign(1, normal @ forward) * normal
     right = np.cross(camera.view_up, towards_eye)
     up = np.cross(towards_eye, right)
     return (
         f"camera {{ location {_format_vector(camera.view_point)}"
-        f" direction {_format_vector(camera.proj_distance * ahead / np.linalg.norm(ahead))}"
+        f" direction {_format_vector(camera.proj_distance * forward / np.linalg.norm(forward))}"
         f" right {_format_vector(camera.view_width * right / np.linalg.norm(right))}"
         f" up {_format_vector(camera.view_height * up / np.linalg.norm(up))} }}"
     )
@@ -82,7 +82,7 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
     scene : Scene
         The scene.
     exposure : float
-        Factor for the intensities of all lights.
+        Factor by which the intensities of all lights are multiplied.
 
     Returns
     -------
@@ -93,19 +93,21 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
     for light in scene.lights:
         color = f"{exposure!r} * {_format_vector(light.intensity)}"
         lines.append(f"light_source {{ {_format_vector(light.position)} rgb {color} }}")
-    names = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
-    lines += [f"#declare {name} = {_convert_shader(shader)}" for shader, name in names.items()]
+    texture_ids = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
+    lines += [
+        f"#declare {name} = {_convert_shader(shader)}" for shader, name in texture_ids.items()
+    ]
     for surface in scene.surfaces:
         if isinstance(surface, Sphere):
             shape = f"sphere {{ {_format_vector(surface.center)}, {surface.radius!r}"
         else:
             shape = f"box {{ {_format_vector(surface.min_pt)}, {_format_vector(surface.max_pt)}"
-        lines.append(f"{shape} texture {{ {names[surface.shader]} }} }}\n")
+        lines.append(f"{shape} texture {{ {texture_ids[surface.shader]} }} }}\n")
     return "\n".join(lines)
 
 
 def write_scene_and_command(
-    scene: Scene, target: Path, *options: str, exposure: float = 1.0
+    scene: Scene, picture_path: Path, *options: str, exposure: float = 1.0
 ) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return the command that renders it.
 
@@ -113,27 +115,27 @@ def write_scene_and_command(
     ----------
     scene : Scene
         The scene.
-    target : Path
-        The picture that the command will write, a PNG file by default.  The scene is written next
-        to it, to a file with the same name and the suffix .pov.
+    picture_path : Path
+        The picture that the command will write, by default as a PNG file.  The scene file is
+        written next to it, with the same name and the suffix .pov.
     *options : str
-        More POV-Ray options.
+        Additional POV-Ray options.
     exposure : float
-        Factor for the intensities of all lights.
+        Factor by which the intensities of all lights are multiplied.
 
     Returns
     -------
     command : list of str
         The program and its arguments.
     """
-    source = target.with_suffix(".pov")
-    source.write_text(convert_scene(scene, exposure), encoding="utf-8")
-    size = (f"+W{scene.width}", f"+H{scene.height}")
-    return ["povray", f"+I{source}", f"+O{target}", *size, "-D", *options]
+    scene_path = picture_path.with_suffix(".pov")
+    scene_path.write_text(convert_scene(scene, exposure), encoding="utf-8")
+    size_options = (f"+W{scene.width}", f"+H{scene.height}")
+    return ["povray", f"+I{scene_path}", f"+O{picture_path}", *size_options, "-D", *options]
 
 
-def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) -> list[str]:
-    """Write a scene as a POV-Ray scene file, and return a command that renders a linear picture.
+def write_linear_scene_and_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
+    """Write a scene as a POV-Ray scene file, and return the command that renders a linear picture.
 
     The picture has 16 bits per channel, and its radiance is clipped at 4 (`WHITE`).  Read it with
     `read_linear_picture`.
@@ -142,11 +144,11 @@ def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) ->
     ----------
     scene : Scene
         The scene.
-    target : Path
-        The PPM file that the command will write.  The scene is written next to it, to a file with
-        the same name and the suffix .pov.
+    picture_path : Path
+        The PPM file that the command will write.  The scene file is written next to it, with the
+        same name and the suffix .pov.
     *options : str
-        More POV-Ray options.
+        Additional POV-Ray options.
 
     Returns
     -------
@@ -154,17 +156,17 @@ def write_linear_scene_and_command(scene: Scene, target: Path, *options: str) ->
         The program and its arguments.
     """
     options = ("+FP16", "File_Gamma=1.0", *options)
-    return write_scene_and_command(scene, target, *options, exposure=1 / WHITE)
+    return write_scene_and_command(scene, picture_path, *options, exposure=1 / WHITE)
 
 
-def read_linear_picture(target: Path) -> NDArray[np.float64]:
-    """Read a linear picture with 16 bits per channel, rendered by POV-Ray.
+def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
+    """Read a linear picture with 16 bits per channel, which POV-Ray has rendered.
 
-    The command that renders it comes from `write_linear_scene_and_command`.
+    POV-Ray renders such a picture with the command from `write_linear_scene_and_command`.
 
     Parameters
     ----------
-    target : Path
+    picture_path : Path
         The PPM file.
 
     Returns
@@ -179,16 +181,16 @@ def read_linear_picture(target: Path) -> NDArray[np.float64]:
     ValueError
         If the file is not a PPM file with 16 bits per channel.
     """
-    data = target.read_bytes()
+    data = picture_path.read_bytes()
     header = re.match(rb"P6\s(?:#.*\n)*(\d+)\s+(\d+)\s+65535\s", data)
     if header is None:
-        raise ValueError(f"{target} is not a PPM file with 16 bits per channel")
+        raise ValueError(f"{picture_path} is not a PPM file with 16 bits per channel")
     codes = np.frombuffer(data, dtype=">u2", offset=header.end())
     return codes.reshape(int(header[2]), int(header[1]), 3) * (WHITE / 65535)
 
 
 def run_and_time(command: Sequence[str]) -> float:
-    """Run a POV-Ray command, and return the tracing time that POV-Ray reports.
+    """Run a POV-Ray command, and return the rendering time that POV-Ray reports.
 
     Parameters
     ----------
@@ -198,15 +200,15 @@ def run_and_time(command: Sequence[str]) -> float:
     Returns
     -------
     seconds : float
-        The reported time, which does not include the program's start; at least half a millisecond.
+        The reported time, without the start of the program; at least half a millisecond.
 
     Raises
     ------
     RuntimeError
-        If POV-Ray fails, or reports no time.  The message contains its error output.
+        If POV-Ray fails, or reports no time.  The message contains POV-Ray's error output.
     """
     result = subprocess.run(command, capture_output=True, text=True, errors="replace")
-    reported = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)
-    if result.returncode or not reported:
+    time_match = re.search(r"Trace Time:.*\(([\d.]+) seconds\)", result.stderr)
+    if result.returncode or not time_match:
         raise RuntimeError(f"POV-Ray failed:\n{result.stderr}")
-    return max(float(reported[1]), _MIN_SECONDS)
+    return max(float(time_match[1]), _MIN_SECONDS)

@@ -46,10 +46,10 @@ _SHEET_WIDTH, _PICTURE_HEIGHT, _GAP, _NAME_HEIGHT, _NAME_SIZE = 960, 175, 12, 22
 _RADIANCE_STEP = 2.0**-20
 
 
-def load_small(path: Path) -> Scene:
-    """Load a scene file with a smaller picture, 160 pixels wide (`WIDTH`).
+def load_small_scene(path: Path) -> Scene:
+    """Load a scene file, and set the width of its picture to 160 pixels (`WIDTH`).
 
-    The ratio of width and height stays the same, apart from rounding.
+    The aspect ratio stays the same, apart from rounding.
     """
     scene = load_scene(path)
     return replace(scene, width=WIDTH, height=max(1, round(WIDTH * scene.height / scene.width)))
@@ -61,7 +61,7 @@ def hash_scene_file(path: Path) -> str:
 
 
 def read_stored_picture(name: str) -> Floats:
-    """Read Mitsuba's picture of a scene, which is stored with this project.
+    """Read Mitsuba's picture of a scene from the pictures stored with this project.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def read_stored_picture(name: str) -> Floats:
 
 
 def render_sheet(paths: Iterable[Path]) -> Image.Image:
-    """Render an overview of scenes: small pictures in rows, each above its scene's name.
+    """Render an overview of scenes: rows of small pictures, each above the name of its scene.
 
     Parameters
     ----------
@@ -88,38 +88,38 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
     Returns
     -------
     sheet : Image
-        The overview.  The narrowest pictures come first.
+        The overview, which begins with the narrowest pictures.
     """
     pictures = [(_render_image(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
     row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
     sheet = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_NAME_SIZE)
+    sheet_draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_NAME_SIZE)
     x = y = 0
-    for picture, name in sorted(pictures, key=lambda pair: pair[0].width):
+    for picture, name in sorted(pictures, key=lambda item: item[0].width):
         if x + picture.width > _SHEET_WIDTH:
             x, y = 0, y + row_height
         sheet.paste(picture, (x, y))
-        draw.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
+        sheet_draw.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
         x += picture.width + _GAP
     return sheet.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
 
 
 def _render_image(scene: Scene, height: int) -> Image.Image:
     """Render a scene at a given height in pixels, with 16 samples per pixel."""
-    resized = replace(scene, width=round(scene.width * height / scene.height), height=height)
-    return Image.fromarray(to_codes(render(resized, _SAMPLES)))
+    resized_scene = replace(scene, width=round(scene.width * height / scene.height), height=height)
+    return Image.fromarray(to_codes(render(resized_scene, _SAMPLES)))
 
 
 def main() -> None:
-    """Render all stored pictures again, and describe in `manifest.json` how they were rendered."""
+    """Render all stored pictures again, and record in `manifest.json` how they were rendered."""
     make_parser("reference.regenerate").parse_args()
     render_sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
-    large = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
-    large.save(HERE / "sunflower.png", optimize=True)
+    large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
+    large_picture.save(HERE / "sunflower.png", optimize=True)
     for path in own_scenes():
-        image = render_mitsuba(load_small(path))
-        rounded = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
-        write_exr(FOLDER / f"{path.stem}.exr", rounded)
+        image = render_mitsuba(load_small_scene(path))
+        rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
+        write_exr(FOLDER / f"{path.stem}.exr", rounded_image)
     manifest = {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),

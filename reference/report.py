@@ -59,12 +59,12 @@ def render_report(
     charts: Iterable[tuple[str, bytes]] = (),
     failures: Sequence[str] = (),
 ) -> str:
-    """Render an HTML page that compares the tracer's pictures of scenes with Mitsuba's.
+    """Render an HTML page that compares the tracer's pictures with Mitsuba's, scene by scene.
 
     Parameters
     ----------
     results : sequence of (CheckResult, str)
-        The comparisons to show, each with a description of the scene.
+        The comparisons to show, each with a description of its scene.
     charts : iterable of (str, bytes)
         Titles and SVGs of charts to show at the end.
     failures : sequence of str
@@ -75,13 +75,13 @@ def render_report(
     html : str
         The page, which contains all pictures and charts.
     """
-    count, agreeing_count = len(results), sum(result.verdict == "agrees" for result, _ in results)
-    all_agree = bool(results) and agreeing_count == count and not failures
+    agreeing_count = sum(result.verdict == "agrees" for result, _ in results)
+    all_agree = bool(results) and agreeing_count == len(results) and not failures
     variants = ", ".join(sorted({result.mitsuba.variant for result, _ in results}))
     return render_page(
         title="Pencil tracer and Mitsuba 3, scene by scene",
-        lead=f"{count} scene{'s' * (count != 1)}, sampled at the pixels' centres by both renderers"
-        " and compared in linear light: away from edges they may differ by at most"
+        lead=f"{len(results)} scene{'s' * (len(results) != 1)}, sampled at the pixels' centres by"
+        " both renderers and compared in linear light: away from edges they may differ by at most"
         f" {EXACT.difference:g}.",
         verdict="All agree." if all_agree else f"{agreeing_count} agree.",
         is_good=all_agree,
@@ -102,41 +102,41 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
     Parameters
     ----------
     pair_index : int
-        Index of the scene's pictures on the page, to which the row links.
+        Position of the comparison on the page, among all comparisons.  The row links to it.
     result : CheckResult
         The comparison.
 
     Returns
     -------
     row : list of lists of Cell
-        For each column of the table, a list with one piece of text.
+        For each column of the table, a list with a single cell.
     """
     verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
     excluded = f"{result.excluded.mean():.2%}"
-    figures = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
+    metrics = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
-    cells = Cell(result.name, pair_index), verdict, *map(Cell, figures + times)
+    cells = Cell(result.name, pair_index), verdict, *map(Cell, metrics + times)
     return [[cell] for cell in cells]
 
 
 def _prepare_result(result: CheckResult, comment: str) -> Pair:
-    """Prepare the pictures and figures of a comparison for the template of the HTML page.
+    """Prepare the pictures and metrics of a comparison for the template of an HTML page.
 
     Parameters
     ----------
     result : CheckResult
-        The comparison.  Excluded pixels become grey in the picture of the difference.
+        The comparison.  The picture of the difference shows excluded pixels in grey.
     comment : str
         Description of the scene.
 
     Returns
     -------
     pair : Pair
-        The template's values by name: see `prepare_pair`.
+        The values for the template, by name: see `prepare_pair`.
     """
-    excluded, figures, agrees = result.excluded, result.figures, result.verdict == "agrees"
-    mitsuba = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
-    difference_codes, gain = amplify_difference(largest_difference(result.tracer - mitsuba))
+    excluded, metrics, agrees = result.excluded, result.figures, result.verdict == "agrees"
+    mitsuba_image = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
+    difference_codes, gain = amplify_difference(largest_difference(result.tracer - mitsuba_image))
     difference_codes[excluded] = _EXCLUDED_CODE
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return prepare_pair(
@@ -153,9 +153,9 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         faults=[] if agrees else remarks,
         notes=remarks if agrees else [],
         figures=(
-            ("SSIM", f"{figures.ssim:.6f}"), ("largest difference", f"{figures.max:.2e}"),
-            ("99.9th percentile", f"{figures.p999:.2e}"), ("RMSE", f"{figures.rmse:.2e}"),
-            ("median", f"{figures.median:.2e}"), ("pixels over 1e-3", figures.over),
+            ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
+            ("99.9th percentile", f"{metrics.p999:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
+            ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.over),
             ("edge pixels excluded", result.edges.sum()), ("ties excluded", result.ties.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
             (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
@@ -164,12 +164,12 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
 
 
 def _format_time(seconds: float) -> str:
-    """Format a time given in seconds, in milliseconds if it is below a second."""
+    """Format a time: in milliseconds if it is below one second, otherwise in seconds."""
     return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
 def _read_comment(path: Path) -> str:
-    """Read the first comment before a scene file's root element, as one line.
+    """Read the first comment before the root element of a scene file, as one line.
 
     Parameters
     ----------
@@ -179,12 +179,12 @@ def _read_comment(path: Path) -> str:
     Returns
     -------
     comment : str
-        The comment, in which single spaces replace all white space; "" without a comment.
+        The comment, with white space reduced to single spaces; "" if there is no comment.
     """
     with path.open("rb") as file:
-        first = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
-        texts = [element.text or "" for event, element in first if event == "comment"]
-    return " ".join("".join(texts[:1]).split())
+        first_events = itertools.islice(ET.iterparse(file, ("comment", "start")), 2)
+        comments = [element.text or "" for event, element in first_events if event == "comment"]
+    return " ".join("".join(comments[:1]).split())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -197,8 +197,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    status : int
-        The exit status: 0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
+    exit_status : int
+        0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
         undecided and none is worse.
 
     Raises
@@ -217,28 +217,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or own_scenes())})
-    output_name = arguments.output or str(BUILD / _NAME)
-    output = Path(output_name, _NAME if is_folder(output_name) else "")
-    forbid_overwriting_inputs(command_parser, [output], (*paths, TEMPLATE, *CHARTS.values()))
+    page_name = arguments.output or str(BUILD / _NAME)
+    page_path = Path(page_name, _NAME if is_folder(page_name) else "")
+    forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
     choose_variant(arguments.variant, exit_status=MISUSED)
     names_are_unique = len({path.stem for path in paths}) == len(paths)
-    compared = []
+    outcomes = []
     for path in track(paths, len(paths), "scenes"):
         name = printable(path.stem if names_are_unique else str(path))
-        compared.append(attempt(_compare_scene, path, name, arguments.variant))
-    results = [pair for pair in compared if not isinstance(pair, Failure)]
-    failures = [str(failure) for failure in compared if isinstance(failure, Failure)]
+        outcomes.append(attempt(_compare_scene, path, name, arguments.variant))
+    results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
+    failures = [str(failure) for failure in outcomes if isinstance(failure, Failure)]
     # The project's charts are shown only with its own scenes.
     has_charts = {*paths} <= {*own_scenes()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
     html = render_report(results, charts, failures)
-    write_page(output, html)
-    print_line(sys.stdout, printable(str(output)))
+    write_page(page_path, html)
+    print_line(sys.stdout, printable(str(page_path)))
     return FAILED if failures else worst_status(result for result, _ in results)
 
 
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
-    """Compare the tracer's and Mitsuba's pictures of a scene file.
+    """Render a scene file with the tracer and with Mitsuba, and compare the pictures.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckRes
     name : str
         Name of the scene in the report.
     variant : str or None
-        Mitsuba's variant; None for the fastest that works.
+        Mitsuba's variant; None for the fastest that works here.
 
     Returns
     -------

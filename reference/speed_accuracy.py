@@ -66,14 +66,14 @@ _LABEL_STYLE: Any = {"textcoords": "offset points", "fontsize": 6.5, "ha": "righ
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
-def _render_all_pairs(scene: Scene, side: int) -> Floats:
-    """Render a scene as simple NumPy tracers do: test every ray against every object, in float32.
+def _render_all_pairs(scene: Scene, samples_per_side: int) -> Floats:
+    """Render a scene in float32, as simple NumPy tracers do: test every ray against every object.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    side : int
+    samples_per_side : int
         Number of samples along each side of a pixel.
 
     Returns
@@ -81,36 +81,34 @@ def _render_all_pairs(scene: Scene, side: int) -> Floats:
     image : (height, width, 3) float array
         Mean linear RGB radiance of the samples in each pixel.
     """
-    offsets = ((np.arange(side) + 0.5) / side - 0.5).tolist()
-    images = (
-        plain.render(scene, offset, arithmetic="float32") for offset in product(offsets, offsets)
-    )
-    return np.asarray(sum(images)) / side**2
+    offsets = ((np.arange(samples_per_side) + 0.5) / samples_per_side - 0.5).tolist()
+    render_at_offset = partial(plain.render, scene, arithmetic="float32")
+    images = map(render_at_offset, product(offsets, offsets))
+    return np.asarray(sum(images)) / samples_per_side**2
 
 
 def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Return functions that render a scene by each method except POV-Ray, for timing.
+    """Make functions to time that render a scene, one for each method except POV-Ray.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     level : int
-        Each method takes 4**level samples per pixel, multiplied by the factor in its key.
+        A method takes 4**level samples per pixel, multiplied by the factor in its key.
 
     Returns
     -------
     tasks : dict of (str, int) to callable
-        Keys are pairs of a method and a factor.  Values are functions that return an image
-        (height, width, 3).  The factor of the certified tracer is the reciprocal of its permitted
-        error at level 0.
+        Maps a method and a factor to a function that returns an image (height, width, 3).  For the
+        certified tracer, the factor is instead the reciprocal of the error permitted at level 0.
     """
-    gc.collect()  # Mitsuba's kernels depend on all objects alive, so only one scene may be loaded
+    gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     mitsuba_scene = str(convert_exact(scene, 4**level)).replace('"stratified"', '"multijitter"')
     loaded_scene = mi.load_string(mitsuba_scene)
     return {
         (_OURS, 1): partial(render, scene, 4**level),
-        # Numbers of samples that are not powers of four: 9, 36, 144, ...
+        # Sample counts between the powers of four: 9, 36, 144, ...
         (_OURS, 9): partial(render, scene, 9 * 4**level),
         (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**level)).image,
         (_GRID, 1): partial(render_supersampled, scene, 2**level),
@@ -129,7 +127,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     scene : Scene
         The scene.
     quick : bool
-        Whether to measure fewer points, with a less accurate reference picture.
+        Whether to measure fewer points, against a less accurate reference picture.
 
     Yields
     ------
@@ -139,18 +137,18 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
-    # Errors that are not larger than that of a less accurate reference picture are not shown.
+    # Errors are shown only if they exceed the error of a less accurate reference picture.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = root_mean_square_error(less_accurate_image, reference_image)
     povray_picture = build_path("povray.ppm")
-    finished: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
+    finished_keys: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
     for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
         tasks = _make_rendering_tasks(scene, level)
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
         command = povray.write_linear_scene_and_command(scene, povray_picture, *options)
         # The time that POV-Ray reports does not include its start.
         tasks[_POVRAY, 1] = partial(povray.run_and_time, command)
-        tasks = {key: task for key, task in tasks.items() if key not in finished}
+        tasks = {key: task for key, task in tasks.items() if key not in finished_keys}
         for key, timing in time_interleaved(tasks, _ROUNDS).items():
             (method, factor), result = key, tasks[key]()
             image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
@@ -158,36 +156,37 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
             if error > min_error:
                 yield (name, method, factor * 4**level, error, *timing)
             if timing.median > _MAX_SECONDS or error <= min_error:
-                finished.add(key)
-        tasks.clear()  # so that Mitsuba's scene is deleted before the next is loaded
+                finished_keys.add(key)
+        tasks.clear()  # delete Mitsuba's scene before the next one is loaded
 
 
 def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
-    """Draw one panel for each scene, in two columns, and the legend after the last panel.
+    """Draw a panel for each scene, in two columns, and a legend after the last panel.
 
     Parameters
     ----------
     rows : sequence of sequences of str
-        The rows of the table: scene, method, samples per pixel, error, and three times in seconds.
+        The rows of the table: scene, method, samples per pixel, error, and the median, minimum and
+        maximum time in seconds.
 
     Returns
     -------
     figure : Figure
         The chart.
     """
-    figure, grid = plt.subplots(3, 2, figsize=(CHART_WIDTH, 8.2), sharex=True, sharey=True)
-    panels = grid.ravel()
+    figure, axes_grid = plt.subplots(3, 2, figsize=(CHART_WIDTH, 8.2), sharex=True, sharey=True)
+    panels = axes_grid.ravel()
     for axes, scene in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
         for method in _METHODS:
             points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [scene, method]]
-            # If several numbers of samples give the same picture, only the last is drawn.
+            # If several sample counts give the same error, only the last point is drawn.
             curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
             axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
             for error, (seconds, samples) in curve.items():
                 if method == _OURS:
                     axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
-        label = "error of rounding to 8 bits"
-        axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=label)
+        rounding_label = "error of rounding to 8 bits"
+        axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
         axes.set(title=scene, xlabel="time", ylabel="RMSE")
         axes.minorticks_off()
         axes.tick_params(labelbottom=True)
@@ -199,17 +198,17 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
 
 
 def _load_scenes(quick: bool) -> dict[str, Scene]:
-    """Return the scenes to measure, in the order of the chart's panels.
+    """Load the scenes to measure, in the order of the chart's panels.
 
     Parameters
     ----------
     quick : bool
-        Whether to return only one scene.
+        Whether to load only one scene.
 
     Returns
     -------
     scenes : dict of str to Scene
-        Each scene by the title of its panel.
+        The scenes, by the titles of their panels.
     """
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     scenes = [
@@ -226,7 +225,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
 
 
 def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Measure times and errors of all methods on all scenes.
+    """Measure the times and errors of all methods on all scenes.
 
     Parameters
     ----------
@@ -246,7 +245,7 @@ def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
 
 
 def main() -> None:
-    """Measure times and errors, store them as a table, and draw the chart."""
+    """Measure times and errors, store them in a table, and draw the chart."""
     note = (
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Each point is\na picture with 1, 4, 16, ... samples per pixel; this"

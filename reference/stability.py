@@ -48,15 +48,15 @@ def _make_scene(
     Parameters
     ----------
     eye, ahead : vectors (x, y, z)
-        Position and direction of the camera.
+        Position and viewing direction of the camera.
     light : vector (x, y, z)
         Position of the light.
     *spheres : Sphere
-        The spheres, in the order of the scene.
+        The spheres, in the order of the scene's surfaces.
     window : (float, float, float)
-        Distance of the camera's window from the eye, and width and height of the window.
+        Distance of the camera's window from the eye, and the window's width and height.
     pixels : int
-        Width of the picture in pixels.  The height is chosen such that pixels are square.
+        Width of the picture in pixels.  The height is chosen so that the pixels are square.
 
     Returns
     -------
@@ -71,15 +71,15 @@ def _make_scene(
 
 
 def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scene:
-    """Build a scene in which the camera views a unit sphere from a distance.
+    """Build a scene in which the camera views a unit sphere from a given distance.
 
     Parameters
     ----------
     distance : float
-        Distance of the eye from the sphere's centre, and of the camera's window from the eye.
+        Distance from the eye to the sphere's centre, where the camera's window is.
     width, height : float
-        Size of the window, with 24 pixels per unit of length.  With the default size, neither the
-        silhouette nor a shadow is visible.
+        Size of the window, which has 24 pixels per unit of length.  The default window shows
+        neither the silhouette nor a shadow.
 
     Returns
     -------
@@ -92,20 +92,20 @@ def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scen
 
 
 def silhouette_of_sphere(distance: float) -> Scene:
-    """Build a scene in which the camera views a unit sphere's silhouette from a distance.
+    """Build a scene in which the camera views a unit sphere's silhouette from a given distance.
 
-    The picture shows 2**-20, about a millionth of a radius, on both sides of the silhouette.
-    Float64 represents the camera rays exactly.
+    The picture extends 2**-20, about a millionth of the radius, to each side of the silhouette.
+    The camera rays are exact in float64.
     """
     window = (distance, 2.0**-19, 2.0**-19)
     return _make_scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), window=window, pixels=64)
 
 
 def moved_sphere(offset: float) -> Scene:
-    """Build a scene of a unit sphere in front of the eye, far away from the origin (0, 0, 0).
+    """Build a scene of a unit sphere, moved away from the origin by an offset.
 
-    The eye is at a distance of about 4 radii from the sphere's centre.  Camera, light and sphere
-    are moved by (1, -0.7, 0.4) times the offset.
+    The camera, the light and the sphere are all moved by (1, -0.7, 0.4) times the offset.  The eye
+    is about 4 radii away from the sphere's centre.
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = positions + offset * np.array([1, -0.7, 0.4])
@@ -113,17 +113,17 @@ def moved_sphere(offset: float) -> Scene:
 
 
 def ground_sphere(radius: float) -> Scene:
-    """Build a scene whose ground is a sphere of the given radius, with the eye at height 1."""
+    """Build a scene whose ground is a sphere of a given radius.  The eye is at height 1."""
     sphere = Sphere(center=(0, -radius, 0), radius=radius)
     return _make_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, window=(1, 0.5, 0.5))
 
 
 def highlight_on_sphere(exponent: float) -> Scene:
-    """Build a scene in which a highlight fills the picture, for any Phong exponent."""
-    gloss = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
-    size = 3 / max(exponent, 36.0) ** 0.5
-    eye, ahead, light, sphere = (3, 0, 4), (-1, 0, -1), (-3, 0, 4), Sphere(shader=gloss)
-    return _make_scene(eye, ahead, light, sphere, window=(18**0.5, size, size), pixels=16)
+    """Build a scene with a highlight that fills the picture, whatever the Phong exponent."""
+    shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
+    side = 3 / max(exponent, 36.0) ** 0.5
+    eye, ahead, light, sphere = (3, 0, 4), (-1, 0, -1), (-3, 0, 4), Sphere(shader=shader)
+    return _make_scene(eye, ahead, light, sphere, window=(18**0.5, side, side), pixels=16)
 
 
 def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
@@ -134,10 +134,10 @@ def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> 
     scale : float
         Factor for all lengths.
     offset : float
-        After it is scaled, the scene is moved by this along each axis.  If `scale` and `offset` are
-        powers of two, float64 represents all numbers exactly.
+        Distance by which the scaled scene is moved along each axis.  If `scale` and `offset` are
+        powers of two, all numbers are exact in float64.
     radius : float
-        Radius of the ground before scaling.  The radius of the ball is 0.5.
+        Radius of the ground before scaling.  The ball's radius is 0.5 before scaling.
 
     Returns
     -------
@@ -180,13 +180,13 @@ def measure_largest_error(image: Floats, exact: Floats) -> float:
     Returns
     -------
     error : float
-        The largest absolute difference in any channel of a pixel.  The error of a NaN is 1.
+        The largest absolute difference of any channel of any pixel.  A NaN counts as an error of 1.
     """
     return float(np.nan_to_num(np.abs(image - exact), nan=1.0).max())
 
 
 def measure_wrong_percentage(image: Floats, exact: Floats) -> float:
-    """Compute the percentage of pixels that are dark but should be lit, or the reverse.
+    """Compute the percentage of pixels that are dark but should be lit, or vice versa.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ PANELS = (
 
 
 def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Floats:
-    """Measure the errors of one rendering method along the axis of a panel of the chart.
+    """Measure the errors of a rendering method along the horizontal axis of a chart's panel.
 
     Parameters
     ----------
@@ -278,13 +278,13 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
     method : str
         The rendering method, a key of `METHODS`.
     positions : iterable of n floats
-        Positions on the panel's horizontal axis, for each of which scenes are made.
+        Positions on the horizontal axis.  At each of them, one scene is made for each of the
+        factors `panel.nearby`, by which the position is multiplied.
 
     Returns
     -------
     errors : (n,) float array
-        For each position, the largest error in the scenes at this position multiplied by each of
-        the factors `panel.nearby`.
+        For each position, the largest error of the method on its scenes.
     """
     errors = []
     for position in positions:
@@ -296,7 +296,7 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
 
 @cache
 def _render_exactly(scene: Scene) -> Floats:
-    """Render a scene in decimal numbers of 80 digits; images (height, width, 3) are cached."""
+    """Render a scene in 80-digit decimal arithmetic.  Images (height, width, 3) are cached."""
     return plain.render(scene, arithmetic="decimal")
 
 
@@ -306,7 +306,7 @@ def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
     Parameters
     ----------
     quick : bool
-        Whether to measure only every third position of each panel.
+        Whether to measure only every third position on each panel's horizontal axis.
 
     Yields
     ------
@@ -315,10 +315,10 @@ def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
     """
     for panel in track(PANELS, len(PANELS), "panels"):
         positions = panel.positions[:: 3 if quick else 1].tolist()
-        for name in ("this tracer", *panel.methods):
-            errors = measure_errors(panel, name, positions).tolist()
-            for x, error in zip(positions, errors, strict=True):
-                yield panel.title, x, name, error
+        for method in ("this tracer", *panel.methods):
+            errors = measure_errors(panel, method, positions).tolist()
+            for position, error in zip(positions, errors, strict=True):
+                yield panel.title, position, method, error
 
 
 EXAMPLES = (
@@ -326,11 +326,11 @@ EXAMPLES = (
     ("Lost shadows", ball_on_ground(scale=2.0**-22), "t > 1e-4"),
     ("A distant sphere in shreds", distant_sphere(2000.0, 4.0, 2.25), "float32, textbook"),
 )
-"""Pictures at the top of the chart: what fails, in which scene, with which method."""
+"""Pictures at the top of the chart, each with its title, its scene and the method that fails."""
 
 
 def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
-    """Draw the chart: example pictures, and below them panels in two columns.
+    """Draw the chart: example pictures, and below them two columns of panels.
 
     The left column contains the panels about hits and highlights.  The right column contains the
     panels about shadows and, below them, the legends of both columns.
@@ -345,48 +345,52 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     figure : Figure
         The chart.
     """
-    left = [panel for panel in PANELS if panel.methods != _SHADOWS]
-    columns = [left, [panel for panel in PANELS if panel.methods == _SHADOWS]]
-    heights = 3.8, 1.9 * len(columns[0])
-    figure = plt.figure(figsize=(CHART_WIDTH, sum(heights)))
-    subfigures: Any = figure.subfigures(2, 1, height_ratios=heights)
-    top, bottom = subfigures
-    pictures = top.subplots(2, len(EXAMPLES))
-    top.subplots_adjust(left=0.02, right=0.98, top=0.68, bottom=0.03, wspace=0.03, hspace=0.03)
-    for (title, scene, method), (above, below) in zip(EXAMPLES, pictures.T, strict=True):
-        for axes, render_by_method in ((above, METHODS[method]), (below, render)):
+    left_panels = [panel for panel in PANELS if panel.methods != _SHADOWS]
+    right_panels = [panel for panel in PANELS if panel.methods == _SHADOWS]
+    heights = 3.8, 1.9 * len(left_panels)
+    figure: Any = plt.figure(figsize=(CHART_WIDTH, sum(heights)))
+    pictures_subfigure, panels_subfigure = figure.subfigures(2, 1, height_ratios=heights)
+    picture_axes = pictures_subfigure.subplots(2, len(EXAMPLES))
+    pictures_subfigure.subplots_adjust(
+        left=0.02, right=0.98, top=0.68, bottom=0.03, wspace=0.03, hspace=0.03
+    )
+    for (title, scene, method), axes_pair in zip(EXAMPLES, picture_axes.T, strict=True):
+        for axes, render_by_method in zip(axes_pair, (METHODS[method], render), strict=True):
             axes.imshow(to_codes(np.nan_to_num(render_by_method(scene))))
             axes.axis("off")
-        above.set_title(f"{title}\n{method}", fontsize=9)
-    grid = bottom.subplots(len(columns[0]), 2)
-    bottom.subplots_adjust(left=0.07, right=0.98, top=0.96, bottom=0.07, hspace=0.8, wspace=0.2)
-    legends = grid[len(columns[1]) :, 1]
-    for panels, cells, legend in zip(columns, grid.T, legends, strict=True):
-        names = ["this tracer", *dict.fromkeys(name for panel in panels for name in panel.methods)]
-        styles = dict(zip(names, plt.rcParams["axes.prop_cycle"], strict=False))
+        axes_pair[0].set_title(f"{title}\n{method}", fontsize=9)
+    panel_axes = panels_subfigure.subplots(len(left_panels), 2)
+    panels_subfigure.subplots_adjust(
+        left=0.07, right=0.98, top=0.96, bottom=0.07, hspace=0.8, wspace=0.2
+    )
+    legends = panel_axes[len(right_panels) :, 1]
+    columns = zip(
+        ("left", "right"), (left_panels, right_panels), panel_axes.T, legends, strict=True
+    )
+    for side, panels, column_axes, legend_axes in columns:
+        methods = dict.fromkeys(method for panel in panels for method in panel.methods)
+        styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
         handles: dict[str, Any] = {}
-        for axes, panel in zip(cells, panels, strict=False):
+        for axes, panel in zip(column_axes, panels, strict=False):
             _draw_panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title], styles)
             handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
-        legend.axis("off")
-        side = "right" if legend is legends[1] else "left"
-        legend.legend(
-            handles.values(), handles, loc="center", title=f"In the {side} column", ncols=2
-        )
+        legend_axes.axis("off")
+        title = f"In the {side} column"
+        legend_axes.legend(handles.values(), handles, loc="center", title=title, ncols=2)
     return figure
 
 
 def _draw_panel(
     axes: Any, panel: Panel, rows: Sequence[Sequence[str]], styles: dict[str, Any]
 ) -> None:
-    """Draw one panel of the chart: a curve for each method, and guides proportional to eps.
+    """Draw one panel of the chart: a curve for each method, and guide lines.
 
-    The guides are lines at eps x and eps x^2, for the rounding error eps of float32 and of float64.
+    The guide lines are at eps x and eps x^2, where eps is the rounding error of float32 or float64.
 
     Parameters
     ----------
     axes : Axes
-        The axes in which to draw.
+        The axes to draw in.
     panel : Panel
         The panel.
     rows : sequence of sequences of str
@@ -395,15 +399,16 @@ def _draw_panel(
         For each method, the line style of its curve.
     """
     curves = {
-        name: np.array([row[::2] for row in rows if row[1] == name], float).T
-        for name in ("this tracer", *panel.methods)
+        method: np.array([row[::2] for row in rows if row[1] == method], float).T
+        for method in ("this tracer", *panel.methods)
     }
     is_radiance, x = panel.error is measure_largest_error, curves["this tracer"][0]
     scene = panel.scene(x[0])
-    floor, top = (_MIN_ERROR, 1.0) if is_radiance else (25 / (scene.width * scene.height), 100.0)
-    # Curves without errors are drawn below each other.
-    positions_of_none = {name: floor / _CURVE_SPACING**k for k, name in enumerate(curves)}
-    limits = {"xlim": (x[0], x[-1]), "ylim": (min(positions_of_none.values()) / 1.6, 1.6 * top)}
+    min_percentage = 25 / (scene.width * scene.height)  # a quarter of that of one pixel
+    min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance else (min_percentage, 100.0)
+    # Errors of zero are drawn at a different height for each curve, so that all are visible.
+    height_of_none = {method: min_error / _CURVE_SPACING**k for k, method in enumerate(curves)}
+    limits = {"xlim": (x[0], x[-1]), "ylim": (min(height_of_none.values()) / 1.6, 1.6 * max_error)}
     guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
     label = ";   ".join([panel.axis, *guides])
     axes.set(title=panel.title, xlabel=label, xscale="log", yscale="log", **limits)
@@ -411,11 +416,11 @@ def _draw_panel(
         axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
-        axes.set_yticks([floor, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
+        axes.set_yticks([min_error, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
-    for name, (_, errors) in curves.items():
-        shown = np.where(errors <= floor, positions_of_none[name], np.minimum(errors, top))
-        axes.plot(x, shown, label=name, clip_on=False, **styles[name])
+    for method, (_, errors) in curves.items():
+        drawn = np.where(errors <= min_error, height_of_none[method], np.minimum(errors, max_error))
+        axes.plot(x, drawn, label=method, clip_on=False, **styles[method])
     for power, dashes in enumerate(_GUIDES.values(), 1):
         if power <= len(panel.guides):
             style = {"color": "#888888", "marker": "", "lw": 1, "ls": dashes}
@@ -423,7 +428,7 @@ def _draw_panel(
 
 
 def main() -> None:
-    """Measure the errors, store them as a table, and draw the chart, as the command line says."""
+    """Measure the errors, store them in a table, and draw the chart."""
     columns = ("panel", "position", "method", "error")
     note = (
         "Above: pictures by usual methods; below them: the same scenes by this tracer.  Each point"

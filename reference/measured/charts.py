@@ -60,11 +60,11 @@ def run_chart_command(
     columns : sequence of str
         Titles of the table's columns.
     measure : callable
-        Function that measures and yields the rows of the table.  Its argument is True for a quick
+        Function that yields the measured rows of the table.  Its argument is True for a quick
         measurement.
     draw : callable
-        Function that draws the chart as a matplotlib Figure.  Its argument is the list of rows as
-        read from the CSV file, where numbers are rounded, so that `--redraw` draws the same chart.
+        Function that draws the chart, and returns it as a matplotlib Figure.  Its argument contains
+        the rows of the CSV file, in which numbers are rounded, so `--redraw` draws the same chart.
     texts : (str, str)
         The chart's title, and a note below the title.
     """
@@ -81,10 +81,10 @@ def run_chart_command(
     figure = draw(stored_rows)
     width, height = figure.get_size_inches()
     title, note = texts
-    left = _TEXT_LEFT / width
-    figure.text(left, 1 - _TITLE_TOP / height, title, va="top", fontsize=14, weight="bold")
-    figure.text(left, 1 - _NOTE_TOP / height, note, va="top", fontsize=9, color="#444444")
-    origin_text = f"Measured on {origin}."
-    figure.text(left, _ORIGIN_BOTTOM / height, origin_text, fontsize=7, color="#666666", wrap=True)
+    text_left = _TEXT_LEFT / width
+    figure.text(text_left, 1 - _TITLE_TOP / height, title, va="top", fontsize=14, weight="bold")
+    figure.text(text_left, 1 - _NOTE_TOP / height, note, va="top", fontsize=9, color="#444444")
+    footer = f"Measured on {origin}."
+    figure.text(text_left, _ORIGIN_BOTTOM / height, footer, fontsize=7, color="#666666", wrap=True)
     figure.savefig(table_path.with_suffix(".svg"), metadata={"Date": None})
     plt.close(figure)

@@ -56,9 +56,9 @@ class Timing(NamedTuple):
         middle, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
         return middle if self.low == self.high else f"{middle} ({low}–{high})"
 
-    def divided_by(self, count: int) -> Timing:
+    def divided_by(self, item_count: int) -> Timing:
         """Divide the times by the number of items that the task processed: seconds per item."""
-        return Timing(*(seconds / count for seconds in self))
+        return Timing(*(seconds / item_count for seconds in self))
 
 
 def time_interleaved(
@@ -66,20 +66,19 @@ def time_interleaved(
 ) -> dict[_Name, Timing]:
     """Time tasks alternately: each round runs every task once.
 
-    If the machine is slower for a while, this affects all tasks alike.
+    A slow period of the machine then affects all tasks alike.
 
     Parameters
     ----------
     tasks : mapping of names to Task
-        Functions without arguments.  If a task returns a float, this is its time in seconds;
-        otherwise the time is measured.  Each task runs once before the first round, without being
-        timed.  A short task also runs before each of its rounds, to fill the CPU caches with its
-        own data.
+        Functions without arguments.  If a task returns a float, that is its time in seconds;
+        otherwise the time is measured.  Each task first runs once untimed.  A short task also runs
+        untimed before each of its rounds, to fill the CPU caches with its own data.
     rounds : int
-        Minimum number of rounds.
+        Minimum number of rounds of each task.
     min_seconds : float
-        A task runs in more rounds until they have taken this long together, but in at most five
-        times `rounds`.
+        Rounds are added until those of a task have taken this time in total, up to five times
+        `rounds`.
 
     Returns
     -------
@@ -91,25 +90,25 @@ def time_interleaved(
         start = perf_counter()
         task()
         warm_up_seconds[name] = perf_counter() - start
-    times: dict[_Name, list[float]] = {name: [] for name in tasks}
+    times_of_task: dict[_Name, list[float]] = {name: [] for name in tasks}
     for round_index in range(_MAX_ROUNDS_FACTOR * rounds):
         for name, task in tasks.items():
-            if round_index < rounds or sum(times[name]) < min_seconds:
+            if round_index < rounds or sum(times_of_task[name]) < min_seconds:
                 sleep(_PAUSE_SECONDS)
                 if warm_up_seconds[name] < _MAX_WARM_UP_SECONDS:
                     task()
                 start = perf_counter()
                 result = task()
                 elapsed = perf_counter() - start
-                times[name].append(result if isinstance(result, float) else elapsed)
-    return {name: Timing(median(t), min(t), max(t)) for name, t in times.items()}
+                times_of_task[name].append(result if isinstance(result, float) else elapsed)
+    return {name: Timing(median(x), min(x), max(x)) for name, x in times_of_task.items()}
 
 
 def make_command_task(command: Sequence[str]) -> Task:
-    """Return a function that runs a command in a new process and discards its output, for timing.
+    """Make a function that runs a command in a new process and discards its output.
 
-    In the new process, Python may store compiled modules even if PYTHONDONTWRITEBYTECODE is set
-    here.  So only the first run compiles the modules.
+    The new process may store compiled Python modules even if PYTHONDONTWRITEBYTECODE is set here,
+    so that only the first run compiles them.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ def make_command_task(command: Sequence[str]) -> Task:
     Returns
     -------
     task : callable
-        Runs the command and waits for its end.  It raises CalledProcessError if the command fails.
+        Function that runs the command until it ends, and raises CalledProcessError if it fails.
     """
     environment = {**os.environ}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -127,9 +126,9 @@ def make_command_task(command: Sequence[str]) -> Task:
 
 
 def write_csv(
-    path: Path, origin: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
+    path: Path, origin: str, column_titles: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write a table as a CSV file, with its origin in a comment on the first line.
+    """Write a table as a CSV file, with a comment on its origin in the first line.
 
     Parameters
     ----------
@@ -137,7 +136,7 @@ def write_csv(
         The file to write.
     origin : str
         When and where the table was measured, for example from `describe_origin`.
-    columns : sequence of str
+    column_titles : sequence of str
         Titles of the columns.
     rows : iterable of sequences
         The rows of the table.  Floats are rounded to six digits.
@@ -145,9 +144,9 @@ def write_csv(
     with path.open("w", newline="", encoding="utf-8") as file:
         file.write(f"# {origin}\n")
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
+        writer.writerow(column_titles)
         for row in rows:
-            writer.writerow([f"{x:.6g}" if isinstance(x, float) else x for x in row])
+            writer.writerow([f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row])
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
@@ -163,7 +162,7 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
     origin : str
         When and where the table was measured.
     rows : list of lists of str
-        The rows, without the titles of the columns.
+        The rows below the column titles.
     """
     with path.open(newline="", encoding="utf-8") as file:
         origin = file.readline().removeprefix("# ").rstrip("\n")
@@ -171,29 +170,33 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 
 def describe_origin() -> str:
-    """Describe when and where something is measured: date, commit, processor, system, versions."""
-    povray = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
+    """Describe when, where and with what a measurement is made, as one line of text.
+
+    The line gives the date, the commit, the processor, the system, and the versions of programs.
+    """
+    povray_match = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
     system = [platform.system(), f"Python {platform.python_version()}", *versions]
     machine = f"{_describe_processor()} ({count_processors()} cores)"
     today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
-    povray_version = povray[0] if povray else "no POV-Ray"
+    povray_version = povray_match[0] if povray_match else "no POV-Ray"
     return ", ".join([today, _describe_commit(), machine, *system, povray_version])
 
 
 def _describe_commit() -> str:
-    """Return "commit" and the hash of the current commit, and a "+" if modules were changed since.
+    """Describe the current Git commit, such as "commit 1a2b3c4", or "no commit" if there is none.
 
-    Outside of a Git repository, return "no commit".
+    A "+" after the hash means that Python files have changed since the commit.
     """
     git = f"git -C {shlex.quote(str(HERE))}"
-    status, commit = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
+    exit_status, short_hash = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
     changed_files = subprocess.getoutput(f"{git} status --porcelain -- ':/*.py'")
-    return "no commit" if status else f"commit {commit}{'+' * bool(changed_files)}"
+    return "no commit" if exit_status else f"commit {short_hash}{'+' * bool(changed_files)}"
 
 
 def _describe_processor() -> str:
-    """Return the model of the processor on Linux, or its architecture on other systems."""
-    path = Path("/proc/cpuinfo")
-    model = re.search(r"^model name\s*: (.*)", path.read_text() if path.exists() else "", re.M)
-    return model[1] if model else platform.processor() or platform.machine()
+    """Return the processor's model on Linux, or its name or architecture on other systems."""
+    cpu_file = Path("/proc/cpuinfo")
+    cpu_text = cpu_file.read_text() if cpu_file.exists() else ""
+    model_match = re.search(r"^model name\s*: (.*)", cpu_text, re.M)
+    return model_match[1] if model_match else platform.processor() or platform.machine()

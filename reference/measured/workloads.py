@@ -18,11 +18,10 @@ _SHADERS = (
 
 
 def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
-    """Build a scene of a floor and small objects that hover in front of the camera.
+    """Build a scene of small objects that float above a floor, in front of the camera.
 
-    Half of the objects are spheres and half are boxes, lit by two lights.  Together they cover
-    about the same part of the picture for any number of objects.  The scene depends only on
-    `count`.
+    Half of the objects are spheres and half are boxes, lit by two lights.  They cover about the
+    same part of the picture, whatever their number.  For equal arguments, the scene is the same.
 
     Parameters
     ----------
@@ -61,12 +60,12 @@ def field_scene(count: int) -> Scene:
     """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast
-    shadows on each other and on the floor.  The scene depends only on `count`.
+    shadows on each other and on the floor.  For the same `count`, the scene is always the same.
 
     Parameters
     ----------
     count : int
-        Number of objects, without the floor.
+        Number of objects, not including the floor.
 
     Returns
     -------
@@ -93,27 +92,27 @@ def field_scene(count: int) -> Scene:
 
 
 def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:
-    """Make one light of medium intensity at each position (x, y, z)."""
+    """Make a light of medium intensity at each position (x, y, z)."""
     return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 
 
 def resize_picture(scene: Scene, width: int, height: int) -> Scene:
     """Return a copy of a scene with another picture size and square pixels.
 
-    The height of the camera's window stays the same.  Its width is adapted, so the picture shows
-    more or less at its left and right sides.
+    The height of the camera's window stays the same.  The width of the window is adapted, so the
+    picture may show more or less of the scene at its left and right sides.
 
     Parameters
     ----------
     scene : Scene
-        The scene, which is not changed.
+        The scene, which stays unchanged.
     width, height : int
-        Size of the new picture in pixels.
+        Size of the picture in pixels.
 
     Returns
     -------
-    resized : Scene
-        The copy with the new size.
+    resized_scene : Scene
+        The copy with the new picture size.
     """
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
     return replace(scene, width=width, height=height, camera=camera)

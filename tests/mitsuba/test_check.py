@@ -23,7 +23,7 @@ from reference import check, report
 from reference.check import STOCK, CheckResult, Limits, check_diffuse, check_scene, compare
 from reference.command import SCENES
 from reference.figures import Figures
-from reference.regenerate import load_small
+from reference.regenerate import load_small_scene
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.command.failure import Failure
 
@@ -199,7 +199,7 @@ def test_a_bright_pixel_does_not_increase_the_tolerance(monkeypatch):
 
 
 def test_edges_that_differ_are_excluded_up_to_a_share():
-    scene = load_small(SCENES / "four-spheres.xml")
+    scene = load_small_scene(SCENES / "four-spheres.xml")
     image = render(scene)
     shifted = render(scene, offset=(0.03, 0.03))
     edges = np.abs(shifted - image).max(axis=2) > 1e-2

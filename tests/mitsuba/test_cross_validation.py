@@ -16,7 +16,7 @@ from converters.variant import SCALAR, use_variant
 from reference import check, regenerate
 from reference.command import HERE, SCENES
 from reference.figures import measure_differences
-from reference.regenerate import hash_scene_file, load_small, read_stored_picture
+from reference.regenerate import hash_scene_file, load_small_scene, read_stored_picture
 from tracer import load_scene, render
 
 pytestmark = pytest.mark.cross_validation
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.cross_validation
 @pytest.mark.parametrize("name", NAMES)
 def test_diffuse_light_agrees_with_stock_plugins(name):
     # In the LLVM variant, a ray through the diagonal of a cube's face may miss the cube.
-    result = check.check_diffuse(load_small(SCENES / f"{name}.xml"), name, SCALAR)
+    result = check.check_diffuse(load_small_scene(SCENES / f"{name}.xml"), name, SCALAR)
     use_variant()
     assert result.verdict == "agrees", result.report()
     assert result.edges.mean() <= 0.001
@@ -34,7 +34,7 @@ def test_diffuse_light_agrees_with_stock_plugins(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
-    scene = load_small(SCENES / f"{name}.xml")
+    scene = load_small_scene(SCENES / f"{name}.xml")
     now = check.check_scene(scene, name)
     then = check.compare(scene, name, Rendering(read_stored_picture(name), "stored", 0.0))
     for result in (now, then):

@@ -27,7 +27,7 @@ from converters.variant import SCALAR
 from reference.check import check_scene
 from reference.command import SCENES, own_scenes
 from reference.figures import measure_differences
-from reference.regenerate import load_small
+from reference.regenerate import load_small_scene
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, Surfaces, render
 
 TINY = small_scene("one-sphere", 8, 8)
@@ -114,7 +114,7 @@ def test_a_field_of_view_that_mitsuba_refuses_is_not_converted(camera, fov):
     ("scale", "offset"), [(1e-15, 0), (1e-4, 0), (1e25, 0), (1, 1e4), (1, 1e8), (1e-3, 1)]
 )
 def test_stock_pictures_do_not_depend_on_scale_and_place(scale, offset):
-    scene = load_small(SCENES / "four-spheres.xml")
+    scene = load_small_scene(SCENES / "four-spheres.xml")
     shifted = scale_and_shift(scene, scale, (offset,) * 3)
     images = [render_mitsuba(each, 16, None, "stock") for each in (shifted, scene)]
     assert measure_differences(*images).ssim > 0.99
@@ -142,7 +142,7 @@ def test_a_large_ground_is_lit_in_the_exact_flavour():
 def test_stock_scenes_keep_their_coordinates():
     assert own_scenes()
     for path in own_scenes():
-        assert "moved and scaled" not in convert_stock(load_small(path)).comment
+        assert "moved and scaled" not in convert_stock(load_small_scene(path)).comment
     assert "moved and scaled" in convert_stock(scale_and_shift(TINY, 1, (1e6,) * 3)).comment
 
 

@@ -25,7 +25,7 @@ from reference import check
 from reference.check import check_diffuse, check_scene, compare
 from reference.command import SCENES
 from reference.handins.drawing import render_with_mistakes
-from reference.regenerate import load_small, read_stored_picture
+from reference.regenerate import load_small_scene, read_stored_picture
 from tracer import Phong, Scene, Sphere, first_hits, render
 from tracer.arrays import Floats
 
@@ -71,7 +71,7 @@ def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFram
     ],
 )
 def test_a_wrong_camera_is_detected(monkeypatch, check_flavour, camera, name):
-    scene = replace(load_small(SCENES / f"{name}.xml"), width=64, height=48)
+    scene = replace(load_small_scene(SCENES / f"{name}.xml"), width=64, height=48)
     assert check_flavour(scene, name).verdict == "agrees"
     use_camera(monkeypatch, camera)
     assert check_flavour(scene, name).verdict == "DIFFERS"
@@ -100,7 +100,7 @@ USUAL_SSIM = 0.98
     ids=["gamma", "brighter", "boxes shifted"],
 )
 def test_a_wrong_picture_is_detected(monkeypatch, mutation, name, ssim_misses):
-    scene = load_small(SCENES / f"{name}.xml")
+    scene = load_small_scene(SCENES / f"{name}.xml")
     stored = Rendering(read_stored_picture(name), "stored", 0.0)
     assert compare(scene, name, stored).verdict == "agrees"
     wrong = mutation(scene)
@@ -121,7 +121,7 @@ specular-none unshaded viewDir-length window-ignored
 
 @pytest.mark.parametrize("mistake", MISTAKES.split())
 def test_mistakes_of_beginners_are_detected(monkeypatch, mistake):
-    scene = replace(load_small(SCENES / "four-spheres.xml"), width=48, height=48)
+    scene = replace(load_small_scene(SCENES / "four-spheres.xml"), width=48, height=48)
     assert np.allclose(render_with_mistakes(scene, formula="image"), render(scene), atol=1e-9)
     wrong = render_with_mistakes(scene, mistake, formula="image")
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
@@ -209,7 +209,7 @@ def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
 @pytest.mark.parametrize("variant", [SCALAR, None])  # and the fastest that works here
 @pytest.mark.parametrize("mistake", [*WRONG_WINDOWS, *WRONG_SCENES, "no cosine"])
 def test_a_broken_converter_is_detected(monkeypatch, mistake, variant):
-    scene = replace(load_small(SCENES / "sticks-perspective.xml"), width=64, height=48)
+    scene = replace(load_small_scene(SCENES / "sticks-perspective.xml"), width=64, height=48)
     use_variant(variant)
     break_converter(monkeypatch, mistake)
     result = check_scene(scene, mistake, variant)
