@@ -94,7 +94,9 @@ def draw_spans() -> None:
     scene, prepared, samples = _load_and_prepare("four-spheres", 96)
     row, object_count, ray_count = scene.height // 2, len(scene.surfaces), 0
     _, (image_axes, spans_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 3.6), width_ratios=(1, 1.6))
-    _show_picture(image_axes, to_codes(render(scene, samples=16)) / 255, f"Pixels, with row {row}")
+    _show_picture(
+        image_axes, to_codes(render(scene, samples=16)) / 255, f"Row {row} of the picture"
+    )
     image_axes.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     for shape in prepared.shapes:
         object_index, span_row, span_start, span_length = samples.find_spans(shape, prepared)
