@@ -323,7 +323,7 @@ def test_the_light_grid_is_read_in_batches(monkeypatch):
     ground = Sphere(center=(0, -1e6, 0), radius=1e6 - 1)
     scene = balls_side_by_side((0.1, 3, 0.2), 300, 0.1, ground)
     expected = render(scene, 16)
-    cell_counts = record_sizes(monkeypatch, light_grid, "_overlapped_cells")
+    cell_counts = record_sizes(monkeypatch, light_grid, "_find_overlaps")
     pair_counts = record_sizes(monkeypatch, LightGrid, "query")
     monkeypatch.setattr(light_grid, "_PAIRS_PER_BATCH", 1000)
     monkeypatch.setattr(light_grid, "_CELLS_PER_BATCH", 1000)

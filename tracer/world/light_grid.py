@@ -22,7 +22,7 @@ entry
 rectangle
     The bounding rectangle, in octahedral coordinates, of an entry or of a ball in one octant.
 direction bounds
-    Eight numbers for an entry, or for a ball in one octant: see `_direction_bounds`.
+    Eight numbers for an entry, or for a ball in one octant: see `_bound_directions`.
 
 An entry is listed in all cells that its rectangle overlaps.  The rectangle of a ball overlaps
 several cells, too, and yet the query must find each entry only once.  Therefore it finds the entry
@@ -90,7 +90,7 @@ _LIST_OF_PLACE = np.array([3, 2, 0, 1])
 
 # A ball reads a range of these lists, by the place of the cell in the ball's rectangle: the first
 # row contains the start of each range, and the second row its end, exclusive.
-_LISTS_READ = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
+_LIST_LIMITS = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
 
 # Direction bounds are stored in float32 if all patches are wider than this, in octahedral
 # coordinates, and otherwise in float64.  With float32, rendering 10,000 objects takes 0.88
@@ -147,7 +147,7 @@ class LightGrid(NamedTuple):
     listed : (m,) int array
         Indices of the entries in all lists, cell by cell and list by list.
     entry_bounds : (entries, 8) float array
-        Bounds on each entry's directions and distances from the light: see `_direction_bounds`.
+        Bounds on each entry's directions and distances from the light: see `_bound_directions`.
         They are arranged so that an entry may block segments from a ball only if each of the ball's
         eight bounds is at most the entry's bound.
     entry_object : (entries,) int array
@@ -165,13 +165,13 @@ class LightGrid(NamedTuple):
     entry_object: Ints
 
     def query(
-        self, center: Floats, radius: Floats, own_object: Ints, active: Bools
+        self, center: Floats, radius: Floats, own_object_index: Ints, active: Bools
     ) -> Iterator[Ints]:
-        """Yield, in batches, the objects that may lie between each ball and each light.
+        """Find the objects that may lie between each ball and each light; yield them in batches.
 
         The result is conservative: it includes every object that blocks a segment from a point of
-        the ball to the light, and some that block none.  An object may be repeated, once for each
-        octant of directions.  The ball's own object is excluded.
+        the ball to the light, and some that block none.  An object may appear several times, at
+        most once in each octant of directions.  The ball's own object is excluded.
 
         Parameters
         ----------
@@ -180,10 +180,11 @@ class LightGrid(NamedTuple):
         radius : (n,) or (3, 1, n) float array
             Radii of the balls.  If the points are enclosed by boxes instead of balls, these are the
             half widths of the boxes along each axis.
-        own_object : (n,) int array
-            Index of an object that is excluded for each ball: the one on which its points lie.
+        own_object_index : (n,) int array
+            For each ball, the index of the object on which its points lie.
         active : (lights, n) bool array
-            Whether to search for objects between the light and the ball.
+            Whether to search for objects between the light and the ball.  Pairs that are not
+            active are skipped.
 
         Yields
         ------
@@ -192,36 +193,36 @@ class LightGrid(NamedTuple):
             block segments from the ball to the light.
         """
         light_count, ball_count = active.shape
-        # Each light and ball have one box of vectors, which is split into up to eight parts.
+        # The vectors from a ball to a light fill a box, which is split into up to eight parts.
         to_light = self.light - center[:, None]
         octant, box_index, rectangle, bounds = _split_by_octant(
             to_light - radius, to_light + radius, self.patch, active
         )
-        # No condition on the far end: an object may extend beyond the ball, away from the light.
+        # Objects may extend beyond the ball, away from the light, so their far ends do not matter.
         bounds[7] = -np.inf
         bounds = bounds.T.astype(self.entry_bounds.dtype, order="C")
         patch = self.patch.take(octant * light_count + box_index // ball_count)
-        rectangle = _relative_to_patch(rectangle, patch, self.origin, self.size)
-        for part_index, start, length in self._ranges_to_read(rectangle, patch):
+        rectangle = _rescale_to_patch(rectangle, patch, self.origin, self.size)
+        for part_index, start, length in self._find_ranges(rectangle, patch):
             for batch in batches(length, _PAIRS_PER_BATCH):
-                batch_part = part_index[batch].repeat(length[batch])
+                entry_part = part_index[batch].repeat(length[batch])
                 entry = self.listed.take(join_ranges(start[batch], length[batch]))
-                is_within = self.entry_bounds.take(entry, axis=0) >= bounds.take(batch_part, axis=0)
+                is_within = self.entry_bounds.take(entry, axis=0) >= bounds.take(entry_part, axis=0)
                 # The same as is_within.all(axis=1), but much faster.
-                match_index = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
-                occluder = self.entry_object.take(entry.take(match_index))
-                match_box = box_index.take(batch_part.take(match_index))
-                light_index, ball_index = np.divmod(match_box, ball_count)
-                kept = indices(occluder != own_object.take(ball_index))
+                match = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
+                occluder = self.entry_object.take(entry.take(match))
+                box_of_match = box_index.take(entry_part.take(match))
+                light_index, ball_index = np.divmod(box_of_match, ball_count)
+                kept = indices(occluder != own_object_index.take(ball_index))
                 yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
-    def _ranges_to_read(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
-        """Find, for each rectangle, the ranges of `listed` with the entries that it may overlap.
+    def _find_ranges(self, rectangle: Floats, patch: Ints) -> Iterator[tuple[Ints, Ints, Ints]]:
+        """Find which ranges of `listed` contain the entries that each rectangle may overlap.
 
         A rectangle bounds the directions from a light to some points.  An entry is the part of an
-        object in one octant of directions.  `listed` contains the entries in each cell of
-        directions, in four lists for each cell.  Only some of the four lists are included, so that
-        no entry is read twice for one rectangle.
+        object in one octant of directions.  `listed` contains four lists of entries for each cell
+        of directions.  Only some of the four lists are read, so that no entry is returned twice for
+        one rectangle.
 
         Parameters
         ----------
@@ -236,12 +237,12 @@ class LightGrid(NamedTuple):
         rectangle_index : (k,) int array
             Index of each range's rectangle.
         start, length : (k,) int arrays
-            Each range is listed[start] to listed[start + length - 1]; `length` is at least 1.
+            Each range is listed[start : start + length]; `length` is at least 1.
         """
-        for rectangle_index, cell, place in _overlapped_cells(rectangle, patch, self.side):
+        for rectangle_index, cell_index, place in _find_overlaps(rectangle, patch, self.side):
             start, stop = (
-                self.list_start.take(4 * cell + list_of_place.take(place)).astype(np.intp)
-                for list_of_place in _LISTS_READ
+                self.list_start.take(4 * cell_index + list_limit.take(place)).astype(np.intp)
+                for list_limit in _LIST_LIMITS
             )
             nonempty = indices(stop > start)
             start, stop = start.take(nonempty), stop.take(nonempty)
@@ -256,7 +257,7 @@ def build_light_grid(
     is_visible: Bools,
     is_occluder: Bools,
 ) -> LightGrid | None:
-    """Build a grid that finds the objects that may lie between a point and each light.
+    """Build a grid for finding the objects that may lie between a point and a light.
 
     For each light, the grid divides directions into cells, and lists the objects in each cell.
 
@@ -267,7 +268,7 @@ def build_light_grid(
     low, high : (3, n) float arrays
         Smallest and largest coordinates of each object, in scene axes.
     position_error : (n,) float array
-        Bound on the rounding errors of points on each object, by which the object is enlarged.
+        Bound on the rounding errors of points on each object.  The object is enlarged by it.
     is_visible : (n,) bool array
         Whether the camera may see the object, so that shadows on the object matter.
     is_occluder : (n,) bool array
@@ -282,28 +283,30 @@ def build_light_grid(
     if not (light_count and object_count > 1 and is_visible.any()):
         return None
     low, high = low - position_error, high + position_error
-    light, error = _move_closer(light_position, low, high)
-    low, high = (light - error) - high[:, None], (light + error) - low[:, None]
+    light, vector_error = _move_far_lights(light_position, low, high)
+    # From here on, these are bounds on the vectors from the points of each object to each light.
+    low, high = (light - vector_error) - high[:, None], (light + vector_error) - low[:, None]
     octant_count = 8 * light_count
-    any_patch, all_active = np.zeros(octant_count, dtype=np.intp), np.ones((1, 1), dtype=np.bool_)
-    octant, box_index, rectangle, bounds = _split_by_octant(low, high, any_patch, all_active)
-    box_light, object_index = np.divmod(box_index, object_count)
-    octant = octant * light_count + box_light
-    receiver = indices(is_visible[object_index])
-    patch, origin, size = _choose_patches(octant[receiver], rectangle[:, receiver], octant_count)
+    no_skips, all_active = np.zeros(octant_count, dtype=np.intp), np.ones((1, 1), dtype=np.bool_)
+    sign_bits, box_index, rectangle, bounds = _split_by_octant(low, high, no_skips, all_active)
+    light_index, object_index = np.divmod(box_index, object_count)
+    octant = sign_bits * light_count + light_index
+    visible = indices(is_visible[object_index])
+    patch, origin, size = _choose_patches(octant[visible], rectangle[:, visible], octant_count)
     entry_index = indices((patch[octant] >= 0) & is_occluder[object_index])
     # Rounding to float32 is monotonic: what compares as >= still does.
     dtype = np.float32 if size.min() > _MIN_FLOAT32_WIDTH else np.float64
-    # Rows are swapped in pairs, and negated, so that each minimum of a ball is compared with the
-    # maximum of an entry, and the other way round.
+    # Swap and negate each pair of rows, so that each minimum of a ball is compared with the
+    # maximum of an entry, and vice versa.
     entry_bounds = -bounds.reshape(4, 2, -1)[:, ::-1].reshape(8, -1).take(entry_index, axis=1)
     entry_bounds = entry_bounds.T.astype(dtype, order="C")
     entry_patch, entry_object = patch[octant[entry_index]], object_index[entry_index]
     rectangle = rectangle.take(entry_index, axis=1)
-    del low, high, octant, box_index, box_light, bounds, object_index  # large, with many objects
-    rectangle = _relative_to_patch(rectangle, entry_patch, origin, size)
+    # These arrays are large if there are many objects.
+    del low, high, sign_bits, octant, box_index, light_index, bounds, object_index
+    rectangle = _rescale_to_patch(rectangle, entry_patch, origin, size)
     patch_count = origin.shape[1]
-    side = _cells_per_side(rectangle, object_count, light_count, patch_count)
+    side = _choose_cells_per_side(rectangle, object_count, light_count, patch_count)
     lists = _fill_lists(rectangle, entry_patch, side, patch_count)
     return LightGrid(light, patch, side, origin, size, *lists, entry_bounds, entry_object)
 
@@ -311,47 +314,47 @@ def build_light_grid(
 def _choose_patches(
     octant: Ints, rectangle: Floats, octant_count: int
 ) -> tuple[Ints, Floats, Floats]:
-    """Choose a patch in each octant of directions with visible objects.
+    """Choose a patch for each octant of directions that contains visible objects.
 
     Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
-    a rectangle in these coordinates: the bounding rectangle of the octant's visible objects without
-    outliers.  On each of its four sides, at most one object in `_OBJECTS_PER_OUTLIER` extends
-    beyond the patch.
+    a rectangle in these coordinates that bounds the octant's visible objects except for outliers.
+    At most one object in `_OBJECTS_PER_OUTLIER` extends beyond each of its four sides.
 
     Parameters
     ----------
     octant : (n,) int array
-        Octant of each rectangle, in ascending order.
+        Number of each rectangle's octant, in ascending order.
     rectangle : (4, n) float array
-        Bounding rectangles of the parts of visible objects in each octant.  The rows contain the
-        minimum and the maximum of u, then the minimum and the maximum of v.
+        Bounding rectangles of the parts of visible objects in each octant: minimum and maximum u,
+        then minimum and maximum v.
     octant_count : int
         Number of octants of all lights: 8 for each light.
 
     Returns
     -------
-    patch : (octant_count,) int array
+    patch_of_octant : (octant_count,) int array
         Index of the patch in each octant, or -1 if the octant contains no visible object.
     origin, size : (2, patches) float arrays
-        Minimum u and v of each patch, and its extents in u and v.
+        Minimum u and v of each patch, and the extents of the patch in u and v.
     """
-    start, _ = run_lengths(octant)
-    patch = np.full(octant_count, -1)
-    patch[octant[start]] = np.arange(start.size)
-    patches = []
-    for octant_rectangles in np.split(rectangle, start[1:], axis=1):
+    octant_start, _ = run_lengths(octant)
+    patch_of_octant = np.full(octant_count, -1)
+    patch_of_octant[octant[octant_start]] = np.arange(octant_start.size)
+    origins_and_sizes = []
+    for octant_rectangles in np.split(rectangle, octant_start[1:], axis=1):
         outlier_count = octant_rectangles.shape[1] // _OBJECTS_PER_OUTLIER
         low = np.partition(octant_rectangles[::2], outlier_count)[:, outlier_count]
         high = np.partition(octant_rectangles[1::2], -1 - outlier_count)[:, -1 - outlier_count]
-        patches.append((low, high - low))
-    origin, size = np.array(patches).transpose(1, 2, 0)
-    return patch, origin, size
+        origins_and_sizes.append((low, high - low))
+    origin, size = np.array(origins_and_sizes).transpose(1, 2, 0)
+    return patch_of_octant, origin, size
 
 
-def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+def _move_far_lights(light_position: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Move distant lights towards the scene, to `_MAX_LIGHT_DISTANCE` times the scene's size.
 
-    A light that is farther away has the same directions, except for a negligible angle.
+    Beyond that distance, moving a light changes the direction to it, from any point of the scene,
+    by a negligible angle.
 
     Parameters
     ----------
@@ -363,19 +366,19 @@ def _move_closer(light_position: Floats, low: Floats, high: Floats) -> tuple[Flo
     Returns
     -------
     position : (3, n, 1) float array
-        New positions of the lights; lights that are not distant keep their positions.
-    error : (n, 1) float array
-        Bound on the error of vectors from points of the scene to the light.  It covers rounding
-        and, if the light was moved, the change of direction.
+        New positions of the lights; only those of distant lights differ.
+    vector_error : (n, 1) float array
+        Bound on the error of vectors from points of the scene to each light, due to rounding and,
+        if the light was moved, to the change of direction.
     """
     scene_low, scene_high = low.min(axis=1, keepdims=True), high.max(axis=1, keepdims=True)
-    scene_center, scene_size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
-    from_center = light_position.T - scene_center
-    factor = _MAX_LIGHT_DISTANCE * scene_size / np.abs(from_center).sum(axis=0)
-    position = np.where(factor < 1, scene_center + factor * from_center, light_position.T)
-    turn_error = np.where(factor < 1, 2 * scene_size / _MAX_LIGHT_DISTANCE, 0)
-    error = DIRECTION_ROUNDING * np.abs(position).sum(axis=0) + turn_error
-    return position[:, :, None], error[:, None]
+    center, scene_size = scene_low / 2 + scene_high / 2, (scene_high - scene_low).sum()
+    from_center = light_position.T - center
+    shrink_factor = _MAX_LIGHT_DISTANCE * scene_size / np.abs(from_center).sum(axis=0)
+    position = np.where(shrink_factor < 1, center + shrink_factor * from_center, light_position.T)
+    direction_change_bound = np.where(shrink_factor < 1, 2 * scene_size / _MAX_LIGHT_DISTANCE, 0)
+    vector_error = DIRECTION_ROUNDING * np.abs(position).sum(axis=0) + direction_change_bound
+    return position[:, :, None], vector_error[:, None]
 
 
 def _split_by_octant(
@@ -391,53 +394,54 @@ def _split_by_octant(
     low, high : (3, lights, n) float arrays
         Minimum and maximum of each vector component, for each box.
     patch_of_octant : (8 * lights,) int array
-        Element octant * lights + light is negative if this octant of the light is to be skipped.
+        Element octant * lights + light is negative if this octant of the light is skipped.
     active : (lights, n) or (1, 1) bool array
         Whether to process the box.
 
     Returns
     -------
     octant : (m,) int array
-        Octant of each part, in ascending order.  Bit k is set if component k is negative.
+        Number of each part's octant, in ascending order.  Bit k is set if component k is negative.
     box_index : (m,) int array
-        Box of each part: light * n + the index of the box among those of the light.
+        Index of each part's box: light * n + the position of the box among those of the light.
     rectangle : (4, m) float array
         Minimum and maximum of u, then of v: the octahedral coordinates u = |x| / (|x| + |y| + |z|)
         and v = |y| / (|x| + |y| + |z|) of the vectors (x, y, z) in the part.
     bounds : (8, m) float array
-        Bounds on other functions of these vectors, for x, y and z replaced by |x|, |y| and |z|:
-        the minimum, and the maximum negated, of x / (x + y), of y / (y + z) and of z / (z + x);
-        then the maximum of x + y + z negated, and its minimum.
+        More bounds, in which x, y and z stand for |x|, |y| and |z|: the minimum and the negated
+        maximum of x / (x + y), of y / (y + z) and of z / (z + x); then the negated maximum and the
+        minimum of x + y + z.
     """
     # Whether each box contains vectors with x >= 0, and with x <= 0; the same for y and z.
-    has_x, has_y, has_z = np.moveaxis(np.array([high >= 0, low <= 0]), 1, 0)
-    reached = [z & y & x & active for z, y, x in product(has_z, has_y, has_x)]
+    x_signs, y_signs, z_signs = np.moveaxis(np.array([high >= 0, low <= 0]), 1, 0)
+    signs = product(z_signs, y_signs, x_signs)
+    has_part = [in_z & in_y & in_x & active for in_z, in_y, in_x in signs]
     is_wanted = (patch_of_octant >= 0).reshape(8, -1, 1)
-    octant, box_index = np.divmod(indices(np.array(reached) & is_wanted), low[0].size)
-    components = []
+    octant, box_index = np.divmod(indices(np.array(has_part) & is_wanted), low[0].size)
+    ranges = []
     for axis in range(3):
         is_negative = (octant >> axis & 1).astype(np.bool_)
         axis_low, axis_high = low[axis].take(box_index), high[axis].take(box_index)
         minimum = np.maximum(np.where(is_negative, -axis_high, axis_low), 0)
         # For a box that only touches a coordinate plane, 0 / 0 would give no bound.
         maximum = np.where(is_negative, -axis_low, axis_high) + MIN_DIVISOR
-        components.append((minimum, maximum))
-    # Minimum and maximum of |x|, |y| and |z|.
-    (x0, x1), (y0, y1), (z0, z1) = components
+        ranges.append((minimum, maximum))
+    # The minimum, x0, and the maximum, x1, of |x|; the same for |y| and |z|.
+    (x0, x1), (y0, y1), (z0, z1) = ranges
     rectangle = np.array(
         [x0 / (x0 + (y1 + z1)), x1 / (x1 + (y0 + z0)), y0 / (y0 + (x1 + z1)), y1 / (y1 + (x0 + z0))]
     )
     rectangle[::2] -= DIRECTION_ROUNDING
     rectangle[1::2] += DIRECTION_ROUNDING
-    return octant, box_index, rectangle, _direction_bounds(*components)
+    return octant, box_index, rectangle, _bound_directions(*ranges)
 
 
-def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:
+def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     """Bound ratios and sums of vector components, for each of m sets of vectors.
 
-    Each pair of rows contains the minimum and the maximum of one quantity.  Maxima are stored
-    negated, so that enlarging a set of vectors never increases any row.  All bounds are widened by
-    more than their rounding errors.  Here x, y and z are absolute values of components.
+    Here x, y and z are the absolute values of the components.  Maxima are stored negated, so that
+    enlarging a set of vectors never increases any row.  All bounds are widened by more than their
+    rounding errors.
 
     Parameters
     ----------
@@ -447,25 +451,25 @@ def _direction_bounds(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     Returns
     -------
     bounds : (8, m) float array
-        Rows 0 and 1 contain the minimum, and the maximum negated, of x / (x + y); rows 2 and 3 the
-        same of y / (y + z); rows 4 and 5 the same of z / (z + x).  Row 6 contains the maximum of
-        x + y + z negated, and row 7 its minimum.
+        Rows 0 and 1 contain the minimum and the negated maximum of x / (x + y), rows 2 and 3 those
+        of y / (y + z), and rows 4 and 5 those of z / (z + x).  Row 6 contains the negated maximum
+        of x + y + z, and row 7 the minimum.
     """
     bounds = np.empty((8, x[0].size))
-    # a0 and a1 are the minimum and the maximum of one component, b0 and b1 those of the next.
-    for k, ((a0, a1), (b0, b1)) in enumerate(((x, y), (y, z), (z, x))):
-        bounds[2 * k] = a0 / (a0 + b1) - DIRECTION_ROUNDING
-        bounds[2 * k + 1] = -(a1 / (a1 + b0)) - DIRECTION_ROUNDING
+    # Ranges of one component, a, and of the next component, b.
+    for pair, ((min_a, max_a), (min_b, max_b)) in enumerate(((x, y), (y, z), (z, x))):
+        bounds[2 * pair] = min_a / (min_a + max_b) - DIRECTION_ROUNDING
+        bounds[2 * pair + 1] = -(max_a / (max_a + min_b)) - DIRECTION_ROUNDING
     bounds[6] = -(1 + POSITION_ROUNDING) * (x[1] + y[1] + z[1])
     bounds[7] = (1 - POSITION_ROUNDING) * (x[0] + y[0] + z[0])
     return bounds
 
 
-def _relative_to_patch(rectangle: Floats, patch: Ints, origin: Floats, size: Floats) -> Floats:
+def _rescale_to_patch(rectangle: Floats, patch: Ints, origin: Floats, size: Floats) -> Floats:
     """Convert rectangles from octahedral coordinates to coordinates relative to their patches.
 
-    Octahedral coordinates (u, v) map the directions of one octant to the unit square.  A patch is a
-    rectangle in these coordinates.
+    Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
+    a rectangle in these coordinates.
 
     Parameters
     ----------
@@ -474,7 +478,7 @@ def _relative_to_patch(rectangle: Floats, patch: Ints, origin: Floats, size: Flo
     patch : (n,) int array
         Index of the patch of each rectangle.
     origin, size : (2, patches) float arrays
-        Minimum u and v, and extents in u and v, of each patch.
+        Minimum u and v of each patch, and the extents of the patch in u and v.
 
     Returns
     -------
@@ -485,15 +489,14 @@ def _relative_to_patch(rectangle: Floats, patch: Ints, origin: Floats, size: Flo
     return ((rectangle.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
 
 
-def _cells_per_side(
+def _choose_cells_per_side(
     rectangle: Floats, object_count: int, light_count: int, patch_count: int
 ) -> int:
     """Choose the number of cells along each side of the patches of a light grid.
 
-    A patch is a square array of cells in which objects are listed.  The number of cells in a patch
-    is about the number of objects.  There are upper limits for (1) the number of cells in a patch,
-    (2) the number of cells in all patches together, and (3) the mean number of items, for each
-    light, in all lists.
+    A patch is a square array of cells, each of which lists objects.  A patch has about as many
+    cells as there are objects, but three numbers are limited: (1) cells in a patch, (2) cells in
+    all patches together, and (3) list items per light, on average.
 
     Parameters
     ----------
@@ -506,10 +509,10 @@ def _cells_per_side(
     Returns
     -------
     side : int
-        A patch has side x side cells; at least 1.
+        Each patch has side x side cells; at least 1.
     """
     min_u, max_u, min_v, max_v = rectangle.clip(0, 1)
-    total_area = float(((max_u - min_u) * (max_v - min_v)).sum())  # in patches
+    total_area = float(((max_u - min_u) * (max_v - min_v)).sum())  # 1 is the area of a patch
     max_cells = _MAX_ENTRIES / (total_area / light_count)
     cell_count = min(object_count, _MAX_SIDE**2, max_cells, _MAX_CELLS / patch_count)
     return max(1, int(sqrt(cell_count)))
@@ -520,9 +523,9 @@ def _fill_lists(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
-    Cells are squares of directions; a patch consists of side x side cells.  Each cell has four
-    lists of entries.  The list for an entry depends on whether the cell is in the first column, and
-    in the first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
+    A patch of directions is divided into side x side cells.  Each cell has four lists of entries.
+    An entry goes into one of them, depending on whether the cell is in the first column, and in the
+    first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
 
     Parameters
     ----------
@@ -545,12 +548,12 @@ def _fill_lists(
         within each list.
     """
     keys, list_start = [], np.zeros(4 * patch_count * side**2 + 1, dtype=np.uint32)
-    for entry, cell, place in _overlapped_cells(rectangle, patch, side):
-        list_index = 4 * cell + _LIST_OF_PLACE.take(place)
-        # An increment of the array's own type is twenty times as fast.
+    for entry_index, cell_index, place in _find_overlaps(rectangle, patch, side):
+        list_index = 4 * cell_index + _LIST_OF_PLACE.take(place)
+        # `np.add.at` is twenty times as fast if the increment has the type of the array.
         np.add.at(list_start, list_index + 1, np.uint32(1))
-        keys.append(list_index << 32 | entry)
-    # Each pair of a list and an entry is one integer: sorting these is faster than argsort.
+        keys.append(list_index << 32 | entry_index)
+    # Each (list, entry) pair is packed into one integer: sorting these is faster than argsort.
     sorted_keys = np.concatenate(keys)
     del keys
     sorted_keys.sort()
@@ -558,13 +561,13 @@ def _fill_lists(
     return list_start, sorted_keys.astype(np.uint32)  # the lower half of a key is the entry
 
 
-def _overlapped_cells(
+def _find_overlaps(
     rectangle: Floats, patch: Ints, side: int
 ) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
-    """Yield, in batches, all pairs of a rectangle and a cell that the rectangle overlaps.
+    """Find all cells that each rectangle overlaps, and yield (rectangle, cell) pairs in batches.
 
-    Each rectangle belongs to a patch, which is divided into side x side cells.  Parts of rectangles
-    outside of the patch are moved to the cells at the border of the patch.
+    Each rectangle belongs to a patch, which is divided into side x side cells.  A part of a
+    rectangle outside of the patch counts as overlapping the nearest cells of the patch.
 
     Parameters
     ----------
@@ -580,22 +583,23 @@ def _overlapped_cells(
     ------
     rectangle_index : (k,) int array
         Index of each pair's rectangle.
-    cell : (k,) int array
+    cell_index : (k,) int array
         Index of each pair's cell: (patch * side + column) * side + row.
     place : (k,) uint8 array
         Flags: `_FIRST_COLUMN` is set if the cell is in the first column that the rectangle
         overlaps, and `_FIRST_ROW` if the cell is in the first row that the rectangle overlaps.
     """
-    left, right, top, bottom = (side * rectangle).clip(0, side - 1).astype(np.intp)
-    column_count, row_count = right - left + 1, bottom - top + 1
+    limits = (side * rectangle).clip(0, side - 1).astype(np.intp)
+    first_column, last_column, first_row, last_row = limits
+    column_count, row_count = last_column - first_column + 1, last_row - first_row + 1
     for batch in batches(column_count * row_count, _CELLS_PER_BATCH):
         # A strip consists of the cells that one rectangle overlaps in one column.
-        strip_rectangle, column = segment_indices(column_count[batch], left[batch])
+        strip_rectangle, column = segment_indices(column_count[batch], first_column[batch])
         strip_rectangle += batch.start
-        cell_column = patch.take(strip_rectangle) * side + column
-        first_cell = cell_column * side + top.take(strip_rectangle)
-        strip, cell = segment_indices(row_count.take(strip_rectangle), first_cell)
-        is_first_column = column == left.take(strip_rectangle)
-        place = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip)
-        place |= (cell == first_cell.take(strip)) * np.uint8(_FIRST_ROW)
-        yield strip_rectangle.take(strip), cell, place
+        strip_column = patch.take(strip_rectangle) * side + column
+        strip_start = strip_column * side + first_row.take(strip_rectangle)
+        strip_index, cell_index = segment_indices(row_count.take(strip_rectangle), strip_start)
+        is_first_column = column == first_column.take(strip_rectangle)
+        place = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip_index)
+        place |= (cell_index == strip_start.take(strip_index)) * np.uint8(_FIRST_ROW)
+        yield strip_rectangle.take(strip_index), cell_index, place
