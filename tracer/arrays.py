@@ -31,21 +31,21 @@ BATCH_SIZE = 1 << 16
 
 
 def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
-    """Apply a function to the x, to the y and to the z components of vectors.
+    """Apply a function separately to the x, y and z components of vectors.
 
     For example, ``map3(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
 
     Parameters
     ----------
     function : callable
-        Takes one array for each item of `vectors`, and returns one array.
+        Takes one array for each item of `vectors`, and returns an array.
     *vectors : tuples of three arrays
         Each tuple contains the x, y and z components of vectors.
 
     Returns
     -------
     result : tuple of three arrays
-        The values that the function returns for the x, the y and the z components.
+        What the function returns for the x, the y and the z components.
     """
     x, y, z = map(function, *vectors)
     return x, y, z
@@ -59,7 +59,7 @@ def dot(a: Triple, b: Triple | Vector) -> Floats:
     a : tuple of three arrays
         The x, y and z components of the first vectors.
     b : tuple of three arrays or of three floats
-        The components of the second vectors; three floats are one vector, paired with all of `a`.
+        The components of the second vectors; three floats are one vector for all pairs.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def dot(a: Triple, b: Triple | Vector) -> Floats:
         The dot products.
     """
     total: Floats = a[0] * b[0]
-    total += a[1] * b[1]  # in place, as this memory is in the CPU cache
+    total += a[1] * b[1]  # in place, because this memory is in the CPU cache
     total += a[2] * b[2]
     return total
 
@@ -127,34 +127,34 @@ def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
 
 
 def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
-    """Repeat the value of each run for all elements of the run.
+    """Repeat the value of each run for every element of the run.
 
-    A run consists of consecutive elements for which a single value is stored.
+    A run consists of consecutive elements that share one value.
 
     Parameters
     ----------
     values : (runs,) array
         One value for each run.
     counts : (runs,) int array or None
-        Number of elements in each run.  None means that every run has one element.
+        Number of elements in each run; None if every run has one element.
 
     Returns
     -------
     repeated : (n,) array
-        One value for each element of all runs; n is the sum of `counts`.  If `counts` is None, the
-        result is `values` itself.
+        One value for each element, run by run; n is the sum of `counts`.  If `counts` is None, this
+        is `values` itself.
     """
-    # Four times as fast as `take`, which would also need the run of each element.
+    # This is four times as fast as `take`, which would also need the run of each element.
     return values if counts is None else values.repeat(counts)
 
 
 def indices(mask: NDArray[Any]) -> Ints:
-    """Return the indices of all elements that are not False and not 0.
+    """Return the indices of all elements that are True or nonzero.
 
     Parameters
     ----------
     mask : array of any shape
-        The elements.
+        The elements to test.
 
     Returns
     -------
@@ -176,13 +176,13 @@ def segment_indices(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
     counts : (m,) int array
         Number of members of each of m segments.
     start : (m,) int array or int
-        First member of each segment; an int is the first member of all segments.
+        First member of each segment; an int applies to all segments.
 
     Returns
     -------
     segment : (n,) int array
-        Index of the segment of each member: counts[0] times 0, then counts[1] times 1, and so on.
-        Here n is the sum of `counts`.
+        Index of each member's segment: 0, repeated counts[0] times, then 1, repeated counts[1]
+        times, and so on.  Here n is the sum of `counts`.
     member : (n,) int array
         The members: start[i], ..., start[i] + counts[i] - 1 for each segment i.
     """
@@ -195,7 +195,7 @@ def join_ranges(start: Ints | int, counts: Ints) -> Ints:
     Parameters
     ----------
     start : (m,) int array or int
-        First integer of each of m ranges; an int is the first integer of all ranges.
+        First integer of each of m ranges; an int applies to all ranges.
     counts : (m,) int array
         Number of integers in each range.
 
@@ -205,45 +205,45 @@ def join_ranges(start: Ints | int, counts: Ints) -> Ints:
         The integers start[0], ..., start[0] + counts[0] - 1, then those of the second range, and so
         on.  Here n is the sum of `counts`.
     """
-    # Within a range, a member exceeds its position in the result by a constant.
-    skip = counts - counts.cumsum()
-    skip += start
-    members: Ints = skip.repeat(counts)
+    # Within a range, each member differs from its position in the result by the same offset.
+    offset = counts - counts.cumsum()
+    offset += start
+    members: Ints = offset.repeat(counts)
     members += np.arange(members.size)
     return members
 
 
-def run_starts(*values: NDArray[Any]) -> Bools:
-    """Test, at each position of arrays, whether a run of equal elements starts at the position.
+def run_starts(*arrays: NDArray[Any]) -> Bools:
+    """Mark the positions at which runs of equal elements start.
 
-    A run consists of consecutive positions at which each array has a constant value.
+    A run consists of consecutive positions at which every array is constant.
 
     Parameters
     ----------
-    *values : (n,) arrays
-        At least one array.
+    *arrays : (n,) arrays
+        One or more arrays of the same length.
 
     Returns
     -------
     is_start : (n,) bool array
         True at the first position of each run.
     """
-    is_start = np.ones(values[0].size, dtype=np.bool_)
-    differs = np.not_equal(values[0][1:], values[0][:-1], out=is_start[1:])
-    for array in values[1:]:
+    is_start = np.ones(arrays[0].size, dtype=np.bool_)
+    differs = np.not_equal(arrays[0][1:], arrays[0][:-1], out=is_start[1:])
+    for array in arrays[1:]:
         differs |= array[1:] != array[:-1]
     return is_start
 
 
-def run_lengths(*values: NDArray[Any]) -> tuple[Ints, Ints]:
-    """Find the runs of equal elements of arrays.
+def run_lengths(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
+    """Find the start and the length of each run of equal elements.
 
-    A run consists of consecutive positions at which each array has a constant value.
+    A run consists of consecutive positions at which every array is constant.
 
     Parameters
     ----------
-    *values : (n,) arrays
-        At least one array.
+    *arrays : (n,) arrays
+        One or more arrays of the same length.
 
     Returns
     -------
@@ -252,36 +252,36 @@ def run_lengths(*values: NDArray[Any]) -> tuple[Ints, Ints]:
     length : (runs,) int array
         Number of positions in each run.
     """
-    start = indices(run_starts(*values))
-    return start, np.append(start[1:], values[0].size) - start
+    start = indices(run_starts(*arrays))
+    return start, np.append(start[1:], arrays[0].size) - start
 
 
 def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
-    """Divide a sequence of items of different sizes into batches, and yield slices of the items.
+    """Divide items of different sizes into batches, and yield the slice of each batch.
 
     Parameters
     ----------
     sizes : (n,) int array
         Size of each item, in any unit.
     max_size : int
-        Maximum total size of the items in a batch.  An item that is larger is a batch on its own.
+        Maximum total size of the items in a batch.  A larger item forms a batch on its own.
 
     Yields
     ------
     batch : slice
-        Slice of consecutive items.  Each batch begins where the previous batch ends.
+        Slice of consecutive items that starts where the previous batch ends.
     """
     cumulative_size = sizes.cumsum()
     start = 0
     while start < sizes.size:
-        limit = cumulative_size[start] - sizes[start] + max_size
-        stop = max(start + 1, int(cumulative_size.searchsorted(limit, side="right")))
+        size_limit = cumulative_size[start] - sizes[start] + max_size
+        stop = max(start + 1, int(cumulative_size.searchsorted(size_limit, side="right")))
         yield slice(start, stop)
         start = stop
 
 
 def index_batches(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
-    """Divide an array of indices into batches of limited size.
+    """Yield an array of indices in batches of limited size.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
     table : (m, n) array
         The table.
     row : (k,) int array or int
-        Row of each element; an int is the row of all elements.
+        Row of each element; an int applies to all elements.
     column : (k,) int array
         Column of each element.
 

@@ -56,7 +56,7 @@ class Boxes:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Extract the boxes of a scene, and precompute their data for the rays of a camera.
+        """Extract a scene's boxes, and precompute what the rays of one camera need of them.
 
         Parameters
         ----------
@@ -68,23 +68,23 @@ class Boxes:
         Returns
         -------
         boxes : Boxes
-            Corners, silhouette planes, bounding rectangles, and other data of all n boxes.
+            All n boxes, with their corners, silhouette planes and bounding rectangles.
         """
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
-        # Components of the planes' normals.
+        # Components of the normals of the silhouette planes, in camera axes.
         right, down, ahead = frame.vector_to_camera(silhouette_planes(low, high))
-        # If the eye is on a face, the box is seen from inside, and only rays that go into the box
-        # meet it.  The plane of the face then bounds the rays.
+        # If the eye is on a face, the box is seen from inside, and only rays into the box meet it.
+        # These rays are bounded by the plane of the face.
         is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
         for component, axis in zip((right, down, ahead), frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
         coordinate_size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
         objects, curvature = box_range(surfaces), np.zeros(is_eye_inside.size)
-        planes, bounds = (right, down, ahead * frame.depth), _screen_bounds(frame, low, high)
-        seen_from_eye = planes, bounds, is_eye_inside
-        return cls(frame, objects, min_pt, max_pt, *seen_from_eye, curvature, coordinate_size)
+        planes, bounds = (right, down, ahead * frame.depth), _find_screen_bounds(frame, low, high)
+        eye_data = planes, bounds, is_eye_inside
+        return cls(frame, objects, min_pt, max_pt, *eye_data, curvature, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return opposite corners of all n boxes, in scene axes.
@@ -99,14 +99,14 @@ class Boxes:
 
     # Intersections with rays from the eye.
 
-    def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the interval of columns that each box covers in its row, for n pairs.
+    def row_extent(self, object_index: Ints, row_y: Floats, height: float) -> tuple[Floats, Floats]:
+        """Compute the interval of columns that a box covers in a row, for n (box, row) pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each pair's box among all objects of the scene.
-        rows : (n,) float array
+        row_y : (n,) float array
             Upper border of each pair's row, in pixels from the top of the picture.
         height : float
             Height of the rows, in pixels; 0 if each row is a line.
@@ -115,21 +115,22 @@ class Boxes:
         -------
         left, right : (n,) float arrays
             Ends of each interval, in pixels from the left border of the picture.  The interval
-            contains all positions at which a ray in the row meets the box; left > right if there
-            are no such positions.
+            contains all positions at which a ray in the row meets the box; if there are none,
+            left > right.
         """
         frame, box_index = self.frame, self.objects.positions(object_index)
-        ray_down = frame.ray_down(rows + height / 2)
+        ray_down = frame.ray_down(row_y + height / 2)
         min_right, max_right = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
-        # The margin contains the rounding errors of ray directions, too.
+        # The margin also covers the rounding errors of ray directions.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane in range(6):
             slope, tilt, level = (component[plane].take(box_index) for component in self.planes)
-            # Take the ray within the row for which the plane's bound on `ray_right` is loosest.
-            max_rest = tilt * ray_down + np.abs(tilt) * margin + level
+            # A ray meets the box only if slope * ray_right + tilt * ray_down + level >= 0.  Use the
+            # ray of the row for which this bound on `ray_right` is loosest.
+            max_remainder = tilt * ray_down + np.abs(tilt) * margin + level
             # If the slope is 0, the bound is infinite: the plane admits all rays of the row, or
             # none.  The sum turns a slope of -0 into 0.
-            bound = -max_rest / (slope + 0.0)
+            bound = -max_remainder / (slope + 0.0)
             np.fmax(min_right, bound, out=min_right, where=slope >= 0)
             np.fmin(max_right, bound, out=max_right, where=slope < 0)
         return frame.column_of(min_right), frame.column_of(max_right)
@@ -167,7 +168,7 @@ class Boxes:
             perpendicular, plus 1 if the normal on the eye's side points up this axis.
         """
         frame, box_index = self.frame, self.objects.positions(object_index)
-        enters, leaves, face_codes = [], [], []
+        enter_ts, leave_ts, face_codes = [], [], []
         for axis in range(3):
             right, down, ahead = frame.axes[:, axis].tolist()
             span_part = ray_down * down + frame.depth * ahead
@@ -179,28 +180,28 @@ class Boxes:
                 # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
                 # from the slab gets an exit before its entry, and so misses the box.
                 planes = np.where(is_eye_above, high, low), np.where(is_eye_above, low, high)
-                enter, leave = (repeat_runs(plane, ray_count) / direction for plane in planes)
+                enter_t, leave_t = (repeat_runs(plane, ray_count) / direction for plane in planes)
             else:
                 low, high = repeat_runs(low, ray_count), repeat_runs(high, ray_count)
-                enter, leave = _intersect_slab(low, high, direction, closed=True)
-            enters.append(enter)
-            leaves.append(leave)
+                enter_t, leave_t = _intersect_slab(low, high, direction, is_closed=True)
+            enter_ts.append(enter_t)
+            leave_ts.append(leave_t)
             # The normal of a visible face points against the ray.
             face_codes.append((direction < 0).view(np.int8) + np.int8(2 * axis))
-        enter, leave = np.maximum(*enters[:2]), np.minimum(*leaves[:2])
-        enter, leave = np.maximum(enter, enters[2]), np.minimum(leave, leaves[2])
-        t, plane_t, hits = enter, enters, enter <= leave
+        enter_t, leave_t = np.maximum(*enter_ts[:2]), np.minimum(*leave_ts[:2])
+        enter_t, leave_t = np.maximum(enter_t, enter_ts[2]), np.minimum(leave_t, leave_ts[2])
+        t, face_ts, hits = enter_t, enter_ts, enter_t <= leave_t
         is_eye_inside = self.is_eye_inside[box_index]
         if is_eye_inside.any():
             is_eye_inside = repeat_runs(is_eye_inside, ray_count)
-            t, hits = np.where(is_eye_inside, leave, t), hits | is_eye_inside
-            plane_t = [
-                np.where(is_eye_inside, leave, enter)
-                for enter, leave in zip(enters, leaves, strict=True)
+            t, hits = np.where(is_eye_inside, leave_t, t), hits | is_eye_inside
+            face_ts = [
+                np.where(is_eye_inside, leave_t, enter_t)
+                for enter_t, leave_t in zip(enter_ts, leave_ts, strict=True)
             ]
         # A ray through an edge or a corner hits the face of the first axis.
-        face_code = np.where(plane_t[1] == t, face_codes[1], face_codes[2])
-        face_code = np.where(plane_t[0] == t, face_codes[0], face_code)
+        face_code = np.where(face_ts[1] == t, face_codes[1], face_codes[2])
+        face_code = np.where(face_ts[0] == t, face_codes[0], face_code)
         return np.where(hits & (t > 0), t, np.inf), face_code
 
     def tangent_planes(
@@ -217,14 +218,14 @@ class Boxes:
         run_length : (runs,) int array
             Number of hits in each run.
         from_eye, t : (3, n) and (n,) float arrays
-            Ignored; `Spheres.tangent_planes` has the same parameters.
+            Ignored; present because `Spheres.tangent_planes` needs them.
         face_code : (n,) int8 array
             Second result of `intersect` for the ray through each hit: twice the axis of the face,
             plus 1 if its normal points up this axis.
 
         Returns
         -------
-        face : (runs,) int array
+        face_axis : (runs,) int array
             Axis to which the face is perpendicular: 0, 1 or 2.
         sign : (runs,) float array
             1 if the normal of the face points up its axis, and -1 if it points down.
@@ -236,13 +237,14 @@ class Boxes:
             Distance of the eye from the plane of the face.
         """
         box_index = self.objects.positions(object_index)
-        run_code = face_code.take(run_length.cumsum() - run_length)
-        face, sign = run_code.astype(np.intp) >> 1, np.where(run_code & 1, 1.0, -1.0)
-        low, high = take_2d(self.min_pt, face, box_index), take_2d(self.max_pt, face, box_index)
+        run_face_code = face_code.take(run_length.cumsum() - run_length)
+        face_axis, sign = run_face_code.astype(np.intp) >> 1, np.where(run_face_code & 1, 1.0, -1.0)
+        low = take_2d(self.min_pt, face_axis, box_index)
+        high = take_2d(self.max_pt, face_axis, box_index)
         level = np.where(self.is_eye_inside[box_index] == (sign > 0), low, high)
-        eye_height = sign * (self.frame.eye[face] - level)
-        x, y, z = (np.asarray(sign * axis[face]) for axis in self.frame.axes)
-        return face, sign, level, (x, y, z), eye_height
+        eye_height = sign * (self.frame.eye[face_axis] - level)
+        right, down, ahead = (np.asarray(sign * axis[face_axis]) for axis in self.frame.axes)
+        return face_axis, sign, level, (right, down, ahead), eye_height
 
     # Tests of shadow segments: segments from hits to lights.
 
@@ -263,15 +265,15 @@ class Boxes:
         return take3(self.min_pt, box_index), take3(self.max_pt, box_index)
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide whether each light lies inside its box, for n pairs.
+        """Decide whether a light lies inside a box, for n (box, light) pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (box, light) pair, the index of the box among all objects of the scene.
+            Index of each pair's box among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape that
-            broadcasts with (n,).
+            Coordinates x, y and z of each pair's light, in scene axes.  Their shape broadcasts
+            with (n,).
 
         Returns
         -------
@@ -283,25 +285,27 @@ class Boxes:
         return np.where(is_inside, INSIDE, OUTSIDE).astype(np.int8)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the largest signed distance of each point from the six face planes of its box.
+        """Compute the signed distance of a point from a box, for n (box, point) pairs.
+
+        The result is the largest of the signed distances from the planes of the six faces.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (box, point) pair, the index of the box among all objects of the scene.
+            Index of each pair's box among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape that
-            broadcasts with (n,).
+            Coordinates x, y and z of each pair's point, in scene axes.  Their shape broadcasts
+            with (n,).
 
         Returns
         -------
         distance : float array
-            Negative for points inside the box; for points outside, positive and at most the
-            distance from the box.  The array has the broadcast shape of (n,) and the points.
+            Negative inside the box.  For points outside, it may be less than the distance from the
+            box.  The array has the broadcast shape of (n,) and the points.
         """
         low, high = self.corners(object_index)
-        heights = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
-        return np.asarray(np.max(heights, axis=0))
+        plane_distances = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
+        return np.asarray(np.max(plane_distances, axis=0))
 
     def occludes(
         self,
@@ -311,24 +315,23 @@ class Boxes:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test whether each box blocks the segment from a hit to a light, for n pairs.
+        """Test whether a box blocks the segment from a hit to a light, for n (box, segment) pairs.
 
-        A box blocks a segment if the segment crosses the box's surface strictly between the ends of
-        the segment.  A segment in the plane of a face is not blocked; a segment that crosses a flat
-        box is blocked.  An end whose distance from the plane of a face is within the rounding error
-        is moved onto the plane.
+        A segment is blocked if it crosses the surface of the box strictly between its own ends.  A
+        segment in the plane of a face is not blocked; a segment that crosses a flat box is blocked.
+        An end that is within the rounding error of a face's plane is moved onto the plane.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (box, segment) pair, the index of the box among all objects of the scene.
+            Index of each pair's box among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each segment, in scene axes.
         side : (n,) int8 array
-            Ignored; `Spheres.occludes` has the same parameters.
+            Ignored; present because `Spheres.occludes` needs it.
         growth : (n,) float array, optional
-            Distance by which the box is grown on all sides before the test; a negative value
-            shrinks the box.  A box that shrinks to nothing blocks nothing.
+            Distance by which the box is grown on all sides before the test; negative to shrink it.
+            A box that shrinks to nothing blocks nothing.
 
         Returns
         -------
@@ -338,9 +341,9 @@ class Boxes:
         low, high = self.corners(object_index)
         if growth is not None:
             low, high = map3(lambda x: x - growth, low), map3(lambda x: x + growth, high)
-        size = self.coordinate_size[self.objects.positions(object_index)]
-        start = _snap_to_faces(hit, low, high, hit_tolerance(size, hit, self.frame.eye))
-        end = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * size)
+        coordinate_size = self.coordinate_size[self.objects.positions(object_index)]
+        start = _snap_to_faces(hit, low, high, hit_tolerance(coordinate_size, hit, self.frame.eye))
+        end = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * coordinate_size)
         blocked = _crosses_surface(start, end, low, high)
         if growth is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
@@ -349,17 +352,17 @@ class Boxes:
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether each box may block any, or blocks all, segments in its capsule.
+        """Test whether a box may block some segments in a capsule, and whether it blocks all.
 
         A capsule consists of all points within a given distance of its axis, the segment from
-        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The capsule contains all
-        segments from the ball around `start` to `end`, and the results refer to these segments.
-        Both tests are conservative: rounding errors are on the safe side.
+        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  It contains all segments from
+        the ball around `start` to `end`; the results refer to these segments.  Both tests are
+        conservative: rounding errors are on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (box, capsule) pair, the index of the box among all objects of the scene.
+            Index of each pair's box among all objects of the scene.
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
@@ -372,36 +375,37 @@ class Boxes:
         blocks_all : (n,) bool array
             True only if the box certainly blocks all segments.
         """
-        # `occludes` moves ends of segments by at most this distance, onto faces.
-        size = self.coordinate_size[self.objects.positions(object_index)]
-        thickness = thickness + 2 * SURFACE_TOLERANCE * size
-        # Positions along the axis, in units of its length, at which it enters and leaves two boxes:
-        # the box grown by the thickness on all sides, and the box shrunk by the thickness.
-        enter, leave = np.array(-np.inf), np.array(np.inf)
-        enter_shrunk, leave_shrunk = enter, leave
-        # The x components first, then those of y and z.
-        for start_x, end_x, low, high in zip(start, end, *self.corners(object_index), strict=True):
-            direction, to_low, to_high = end_x - start_x, low - start_x, high - start_x
+        # Allow for `occludes`, which moves ends of segments onto faces.
+        coordinate_size = self.coordinate_size[self.objects.positions(object_index)]
+        thickness = thickness + 2 * SURFACE_TOLERANCE * coordinate_size
+        # Positions along the axis, in units of its length, at which the axis enters and leaves two
+        # boxes: the box grown by the thickness on all sides, and the box shrunk by the thickness.
+        enter_t, leave_t = np.array(-np.inf), np.array(np.inf)
+        shrunk_enter_t, shrunk_leave_t = enter_t, leave_t
+        low, high = self.corners(object_index)
+        # Component i of the vectors is x in the first pass, then y and z.
+        for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
+            direction, to_low, to_high = end_i - start_i, low_i - start_i, high_i - start_i
             if np.count_nonzero(direction) < direction.size:
-                lengths = np.abs(to_low) + np.abs(to_high) + thickness
-                direction = direction + (direction == 0) * (MIN_COMPONENT * lengths)
-            near, far = _intersect_slab(to_low, to_high, direction)
+                length_scale = np.abs(to_low) + np.abs(to_high) + thickness
+                direction = direction + (direction == 0) * (MIN_COMPONENT * length_scale)
+            near_t, far_t = _intersect_slab(to_low, to_high, direction)
             margin = thickness / np.abs(direction)
-            enter_shrunk = np.maximum(enter_shrunk, near + margin)
-            leave_shrunk = np.minimum(leave_shrunk, far - margin)
-            near -= margin
-            far += margin
-            enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-        contains_capsule = (enter_shrunk < 0) & (leave_shrunk > 1)
-        may_block = (enter <= leave) & (leave >= 0) & (enter <= 1) & ~contains_capsule
-        blocks_all: Bools = (enter_shrunk < leave_shrunk) & (enter > 0) & (leave < 1)
+            shrunk_enter_t = np.maximum(shrunk_enter_t, near_t + margin)
+            shrunk_leave_t = np.minimum(shrunk_leave_t, far_t - margin)
+            near_t -= margin
+            far_t += margin
+            enter_t, leave_t = np.maximum(enter_t, near_t), np.minimum(leave_t, far_t)
+        contains_capsule = (shrunk_enter_t < 0) & (shrunk_leave_t > 1)
+        may_block = (enter_t <= leave_t) & (leave_t >= 0) & (enter_t <= 1) & ~contains_capsule
+        blocks_all: Bools = (shrunk_enter_t < shrunk_leave_t) & (enter_t > 0) & (leave_t < 1)
         return may_block, blocks_all
 
 
 def _intersect_slab(
-    low: Floats, high: Floats, direction: Floats, *, closed: bool = False
+    low: Floats, high: Floats, direction: Floats, *, is_closed: bool = False
 ) -> tuple[Floats, Floats]:
-    """Compute where each of n lines enters and leaves a slab: the space between parallel planes.
+    """Compute where each of n lines enters and leaves a slab, the space between parallel planes.
 
     Parameters
     ----------
@@ -410,28 +414,28 @@ def _intersect_slab(
         planes are perpendicular.
     direction : (n,) float array
         Component of the line's direction along this axis.
-    closed : bool
-        Whether a line that lies in one of the planes is inside the slab.
+    is_closed : bool
+        Whether a line that lies in one of the planes counts as inside the slab.
 
     Returns
     -------
-    enter, leave : (n,) float arrays
+    enter_t, leave_t : (n,) float arrays
         Distances along the line, in units of the direction's length.  A line parallel to the planes
         enters at -inf and leaves at inf if it is inside the slab; otherwise it enters at inf and
         leaves at -inf.
     """
     low_t, high_t = low / direction, high / direction
-    enter, leave = np.minimum(low_t, high_t), np.maximum(low_t, high_t)
+    enter_t, leave_t = np.minimum(low_t, high_t), np.maximum(low_t, high_t)
     if np.count_nonzero(direction) < direction.size:
         is_parallel = direction == 0
-        is_inside = (low <= 0) & (high >= 0) if closed else (low < 0) & (high > 0)
-        enter = np.where(is_parallel, np.where(is_inside, -np.inf, np.inf), enter)
-        leave = np.where(is_parallel, np.where(is_inside, np.inf, -np.inf), leave)
-    return enter, leave
+        is_inside = (low <= 0) & (high >= 0) if is_closed else (low < 0) & (high > 0)
+        enter_t = np.where(is_parallel, np.where(is_inside, -np.inf, np.inf), enter_t)
+        leave_t = np.where(is_parallel, np.where(is_inside, np.inf, -np.inf), leave_t)
+    return enter_t, leave_t
 
 
 def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
-    """Test whether each segment crosses the surface of its box, for n (segment, box) pairs.
+    """Test whether a segment crosses the surface of a box, for n (segment, box) pairs.
 
     Parameters
     ----------
@@ -445,17 +449,18 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
     crosses : (n,) bool array
         Whether the segment enters or leaves the box strictly between its ends.
     """
-    enter, leave = np.array(-np.inf), np.array(np.inf)
-    # The x components first, then those of y and z.
-    for start_x, end_x, low_x, high_x in zip(start, end, low, high, strict=True):
-        near, far = _intersect_slab(low_x - start_x, high_x - start_x, end_x - start_x)
-        enter, leave = np.maximum(enter, near), np.minimum(leave, far)
-    crosses: Bools = (enter <= leave) & (((enter > 0) & (enter < 1)) | ((leave > 0) & (leave < 1)))
+    enter_t, leave_t = np.array(-np.inf), np.array(np.inf)
+    # Component i of the vectors is x in the first pass, then y and z.
+    for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
+        near_t, far_t = _intersect_slab(low_i - start_i, high_i - start_i, end_i - start_i)
+        enter_t, leave_t = np.maximum(enter_t, near_t), np.minimum(leave_t, far_t)
+    is_within_segment = ((enter_t > 0) & (enter_t < 1)) | ((leave_t > 0) & (leave_t < 1))
+    crosses: Bools = (enter_t <= leave_t) & is_within_segment
     return crosses
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points that are close to the plane of a box's face onto this plane.
+    """Move each point that is close to the plane of a box face onto this plane.
 
     Parameters
     ----------
@@ -472,15 +477,15 @@ def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) 
         The new coordinates; unchanged for points that are not close to a plane.
     """
 
-    def snap_coordinate(x: Floats, low: Floats, high: Floats) -> Floats:
-        """Replace each coordinate (n,) that is close to `low` or `high` (n,) by `low` or `high`."""
-        is_on_low, is_on_high = np.abs(x - low) <= tolerance, np.abs(x - high) <= tolerance
-        return np.where(is_on_low, low, np.where(is_on_high, high, x))
+    def snap_coordinate(value: Floats, low: Floats, high: Floats) -> Floats:
+        """Replace each coordinate within the tolerance of `low` or `high` by this bound."""
+        is_on_low, is_on_high = np.abs(value - low) <= tolerance, np.abs(value - high) <= tolerance
+        return np.where(is_on_low, low, np.where(is_on_high, high, value))
 
     return map3(snap_coordinate, point, low, high)
 
 
-def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
+def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
     """Compute the bounding rectangles of n boxes in the picture.
 
     Parameters
@@ -493,20 +498,20 @@ def _screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBound
     Returns
     -------
     bounds : ScreenBounds
-        The rectangle of each box.  It is unbounded if the box reaches behind the eye, and empty if
-        the whole box is behind the eye.
+        The rectangle of each box: infinitely large if the box extends from ahead of the eye to
+        behind it, and empty if the whole box is behind the eye.
     """
-    # Corner i is at `high` along an axis if bit `axis` of i is set, and otherwise at `low`.
+    # Along each axis, corner i is at `high` if bit `axis` of i is set, and otherwise at `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
     right, down, ahead = frame.vector_to_camera((x, y, z))
     is_partly_behind, is_partly_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
 
     def slope_range(component: Floats) -> tuple[Floats, Floats]:
-        """Divide a component (8, n) of the corners by their depth, and bound it for each box.
+        """Return the smallest and the largest slope of the eight corners of each box.
 
-        The result is the minimum (n,) and the maximum (n,) over the eight corners.  They are -inf
-        and inf if the box reaches from ahead of the eye to behind it, and both -inf if the whole
-        box is behind the eye.
+        A slope is a component of a corner, in an (8, n) array, divided by the corner's depth.  The
+        two results, (n,) arrays, are -inf and inf if the box extends from ahead of the eye to
+        behind it, and both -inf if the whole box is behind the eye.
         """
         slope = component / ahead
         minimum = np.where(is_partly_behind, -np.inf, slope.min(axis=0))

@@ -66,7 +66,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         vector : tuple of three (n,) float arrays
-            Components to the right, down and ahead of the vectors from the eye to the points.
+            Rightward, downward and forward components of the vectors from the eye to the points.
         """
         x, y, z = (points - self.eye).T
         return self.vector_to_camera((x, y, z))
@@ -82,7 +82,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         rotated : tuple of three float arrays
-            Components to the right, down and ahead, in arrays of the same shape.
+            Rightward, downward and forward components, in arrays of the same shape.
         """
         right, down, ahead = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
         return right, down, ahead
@@ -93,7 +93,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components to the right, down and ahead, in arrays of one shape.
+            Rightward, downward and forward components, in arrays of one shape.
 
         Returns
         -------
@@ -109,7 +109,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components to the right, down and ahead of the vectors from the eye to the points, in
+            Rightward, downward and forward components of the vectors from the eye to the points, in
             arrays of one shape.
 
         Returns
@@ -127,7 +127,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components of the vectors to the right, down and ahead, in arrays of one shape.
+            Rightward, downward and forward components of the vectors, in arrays of one shape.
         axis : int
             Axis of the scene: 0 for x, 1 for y, 2 for z.
 
@@ -139,41 +139,41 @@ class CameraFrame(NamedTuple):
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))
 
-    def ray_right(self, x: Floats) -> Floats:
-        """Compute the rightward component of rays through given columns of the picture.
+    def ray_right(self, column: Floats) -> Floats:
+        """Compute the rightward component of the rays through given columns of the picture.
 
         The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
         camera axes, which point to the right, down and ahead.
 
         Parameters
         ----------
-        x : float array
-            Distances from the left border of the picture, in pixels.
+        column : float array
+            Distances from the left border of the picture, in pixels; need not be integers.
 
         Returns
         -------
         ray_right : float array
-            Rightward component of the ray's direction at each distance; same shape as `x`.
+            Rightward component of each ray's direction; same shape as `column`.
         """
-        return self.center_right + (x - self.width / 2) * self.pixel_width
+        return self.center_right + (column - self.width / 2) * self.pixel_width
 
-    def ray_down(self, y: Floats) -> Floats:
-        """Compute the downward component of rays through given rows of the picture.
+    def ray_down(self, row: Floats) -> Floats:
+        """Compute the downward component of the rays through given rows of the picture.
 
         The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
         camera axes, which point to the right, down and ahead.
 
         Parameters
         ----------
-        y : float array
-            Distances from the upper border of the picture, in pixels.
+        row : float array
+            Distances from the upper border of the picture, in pixels; need not be integers.
 
         Returns
         -------
         ray_down : float array
-            Downward component of the ray's direction at each distance; same shape as `y`.
+            Downward component of each ray's direction; same shape as `row`.
         """
-        return self.center_down + (y - self.height / 2) * self.pixel_height
+        return self.center_down + (row - self.height / 2) * self.pixel_height
 
     def column_of(self, ray_right: Floats) -> Floats:
         """Compute the column of the picture through which each ray passes.
@@ -188,7 +188,7 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        x : float array
+        column : float array
             Distance of each ray from the left border of the picture, in pixels; same shape as
             `ray_right`.
         """
@@ -206,34 +206,34 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        y : float array
+        row : float array
             Distance of each ray from the upper border of the picture, in pixels; same shape as
             `ray_down`.
         """
         return (ray_down - self.center_down) / self.pixel_height + self.height / 2
 
     def depth_layer(self, depth: Floats, packet_width: float) -> Ints:
-        """Assign points to depth layers, which become thicker with the distance from the eye.
+        """Assign each point to a layer of depth; layers farther from the eye are thicker.
 
-        Towards a horizon, neighbouring points in the picture may be far apart in the scene.
+        Near a horizon, points that are neighbours in the picture may be far apart in the scene.
         Packets (groups of neighbouring hits) are therefore confined to one layer.  The thickness of
         a layer is `_LAYER_ASPECT` times the width of a packet at this depth.
 
         Parameters
         ----------
         depth : (n,) float array
-            Depth of each point: the forward component of the vector from the eye; positive.
+            Depth of each point: the forward component of the vector from the eye.  Positive.
         packet_width : float
             Width of a packet, in pixels.
 
         Returns
         -------
         layer : (n,) int array
-            Number of each point's layer; larger for layers farther from the eye.
+            Layer number of each point; larger for layers farther from the eye.
         """
         relative_thickness = min(_LAYER_ASPECT * packet_width * self.pixel_width / self.depth, 1.0)
-        # The bits of a float, read as an integer, are nearly proportional to its logarithm: they
-        # increase by 2^52 if the float doubles.
+        # The bits of a float, read as an integer, grow almost linearly with its logarithm: they
+        # increase by 2^52 when the float doubles.
         return depth.view(np.int64) // max(1, int(2**52 * relative_thickness))
 
     @property
@@ -246,7 +246,7 @@ class CameraFrame(NamedTuple):
 def camera_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
-    """Compute the eye, the axes and the pixel grid of a camera, which determine its rays.
+    """Compute a camera's eye, axes and pixel grid, which determine its rays.
 
     The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
 
@@ -265,8 +265,7 @@ def camera_frame(
         The rays of the camera.
     """
     view_direction = normalize(camera.view_dir)
-    # Shirley's axes u, v and w point right, up and back.  Those of a CameraFrame point right, down
-    # and ahead.
+    # Shirley's axes point right, up and back; those of a CameraFrame point right, down and ahead.
     back = normalize(camera.normal)
     if back @ view_direction > 0:
         back = -back
@@ -305,27 +304,27 @@ class ScreenBounds(NamedTuple):
 
     @classmethod
     def from_slopes(
-        cls, frame: CameraFrame, down: tuple[Floats, Floats], right: tuple[Floats, Floats]
+        cls, frame: CameraFrame, y_slopes: tuple[Floats, Floats], x_slopes: tuple[Floats, Floats]
     ) -> ScreenBounds:
-        """Convert the slopes of the rays that meet n objects to bounding rectangles.
+        """Compute the bounding rectangles of n objects from the slopes of the rays that meet them.
 
         Parameters
         ----------
         frame : CameraFrame
             The rays of the camera.
-        down : pair of (n,) float arrays
-            Minimum and maximum, over all rays that meet each object, of the downward component
-            divided by the forward component.
-        right : pair of (n,) float arrays
-            The same for the rightward component.
+        y_slopes : pair of (n,) float arrays
+            For each object, the smallest and the largest slope of the rays that meet it: their
+            downward component divided by their forward component.
+        x_slopes : pair of (n,) float arrays
+            The same with the rightward component instead of the downward one.
 
         Returns
         -------
         bounds : ScreenBounds
             The rectangles of all n objects.
         """
-        rows = (frame.row_of(slope * frame.depth) for slope in down)
-        return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in right))
+        rows = (frame.row_of(slope * frame.depth) for slope in y_slopes)
+        return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in x_slopes))
 
     def take(self, selection: Bools | slice) -> ScreenBounds:
         """Select rectangles by mask or slice.
@@ -374,15 +373,15 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         rows, columns : slices
-            Rows and columns of pixels; empty if no object is visible.
+            Rows and columns of pixels; empty slices if no object is visible.
         """
         visible = self.take(self.in_picture(frame))
 
         def covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
-            """Return the smallest slice of pixels 0 to `pixel_count` - 1 that covers all intervals.
+            """Return the smallest slice of the picture's pixels that covers all intervals.
 
-            Interval i is from starts[i] to stops[i], in pixels.  It is enlarged by one pixel at
-            both ends.
+            Interval i extends from starts[i] to stops[i], in pixels, and is enlarged by one pixel
+            at both ends.  The picture has `pixel_count` pixels in this direction.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
@@ -393,7 +392,7 @@ class ScreenBounds(NamedTuple):
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Bound the mean number of objects along the rays of any row of the picture.
+        """Bound the mean number of objects on a ray, for every row of the picture.
 
         Parameters
         ----------
@@ -403,12 +402,12 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         depth_complexity : float
-            Upper bound on the number of objects that a ray meets, including hidden objects: the
-            maximum over all rows of the mean over the pixels of the row.
+            In no row of the picture do rays meet more objects than this on average.  Hidden objects
+            are counted, too.
         """
         visible, width = self.take(self.in_picture(frame)), frame.width
         covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
-        # Going down the rows, each object adds its width at its top, and removes it at its bottom.
+        # Going down the rows, add each object's width at its top, and subtract it at its bottom.
         order = np.append(visible.top - 1, visible.bottom + 1).argsort()
         width_change = np.append(covered_width, -covered_width)[order]
         return float(width_change.cumsum().max(initial=0) / width)
@@ -416,7 +415,7 @@ class ScreenBounds(NamedTuple):
     def silhouette_density(self, frame: CameraFrame) -> float:
         """Estimate how often the silhouettes of two objects cross the same pixel.
 
-        The estimate assumes that objects are about as wide as high, and at random positions.
+        The estimate assumes that objects are about as wide as high, at random positions.
 
         Parameters
         ----------
@@ -426,8 +425,8 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         pair_count : float
-            Mean number, over all pixels, of ordered pairs of different objects whose silhouettes
-            cross the pixel.
+            Mean number per pixel of ordered pairs of different objects whose silhouettes both cross
+            the pixel.
         """
         top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
         # The silhouette of an object that is about as wide as high crosses about 4 * height pixels.

@@ -44,7 +44,7 @@ class ObjectRange(NamedTuple):
         return np.arange(self.start, self.start + self.size)
 
     def contains(self, object_index: Ints) -> Bools:
-        """Test which of n objects, given by their indices, have this shape.
+        """Test whether each object, given by its index, has this shape.
 
         Parameters
         ----------
@@ -69,14 +69,14 @@ class ObjectRange(NamedTuple):
         Returns
         -------
         position : (n,) int array
-            Positions in arrays that contain only the objects of the shape.  If these are the first
-            objects, this is `object_index` itself, not a copy.
+            Positions in arrays that contain only the objects of the shape.  If these objects come
+            first in the scene, this is `object_index` itself, not a copy.
         """
         return object_index - self.start if self.start else object_index
 
 
 def sphere_range(surfaces: Surfaces) -> ObjectRange:
-    """Compute the range of the spheres' indices among all objects of a scene.
+    """Return the range of a scene's object indices that belongs to the spheres.
 
     Parameters
     ----------
@@ -86,13 +86,13 @@ def sphere_range(surfaces: Surfaces) -> ObjectRange:
     Returns
     -------
     objects : ObjectRange
-        The indices from 0 on: spheres come before boxes.
+        The range starts at 0, because spheres come before boxes.
     """
     return ObjectRange(0, len(surfaces.radius))
 
 
 def box_range(surfaces: Surfaces) -> ObjectRange:
-    """Compute the range of the boxes' indices among all objects of a scene.
+    """Return the range of a scene's object indices that belongs to the boxes.
 
     Parameters
     ----------
@@ -102,6 +102,6 @@ def box_range(surfaces: Surfaces) -> ObjectRange:
     Returns
     -------
     objects : ObjectRange
-        The indices after those of all spheres.
+        The range starts after the last sphere.
     """
     return ObjectRange(len(surfaces.radius), len(surfaces.min_pt))

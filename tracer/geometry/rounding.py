@@ -84,7 +84,7 @@ MIN_DIVISOR = 1e-300
 
 
 def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
-    """Decide whether each point lies outside, on, or inside a surface.
+    """Decide whether each point lies outside, on or inside a surface.
 
     Parameters
     ----------
@@ -102,10 +102,10 @@ def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
 
 
 def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Compute the distance from a surface within which each hit is treated as on the surface.
+    """Compute the maximum distance at which each hit is treated as on a surface.
 
-    A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit
-    increases with the hit's distance from the eye, and with the coordinates of the surface.
+    A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit grows
+    with its distance from the eye and with the coordinates of the surface.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
     Returns
     -------
     tolerance : (n,) float array
-        Maximum distance, in the scene's unit of length.
+        Maximum distance from the surface, in the scene's unit of length.
     """
     eye_to_hit = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
     return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_size)

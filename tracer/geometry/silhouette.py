@@ -14,10 +14,10 @@ from tracer.arrays import Floats, Triple, cross, dot
 def silhouette_planes(low: Floats, high: Floats) -> Triple:
     """Compute the planes through an apex (the eye or a light) and the silhouette edges of boxes.
 
-    Seen along a coordinate axis, a box is a rectangle.  A box edge parallel to the axis is a corner
-    of this rectangle.  The edge belongs to the silhouette if a tangent from the apex touches the
-    rectangle at the corner.  For each axis there are two such corners, or none if the apex is
-    inside the rectangle.
+    Seen along a coordinate axis, a box is a rectangle, and a box edge parallel to the axis is a
+    corner of this rectangle.  The edge belongs to the silhouette if a tangent from the apex touches
+    the rectangle at this corner.  Each axis has two such corners, or none if the apex is inside the
+    rectangle.
 
     Parameters
     ----------
@@ -30,15 +30,15 @@ def silhouette_planes(low: Floats, high: Floats) -> Triple:
         Components x, y and z of the normals of six planes for each box.  Every direction d from the
         apex to a point of the box satisfies d . normal >= 0.  Planes 2 k and 2 k + 1 belong to
         edges parallel to axis k; their normals are 0 if no such edge is in the silhouette.  The
-        components are coordinates of corners, so they have no cancellation errors.
+        components are copied from corners, so they have no cancellation errors.
     """
-    # For each axis: 1 if the box lies above the apex, -1 if below, otherwise 0.
+    # For each axis: 1 if the box lies above the apex, -1 if it lies below, and otherwise 0.
     side = (low > 0).astype(np.int8) - (high < 0)
     x, y, z = normals = np.zeros((3, 6, low.shape[1]))
     for axis, is_mirrored in np.ndindex(3, 2):
         i, j = (axis + 1) % 3, (axis + 2) % 3
-        # The last corner of the rectangle in counterclockwise order, as seen from the apex.  The
-        # first corner is the last one of the mirror image.
+        # Find the last corner of the rectangle in counterclockwise order, as seen from the apex.
+        # The first corner is the last one of the mirror image.
         side_i, side_j = side[i], -side[j] if is_mirrored else side[j]
         corner_i = np.where((side_j < 0) | ((side_j == 0) & (side_i < 0)), high[i], low[i])
         is_top = (side_i > 0) | ((side_i == 0) & (side_j < 0))

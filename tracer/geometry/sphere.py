@@ -85,7 +85,7 @@ class Spheres:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Extract the spheres of a scene, and precompute their data for the rays of a camera.
+        """Extract a scene's spheres, and precompute what the rays of one camera need of them.
 
         Parameters
         ----------
@@ -97,24 +97,24 @@ class Spheres:
         Returns
         -------
         spheres : Spheres
-            Positions relative to the eye, bounding rectangles, and other data of all n spheres.
+            All n spheres, with their positions relative to the eye and bounding rectangles.
         """
         center, radius = surfaces.center.T.copy(), surfaces.radius
         from_eye = frame.points_to_camera(surfaces.center)
         distance = np.sqrt(dot(from_eye, from_eye))
         eye_height = distance - radius
-        # Rounding errors alone must not move the eye off a sphere on which it lies.
+        # If the eye lies on a sphere, rounding errors must not move it off the sphere.
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (right, down, ahead), radius2 = from_eye, radius * radius
         slopes = (
-            _tangent_slopes(x, ahead, radius2, x * x + ahead * ahead - radius2)
-            for x in (down, right)
+            _tangent_slopes(sideways, ahead, radius2, sideways * sideways + ahead * ahead - radius2)
+            for sideways in (down, right)
         )
         bounds = ScreenBounds.from_slopes(frame, *slopes)
         objects, coordinate_size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        seen_from_eye = from_eye, power, bounds, power <= 0
-        return cls(frame, objects, center, radius, *seen_from_eye, 1 / radius, coordinate_size)
+        eye_data = from_eye, power, bounds, power <= 0
+        return cls(frame, objects, center, radius, *eye_data, 1 / radius, coordinate_size)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
         """Compute the axis-aligned bounding boxes of all n objects, in scene axes.
@@ -128,19 +128,19 @@ class Spheres:
 
     # Intersections with rays from the eye.
 
-    def row_extent(self, object_index: Ints, rows: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the interval of columns that each object covers in its row, for n pairs.
+    def row_extent(self, object_index: Ints, row_y: Floats, height: float) -> tuple[Floats, Floats]:
+        """Compute the interval of columns that an object covers in a row, for n pairs of them.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each pair's object among all objects of the scene.
-        rows : (n,) float array
+        row_y : (n,) float array
             Upper border of each pair's row, in pixels from the top of the picture.
         height : float
-            Height of the rows, in pixels.  If it is 0, a row is a line and the result is exact
-            except for rounding.  Otherwise the result is conservative: it contains all positions
-            at which any ray in the row meets the object.
+            Height of the rows, in pixels.  If it is 0, a row is a line, and the result is exact
+            except for rounding errors.  Otherwise the result is conservative: it contains all
+            positions at which any ray in the row meets the object.
 
         Returns
         -------
@@ -148,16 +148,16 @@ class Spheres:
             Ends of each interval, in pixels from the left border of the picture.  If no ray in the
             row meets the object, left > right or both are NaN.
         """
-        # A row consists of columns of rays.  At the sphere, the rays of a column are at most a
-        # margin away from the ray in its centre.  So if any ray of the column meets the sphere, the
-        # ray in the centre meets the sphere grown by the margin.
+        # At the sphere, every ray in the row is within a margin of the ray below or above it on the
+        # row's centre line.  So if a ray in the row meets the sphere, the ray on the centre line
+        # meets the sphere grown by this margin.
         frame, sphere_index = self.frame, self.objects.positions(object_index)
         radius = self.radius[sphere_index]
         slope_margin = 0.5 * height * frame.pixel_height / frame.depth
         max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
         grown_radius = radius + slope_margin * max_depth
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
-        ray_down = frame.ray_down(rows + height / 2)
+        ray_down = frame.ray_down(row_y + height / 2)
         discs = self._cut_discs(sphere_index, grown_radius, ray_down)
         ray_ahead, right, ahead, disc_radius2 = discs
         low, high = _tangent_slopes(right, ahead, disc_radius2, power)
@@ -177,16 +177,17 @@ class Spheres:
         sphere_index : (n,) int array
             Index of each pair's sphere among all spheres.
         radius : (n,) float array
-            Radius that replaces the sphere's own radius.
+            Radius to use instead of the sphere's own radius.
         ray_down : (n,) float array
             Downward component of the rays in each plane.
 
         Returns
         -------
         ray_ahead : (n,) float array
-            Component ahead, in each plane, of its rays: sqrt(ray_down^2 + depth^2).
+            Forward component of the rays in each plane: sqrt(ray_down^2 + depth^2).
         right, ahead : (n,) float arrays
-            Components of the vector from the eye to the centre of each disc, in the plane.
+            Components, along the axes of the plane, of the vector from the eye to the centre of
+            each disc.
         disc_radius2 : (n,) float array
             Squared radius of each disc; negative if the plane misses the sphere.
         """
@@ -205,9 +206,10 @@ class Spheres:
         A ray has the direction (ray_right, ray_down, depth), in camera axes.  Rays are given in
         spans: consecutive rays in one row of the picture, with the same `ray_down`, that are tested
         with the same object.  The rays of a row lie in a plane through the eye, and this plane cuts
-        a disc out of a sphere.  Rays and discs are intersected in the plane.  The nearer root has
-        the stable form t = C / (B + sqrt(B^2 - A C)) (Haines, Günther and Akenine-Möller, Precision
-        improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
+        a disc out of a sphere.  Rays and discs are intersected in the plane.  The nearer root of
+        A t^2 - 2 B t + C = 0 is computed in the stable form t = C / (B + sqrt(B^2 - A C)) (Haines,
+        Günther and Akenine-Möller, Precision improvements for ray/sphere intersection, Ray Tracing
+        Gems, ch. 7).
 
         Parameters
         ----------
@@ -227,30 +229,30 @@ class Spheres:
             ray misses the object.  If the eye is inside the object or on its surface, this is the
             distance at which the ray leaves the object.
         hit_data : (n,) array
-            Argument for `tangent_planes`.  For spheres, this is |n . d| radius, with the unit
-            normal n and the ray's direction d.  For boxes, it is an int8 number that encodes the
-            face.
+            Argument for `tangent_planes`.  For spheres, this is |n . d| radius, where n is the unit
+            normal and d is the ray's direction.  For boxes, it is an int8 code of the face.
         """
         sphere_index, depth = self.objects.positions(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
         ray_ahead, right, ahead, disc_radius2 = discs
         length2 = repeat_runs(ray_down * ray_down + depth * depth, ray_count)
         length2 = ray_right * ray_right + length2
-        # Cross product and dot product of the vector (right, ahead) and the ray.
+        # Cross product and dot product of the ray and the vector (right, ahead) to the disc centre.
+        # In the quadratic equation, A is `length2`, B is the dot product, and C is `power`.
         cross_product = repeat_runs(right * ray_ahead, ray_count)
         cross_product -= repeat_runs(ahead, ray_count) * ray_right
-        root = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
+        sqrt_term = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
         dot_product = repeat_runs(right, ray_count) * ray_right
         dot_product += repeat_runs(ahead * ray_ahead, ray_count)
-        divisor = dot_product + root
+        divisor = dot_product + sqrt_term
         power = self.power[sphere_index]
         is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
         t = power / divisor
         if not is_eye_outside_all:  # the farther root, in the form with less cancellation
-            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - root))
+            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - sqrt_term))
             t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
-        return np.where(t > 0, t, np.inf), root
+        return np.where(t > 0, t, np.inf), sqrt_term
 
     def tangent_planes(
         self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, hit_data: Floats
@@ -272,14 +274,14 @@ class Spheres:
 
         Returns
         -------
-        face : (runs,) int array
+        face_axis : (runs,) int array
             Axis to which the face is perpendicular: 0, 1 or 2; `NO_FACE` for spheres.
         sign : (runs,) float array
-            1 if the normal of the face points up its axis, and -1 if it points down.  For spheres,
-            a meaningless array without dimensions.
+            1 if the normal of the face points up its axis, and -1 if it points down; for spheres,
+            a meaningless 0-dimensional array.
         level : (runs,) float array
-            Coordinate of the face along its axis, in scene axes.  For spheres, a meaningless array
-            without dimensions.
+            Coordinate of the face along its axis, in scene axes; for spheres, a meaningless
+            0-dimensional array.
         normal : tuple of three float arrays
             Unit normals on the side of the eye, in camera axes: (n,) for spheres, (runs,) for
             boxes.
@@ -287,26 +289,27 @@ class Spheres:
             Distance of the eye from the tangent plane: (n,) for spheres, (runs,) for boxes.
         """
         sphere_index = self.objects.positions(object_index)
-        # Negative where the eye is inside: the normal then points to the centre.
+        # If the eye is inside, the normal points to the centre, and its sign is negative.
         normal_sign = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
-        curvature = repeat_runs(1 / (normal_sign * self.radius[sphere_index]), run_length)
-        center = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
-        x, y, z = ((hit - c) * curvature for hit, c in zip(from_eye, center, strict=True))
-        face, sign, level = np.full(sphere_index.size, NO_FACE), np.ones(()), np.zeros(())
-        return face, sign, level, (x, y, z), hit_data * np.abs(curvature) * t
+        signed_curvature = repeat_runs(1 / (normal_sign * self.radius[sphere_index]), run_length)
+        centers = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
+        components = zip(from_eye, centers, strict=True)
+        right, down, ahead = ((hit - center) * signed_curvature for hit, center in components)
+        face_axis, sign, level = np.full(sphere_index.size, NO_FACE), np.ones(()), np.zeros(())
+        return face_axis, sign, level, (right, down, ahead), hit_data * np.abs(signed_curvature) * t
 
     # Tests of shadow segments: segments from hits to lights.
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide whether each light lies outside, on, or inside its object, for n pairs.
+        """Decide whether a light lies outside, on or inside an object, for n (object, light) pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (object, light) pair, the index of the object among all objects of the scene.
+            Index of each pair's object among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of each pair's light, in scene axes: arrays of one shape that
-            broadcasts with (n,).
+            Coordinates x, y and z of each pair's light, in scene axes.  Their shape broadcasts
+            with (n,).
 
         Returns
         -------
@@ -318,26 +321,27 @@ class Spheres:
         return side_of_surface(self.signed_distance(object_index, light), tolerance)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distance of each point from the surface of its object, for n pairs.
+        """Compute the signed distance of a point from an object, for n (object, point) pairs.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (object, point) pair, the index of the object among all objects of the scene.
+            Index of each pair's object among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of each pair's point, in scene axes: arrays of one shape that
-            broadcasts with (n,).
+            Coordinates x, y and z of each pair's point, in scene axes.  Their shape broadcasts
+            with (n,).
 
         Returns
         -------
         distance : float array
-            Signed distances, negative inside.  The array has the broadcast shape of (n,) and the
-            points.  For boxes, this is the largest of the signed distances from the planes of the
-            six faces, which is at most the distance from the box for points outside.
+            Distance of each point from the surface, negative inside.  For boxes, this is the
+            largest signed distance from the planes of the six faces; for points outside, it may be
+            less than the distance from the box.  The array has the broadcast shape of (n,) and the
+            points.
         """
         sphere_index = self.objects.positions(object_index)
-        offset = map3(np.subtract, take3(self.center, sphere_index), point)
-        return np.sqrt(dot(offset, offset)) - self.radius[sphere_index]
+        to_center = map3(np.subtract, take3(self.center, sphere_index), point)
+        return np.sqrt(dot(to_center, to_center)) - self.radius[sphere_index]
 
     def occludes(
         self,
@@ -347,25 +351,24 @@ class Spheres:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test whether each object blocks the segment from a hit to a light, for n pairs.
+        """Test whether an object blocks the segment from a hit to a light, for n pairs of them.
 
-        An object blocks a segment if the segment crosses the object's surface strictly between the
-        ends of the segment.  An end is treated as on the surface if its distance from the surface
-        is within the rounding error.  If a hit is on a sphere, the segment starts on the eye's side
-        of the sphere.
+        A segment is blocked if it crosses the surface of the object strictly between its own ends.
+        An end within the rounding error of the surface is treated as on the surface.  If a hit is
+        on a sphere, the segment starts on the eye's side of the sphere.
 
         Parameters
         ----------
         object_index : (n,) int array
-            For each (object, segment) pair, the index of the object among all objects of the scene.
+            Index of each pair's object among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each segment, in scene axes.
         side : (n,) int8 array
             The side of the object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`,
             from `side_of_light`.
         growth : (n,) float array, optional
-            Distance by which the object is grown before the test; a negative value shrinks the
-            object.  An object that shrinks to nothing blocks nothing.
+            Distance by which the object is grown before the test; negative to shrink it.  An object
+            that shrinks to nothing blocks nothing.
 
         Returns
         -------
@@ -378,8 +381,8 @@ class Spheres:
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
-        # If both ends are outside, the sphere blocks the segment if the point of the line that is
-        # closest to the centre lies between the ends and inside the sphere.
+        # If both ends are outside, the segment is blocked if its line comes closest to the centre
+        # between the ends and inside the sphere.
         projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
         closest_t = projection / length2
         perpendicular = map3(lambda c, d: c - closest_t * d, to_center, to_light)
@@ -392,22 +395,22 @@ class Spheres:
         if special_index.size:
             hit_side, side = hit_side[special_index], side[special_index]
             projection, length2 = projection[special_index], length2[special_index]
-            starts_inside = self.is_eye_inside[sphere_index[special_index]]
-            from_inside = (projection < 0) | (side == OUTSIDE)
-            from_surface = np.where(starts_inside, from_inside, projection > 0)
-            to_surface = (hit_side == OUTSIDE) & (projection < length2)
-            from_elsewhere = np.where(side == ON, to_surface, hit_side != side)
-            blocked[special_index] = np.where(hit_side == ON, from_surface, from_elsewhere)
+            is_eye_inside = self.is_eye_inside[sphere_index[special_index]]
+            leaves_sphere = (projection < 0) | (side == OUTSIDE)
+            blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
+            blocks_to_surface = (hit_side == OUTSIDE) & (projection < length2)
+            blocks_otherwise = np.where(side == ON, blocks_to_surface, hit_side != side)
+            blocked[special_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
         return blocked
 
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether each object may block any, or blocks all, segments in its capsule.
+        """Test whether an object may block some segments in a capsule, and whether it blocks all.
 
         A capsule consists of all points within a given distance of its axis, the segment from
-        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The capsule contains all
-        segments from the ball around `start` to `end`.  Here, *segments* are these segments only.
+        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  It contains all segments from
+        the ball around `start` to `end`.  Here, *segments* are these segments only.
 
         1. The object blocks no segment if it does not meet the capsule, or if the capsule lies
            entirely inside the object.
@@ -419,7 +422,7 @@ class Spheres:
         Parameters
         ----------
         object_index : (n,) int array
-            For each (object, capsule) pair, the index of the object among all objects of the scene.
+            Index of each pair's object among all objects of the scene.
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
@@ -439,19 +442,21 @@ class Spheres:
         projection, length2 = dot(to_center, axis), dot(axis, axis)
         start_distance2 = dot(to_center, to_center)
         end_distance2 = start_distance2 - 2 * projection + length2
-        # Squared distance of the centre from the axis, as a line, and a bound on errors of squares.
+        # Squared distance of the centre from the line that contains the axis.
         line_distance2 = start_distance2 - projection * projection / length2
+        # Bound on the rounding errors of squared distances.
         square_error = SQUARE_ROUNDING * start_distance2
-        outer_square = (radius + thickness) ** 2 + square_error
-        inner_square = np.maximum(radius - thickness, 0) ** 2 - square_error
-        starts_outside, ends_outside = start_distance2 > outer_square, end_distance2 > outer_square
-        is_before, is_behind = projection < 0, projection > length2
-        contains_capsule = np.maximum(start_distance2, end_distance2) < inner_square
+        outer_radius2 = (radius + thickness) ** 2 + square_error
+        inner_radius2 = np.maximum(radius - thickness, 0) ** 2 - square_error
+        starts_outside = start_distance2 > outer_radius2
+        ends_outside = end_distance2 > outer_radius2
+        is_before, is_past_end = projection < 0, projection > length2
+        contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
-        is_beside = line_distance2 > outer_square
-        misses = is_beside | (starts_outside & is_before) | (ends_outside & is_behind)
+        is_off_line = line_distance2 > outer_radius2
+        misses = is_off_line | (starts_outside & is_before) | (ends_outside & is_past_end)
         may_block = ~(misses | contains_capsule)
-        blocks_all = starts_outside & ~(is_before | is_behind) & (line_distance2 < inner_square)
+        blocks_all = starts_outside & ~(is_before | is_past_end) & (line_distance2 < inner_radius2)
         return may_block, blocks_all
 
 
@@ -476,15 +481,15 @@ def _tangent_slopes(
     low, high : (n,) float arrays
         A ray with ahead > 0 meets the disc if its slope is between these; NaN if there is no disc.
     """
-    # The tangents lie at the same angle on either side of the centre.  If the origin is inside the
-    # disc, all rays meet the disc.  If rounding decides whether the origin is inside, it is treated
-    # as on the disc's border, and half of the rays meet the disc.
+    # The tangents make equal angles with the direction of the centre.  If the origin is inside the
+    # disc, all rays meet the disc.  If it is within rounding errors of the border of the disc, half
+    # of the rays meet the disc.
     power_bound = np.maximum(power - MIN_POWER * (right * right + ahead * ahead), 0)
     half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(power_bound))
     center_angle = np.arctan2(right, ahead)
     half_angle[power < 0] = np.inf
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
     angle = angle.clip(-np.pi / 2, np.pi / 2)
-    # The tangent of the rounded number pi / 2 is 1.6e16, but windows may be wider.
+    # The computed tangent of pi / 2 is 1.6e16, but the slopes of rays may be larger.
     low, high = np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
     return low, high

@@ -65,12 +65,12 @@ class Lights(NamedTuple):
 
     @property
     def near_position(self) -> Floats:
-        """Positions (lights, 3), in scene axes; distant lights are moved closer, as in `grid`."""
+        """Positions of the lights, (lights, 3), with distant lights moved closer as in `grid`."""
         return self.position if self.grid is None else self.grid.light[:, :, 0].T
 
     @property
     def nbytes(self) -> int:
-        """Number of bytes in the arrays whose size increases with the number of objects."""
+        """Total size, in bytes, of the arrays that grow with the number of objects."""
         arrays = [self.side, *(self.grid or ())]
         return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
@@ -158,12 +158,12 @@ class PreparedScene:
         self._cache, self._lock = dict[int, Lights](), Lock()
 
     def batch_size(self, max_samples: int) -> int:
-        """Choose the number of samples to trace together, so that memory is limited.
+        """Choose the number of samples to trace together, within limited memory.
 
         Parameters
         ----------
         max_samples : int
-            Maximum number of samples, used if few objects lie on each ray.
+            Maximum number of samples, which is used if few objects lie on each ray.
 
         Returns
         -------
@@ -176,17 +176,17 @@ class PreparedScene:
     def light_batches(self) -> Iterator[Lights]:
         """Iterator over all lights of the scene, in batches of at most `_MAX_LIGHTS` lights.
 
-        In scenes with many objects, batches have fewer lights, which limits memory.
+        In scenes with many objects, batches are smaller to save memory.
         """
         object_count = max(self.curvature.size, 1)
-        step = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
-        for start in range(0, self.light_count, step):
-            yield self._cached_light_batch(slice(start, start + step))
+        lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
+        for start in range(0, self.light_count, lights_per_batch):
+            yield self._get_light_batch(slice(start, start + lights_per_batch))
 
-    def _cached_light_batch(self, batch: slice) -> Lights:
-        """Return a batch of lights from the cache, or prepare the batch.
+    def _get_light_batch(self, batch: slice) -> Lights:
+        """Return a batch of prepared lights, from the cache if possible.
 
-        A newly prepared batch is added to the cache, unless the cache is full.
+        A batch that is not in the cache is prepared, and added to the cache unless it is full.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class PreparedScene:
         return self.prepare_lights(batch)
 
     def prepare_lights(self, batch: slice = slice(None)) -> Lights:
-        """Precompute the data of lights that shading and shadow tests use.
+        """Precompute the data that shading and shadow tests need of a batch of lights.
 
         The result is neither read from nor added to the cache of light batches.
 
@@ -225,7 +225,7 @@ class PreparedScene:
         lights = self._lights[batch]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
-        sides = [s.side_of_light(s.objects.indices(), (x, y, z)) for s in self._all_shapes]
+        sides = [kind.side_of_light(kind.objects.indices(), (x, y, z)) for kind in self._all_shapes]
         boxes = [shape.bounding_boxes() for shape in self._all_shapes]
         low, high = (np.concatenate(corners, axis=1) for corners in zip(*boxes, strict=True))
         is_visible = self.bounds.in_picture(self.frame)
@@ -241,7 +241,7 @@ class PreparedScene:
 
 
 def _find_duplicates(surfaces: Surfaces) -> Bools:
-    """Find objects with the same geometry as an object earlier in the file.
+    """Find the objects that have the same geometry as an object earlier in the file.
 
     Parameters
     ----------
@@ -251,16 +251,17 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether another object with the same geometry comes before this one in the file.  The
-        elements for spheres come first, then those for boxes.
+        Whether an object with the same geometry comes earlier in the file.  The elements for
+        spheres come first, then those for boxes.
     """
-    radius, corners = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
-    # Six numbers for each object.  No box has a corner at infinity, so no sphere equals a box.
-    spheres = [*surfaces.center.T, radius, radius, radius + np.inf]
-    geometry = np.concatenate([spheres, corners], axis=1)
-    # Sort by a hash: duplicates become neighbours, and the first in the file comes first.
+    radius, box_numbers = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
+    # Six numbers describe each object.  For spheres, the last is infinity, which it never is for
+    # boxes, so no sphere equals a box.
+    sphere_numbers = [*surfaces.center.T, radius, radius, radius + np.inf]
+    geometry = np.concatenate([sphere_numbers, box_numbers], axis=1)
+    # Sort by a hash, then by the order of the file: duplicates become neighbours, in this order.
     geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
-    order = np.lexsort((surfaces.file_index, geometry_hash))
-    is_duplicate = np.empty(order.size, dtype=np.bool_)
-    is_duplicate[order] = ~run_starts(*geometry[:, order])
+    sorted_index = np.lexsort((surfaces.file_index, geometry_hash))
+    is_duplicate = np.empty(sorted_index.size, dtype=np.bool_)
+    is_duplicate[sorted_index] = ~run_starts(*geometry[:, sorted_index])
     return is_duplicate
