@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     output_path = arguments.output or f"{scene_path}.certified.png"
     input_paths = [Path(file) for file in (scene_path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output_path)], input_paths)
-    failure_if_not = partial(errors_as_failure, status=FAILED_STATUS)
+    failure_if_not = partial(errors_as_failure, exit_status=FAILED_STATUS)
     with failure_if_not(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     judged_codes = _read_codes(arguments.judge, scene) if arguments.judge else None

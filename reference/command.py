@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from tracer.command.arguments import OUTPUT_REMEDY, CommandParser, real_path
+from tracer.command.arguments import OUTPUT_REMEDY, CommandParser, resolve_path
 from tracer.command.process import MISUSED
 
 HERE = Path(__file__).resolve().parent
@@ -71,7 +71,7 @@ def forbid_overwriting_inputs(
     Failure
         If a path is relative, and the working folder has been deleted.
     """
-    real_input_paths = {real_path(path, status=MISUSED) for path in input_paths}
+    real_input_paths = {resolve_path(path, exit_status=MISUSED) for path in input_paths}
     for path in output_paths:
-        if real_path(path, status=MISUSED) in real_input_paths:
+        if resolve_path(path, exit_status=MISUSED) in real_input_paths:
             command_parser.error(f"{path}: this would replace an input; {OUTPUT_REMEDY}")

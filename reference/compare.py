@@ -116,7 +116,7 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     submission, reference = options.hand_in, options.reference
     for path in (submission, reference):
         if not path.exists():
-            raise Failure(str(path), "does not exist", status=FAILED_STATUS)
+            raise Failure(str(path), "does not exist", exit_status=FAILED_STATUS)
     options.is_class = submission.is_dir()
     options.folder = submission if options.is_class else submission.parent
     picture_paths = list_hand_ins(submission) if options.is_class else [submission]
@@ -197,9 +197,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         html = render_class_page(results, pairs, options.folder)
         write_page(Path(options.html), html, "choose another with --html", FAILED_STATUS)
     if results[0].error and not (options.is_class or options.format_results):
-        raise Failure("", results[0].error, status=FAILED_STATUS)
+        raise Failure("", results[0].error, exit_status=FAILED_STATUS)
     format_results = options.format_results or partial(format_text, as_list=options.is_class)
-    with errors_as_failure("standard output", "written", status=FAILED_STATUS):
+    with errors_as_failure("standard output", "written", exit_status=FAILED_STATUS):
         print_result(sys.stdout, format_results(results))
     if any(result.verdict == "unread" for result in results):
         return FAILED_STATUS

@@ -155,7 +155,7 @@ def write_page(path: Path, html: str, remedy: str = OUTPUT_REMEDY, exit_status: 
     Failure
         If the file cannot be written.
     """
-    with errors_as_failure(path, "written", remedy, status=exit_status):
+    with errors_as_failure(path, "written", remedy, exit_status=exit_status):
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, b"<!doctype html>") as file:
             file.write(html.encode(errors="backslashreplace"))

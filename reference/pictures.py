@@ -74,7 +74,7 @@ def read_picture(path: Path) -> Picture:
     """
     # Pillow raises a SyntaxError for a damaged PNG.
     error_types = SyntaxError, ValueError
-    with errors_as_failure(path, "read", status=FAILED_STATUS, error_types=error_types):
+    with errors_as_failure(path, "read", exit_status=FAILED_STATUS, error_types=error_types):
         if path.exists() and not path.is_file():  # opening a pipe may block for ever
             raise ValueError("not a regular file")
         try:

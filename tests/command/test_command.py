@@ -92,7 +92,7 @@ def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkey
     text = "the working folder: cannot be found: No such file or directory; change to another"
     with pytest.raises(Failure) as caught:
         main(arguments)
-    assert (str(caught.value), caught.value.status) == (text, status)
+    assert (str(caught.value), caught.value.exit_status) == (text, status)
 
 
 def caused(error: Exception, cause: Exception) -> Exception:
@@ -118,16 +118,15 @@ def caused(error: Exception, cause: Exception) -> Exception:
     ids=lambda value: type(value).__name__ if isinstance(value, Exception) else "",
 )  # fmt: skip
 def test_errors_become_failures_where_they_arise(error, text):
+    settings = {"memory_remedy": "M", "exit_status": 3, "error_types": (KeyError, RuntimeError)}
     with (
         pytest.raises(type(error) if text is None else Failure) as caught,
-        errors_as_failure(
-            "a.png", "read", "R", memory_remedy="M", status=3, error_types=(KeyError, RuntimeError)
-        ),
+        errors_as_failure("a.png", "read", "R", **settings),
     ):
         raise error
     if text is not None:
-        copy = pickle.loads(pickle.dumps(caught.value))
-        assert (str(caught.value), caught.value.status, str(copy), copy.status) == (text, 3) * 2
+        for failure in (caught.value, pickle.loads(pickle.dumps(caught.value))):
+            assert (str(failure), failure.exit_status) == (text, 3)
 
 
 @pytest.mark.parametrize("samples", [1, 4])

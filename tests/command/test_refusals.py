@@ -69,7 +69,7 @@ def test_a_command_is_refused(folder, capsys, monkeypatch, command, status, mess
     try:
         actual_status, printed = MAIN[name](arguments), capsys.readouterr().err
     except Failure as failure:
-        actual_status, printed = failure.status, f"{failure}\n"
+        actual_status, printed = failure.exit_status, f"{failure}\n"
     except SystemExit as usage_error:
         output, usage = capsys.readouterr()
         # The line with the message follows a summary of the usage.

@@ -211,7 +211,7 @@ def test_variants_without_rgb_are_refused(small_file, variant):
         arguments = ["--render", *options] if command is main else options
         with pytest.raises(Failure) as caught:
             command(arguments)
-        assert caught.value.status == status
+        assert caught.value.exit_status == status
         start, _, choices = str(caught.value).partition("; choose one of ")
         assert start == f"Mitsuba cannot run: {variant or repr(variant)} is not an RGB variant"
         assert SCALAR in choices

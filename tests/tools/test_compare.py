@@ -52,7 +52,7 @@ def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
         except SystemExit as wrong:
             status = int(wrong.code or 0)
         except Failure as failure:
-            status = failure.status
+            status = failure.exit_status
             print(failure, file=sys.stderr)
         captured = capsys.readouterr()
         return status, captured.out.splitlines(), captured.err

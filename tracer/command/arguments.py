@@ -130,14 +130,14 @@ def make_output_folder(output: str | None) -> None:
             os.makedirs(output, exist_ok=True)
 
 
-def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
+def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
     """Return the absolute path of a file, with all symbolic links resolved.
 
     Parameters
     ----------
     path : str or path-like
         Path of the file, which need not exist.
-    status : int
+    exit_status : int
         Exit status of the command if the path cannot be resolved.
 
     Raises
@@ -145,7 +145,9 @@ def real_path(path: str | os.PathLike[str], *, status: int = 1) -> str:
     Failure
         If the path is relative, and the working folder has been deleted.
     """
-    with errors_as_failure("the working folder", "found", "change to another", status=status):
+    with errors_as_failure(
+        "the working folder", "found", "change to another", exit_status=exit_status
+    ):
         return os.path.realpath(path)
 
 
@@ -196,10 +198,10 @@ def choose_output_paths(
         parser.error(
             f"-o {output}: several scenes need a folder; to have it made, end it in {os.sep}"
         )
-    scene_paths, scene_of_file = {real_path(scene) for scene in scenes}, dict[str, str]()
+    scene_paths, scene_of_file = {resolve_path(scene) for scene in scenes}, dict[str, str]()
     for scene, result_path in zip(scenes, result_paths, strict=True):
         for path in list_files(result_path):
-            absolute_path = real_path(path)
+            absolute_path = resolve_path(path)
             if absolute_path in scene_paths:
                 parser.error(f"{path}: this would replace a scene; {OUTPUT_REMEDY}")
             if absolute_path in scene_of_file:

@@ -28,13 +28,13 @@ class Failure(Exception):  # noqa: N818
         What failed and why, for example "cannot be written: No space left on device".
     remedy : str
         What the user can do about the failure.  If empty, the line is ``where: what``.
-    status : int
+    exit_status : int
         Exit status of a command that fails only for this reason.
     """
 
-    def __init__(self, where: str, what: str, remedy: str = "", status: int = 1) -> None:
-        super().__init__(where, what, remedy, status)  # so that it can be pickled
-        self.where, self.what, self.remedy, self.status = where, what, remedy, status
+    def __init__(self, where: str, what: str, remedy: str = "", exit_status: int = 1) -> None:
+        super().__init__(where, what, remedy, exit_status)  # so that it can be pickled
+        self.where, self.what, self.remedy, self.exit_status = where, what, remedy, exit_status
 
     def __str__(self) -> str:
         text = f"{printable(self.where)}: {self.what}" if self.where else self.what
@@ -48,7 +48,7 @@ def errors_as_failure(
     remedy: str = "",
     *,
     memory_remedy: str = "make the image smaller",
-    status: int = 1,
+    exit_status: int = 1,
     error_types: tuple[type[BaseException], ...] = (),
 ) -> Iterator[None]:
     """Convert errors in a with block to a Failure if their cause is outside the program.
@@ -66,7 +66,7 @@ def errors_as_failure(
         What the user can do about the failure, for example "choose another with -o".
     memory_remedy : str
         Replaces `remedy` if the error is a lack of memory.
-    status : int
+    exit_status : int
         Exit status of a command that fails only for this reason.
     error_types : tuple of exception classes
         Classes of errors to convert in addition to OSError, MemoryError and SceneFileError.
@@ -86,14 +86,14 @@ def errors_as_failure(
         from tracer.scene.reader import SceneFileError
 
         if isinstance(error, SceneFileError):
-            raise Failure("", str(error), status=status) from error
+            raise Failure("", str(error), exit_status=exit_status) from error
         is_exempt = isinstance(error, (Failure, BrokenPipeError))
         if is_exempt or not isinstance(error, (OSError, MemoryError, *error_types)):
             raise
         reason = describe_cause(error)
         remedy = memory_remedy if reason == _NO_MEMORY else remedy
         what = f"cannot be {participle}: {reason}"
-        raise Failure(os.fspath(where), what, remedy, status) from error
+        raise Failure(os.fspath(where), what, remedy, exit_status) from error
 
 
 def describe_cause(error: BaseException) -> str:

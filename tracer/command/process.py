@@ -55,7 +55,7 @@ def run(module_name: str) -> NoReturn:
     exit_status = FAILED
     try:
         result = attempt(import_module(module_name).main)
-        exit_status = result.status if isinstance(result, Failure) else result or 0
+        exit_status = result.exit_status if isinstance(result, Failure) else result or 0
     except ModuleNotFoundError as error:
         package = (error.name or "numpy").partition(".")[0]
         package = {"PIL": "pillow", "skimage": "scikit-image"}.get(package, package)
