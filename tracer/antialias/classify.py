@@ -73,7 +73,8 @@ class Cells(NamedTuple):
     center_x, center_y : (n,) float arrays
         Centres of the cells, in pixels from the upper left corner of the picture.
     pair_cell, pair_object : (m,) int arrays
-        Indices of m pairs of a cell and an object whose silhouette may cross the cell.
+        Indices of the cell and the object in each of m pairs: the object's silhouette may cross the
+        cell.
     """
 
     width: float
@@ -84,27 +85,27 @@ class Cells(NamedTuple):
     pair_cell: Ints
     pair_object: Ints
 
-    def positions(self, cell_index: Ints, point: Points2D) -> tuple[Floats, Floats]:
-        """Convert points from coordinates within cells to coordinates of the picture.
+    def positions(self, cell_index: Ints, point_in_cell: Points2D) -> tuple[Floats, Floats]:
+        """Convert points from cell coordinates to picture coordinates.
 
         Parameters
         ----------
         cell_index : (k,) int array
             Index of the cell (a pixel, or a square part of a pixel) that contains each point.
-        point : (k,) complex array
-            Points x + iy relative to the centres of their cells, in widths of a cell: x and y are
-            between -1/2 and 1/2.
+        point_in_cell : (k,) complex array
+            Points x + iy relative to the centres of their cells, in units of the cell width: x and
+            y are between -1/2 and 1/2.
 
         Returns
         -------
         x, y : (k,) float arrays
             The same points in pixels from the upper left corner of the picture.
         """
-        x = self.center_x[cell_index] + self.width * point.real
-        return x, self.center_y[cell_index] + self.width * point.imag
+        x = self.center_x[cell_index] + self.width * point_in_cell.real
+        return x, self.center_y[cell_index] + self.width * point_in_cell.imag
 
     def quarters(self, cell_index: Ints) -> Cells:
-        """Divide square cells of the picture into quarters of half their width.
+        """Divide cells of the picture into quarters.
 
         Parameters
         ----------
@@ -115,17 +116,17 @@ class Cells(NamedTuple):
         -------
         quarters : Cells
             The 4 k quarters: the four of the first cell, then the four of the second cell, and so
-            on.  A quarter is paired with the same objects as its cell.  The number of samples along
-            a side is half that of the cells, rounded up.
+            on.  Each quarter has half the width of its cell, and is paired with the same objects.
+            Its number of samples along each side is half that of the cell, rounded up.
         """
-        count = cell_index.size
-        x, y = self.positions(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), count))
-        position = np.full(self.center_x.size, -1)  # of each cell in `cell_index`
-        position[cell_index] = np.arange(count)
-        pair_position = position[self.pair_cell]
-        kept = indices(pair_position >= 0)
-        pair_quarter = (4 * pair_position[kept, None] + np.arange(4)).ravel()
-        pairs = pair_quarter, self.pair_object[kept].repeat(4)
+        cell_count = cell_index.size
+        x, y = self.positions(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), cell_count))
+        new_index = np.full(self.center_x.size, -1)  # position of each cell in `cell_index`
+        new_index[cell_index] = np.arange(cell_count)
+        pair_new_index = new_index[self.pair_cell]
+        kept_pair = indices(pair_new_index >= 0)
+        pair_quarter = (4 * pair_new_index[kept_pair, None] + np.arange(4)).ravel()
+        pairs = pair_quarter, self.pair_object[kept_pair].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 
 
@@ -156,13 +157,13 @@ class Classification(NamedTuple):
 def classify(
     prepared: PreparedScene, cells: Cells, samples: Samples, sample_cell: Ints
 ) -> Classification:
-    """Decide which cells are smooth, which are crossed by straight edges, and which by other edges.
+    """Classify cells by the edges that may cross them.
 
-    A cell is a pixel, or a square part of a pixel.  It is smooth if no edge crosses it.  Edges are
-    silhouettes, creases between faces, intersections of surfaces, shadow edges, and terminators
-    (where a surface turns away from a light).  One sample is traced through the centre of each
-    cell, and edges are searched for around its hit.  Silhouettes are also searched for in all
-    pairs of a cell and an object in `cells`, so an object is found even if no sample hits it.
+    A cell is a pixel, or a square part of a pixel.  Edges are silhouettes, creases between faces,
+    intersections of surfaces, shadow edges, and terminators (where a surface turns away from a
+    light).  One sample is traced through the centre of each cell, and edges are searched for around
+    its hit.  Silhouettes are computed for all (cell, object) pairs in `cells`, so an object is
+    found even if no sample hits it.
 
     Parameters
     ----------
@@ -178,21 +179,21 @@ def classify(
     Returns
     -------
     classification : Classification
-        Properties of the n cells, in the order of `cells`.  The field `center` contains radiance
-        and id of the sample of each cell.  `lines` contains straight lines along edges, at most
-        `MAX_LINES` in each cell.  `is_unresolved` (n,) is True for cells that may contain something
-        other than straight edges.  `is_crowded` (n,) is True for cells in which finding all edges
-        would cost more than a lattice of samples.  A cell is smooth if it has no lines and is not
-        unresolved.
+        Properties of the n cells, in the order of `cells`.  The field `center` contains the
+        radiance and the id of each cell's sample.  `lines` contains straight lines along edges, at
+        most `MAX_LINES` in each cell.  `is_unresolved` (n,) is True for cells that may contain
+        something other than straight edges.  `is_crowded` (n,) is True for cells in which finding
+        all edges would cost more than a lattice of samples.  No edge was found in a cell that has
+        no lines and is not unresolved.
     """
-    count, tolerance = sample_cell.size, cells.tolerance
-    radiance, center_id = np.empty((3, count)), np.full(count, -1)
-    is_unresolved, is_crowded = np.zeros((2, count), dtype=np.bool_)
+    cell_count, tolerance = sample_cell.size, cells.tolerance
+    radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
+    is_unresolved, is_crowded = np.zeros((2, cell_count), dtype=np.bool_)
     hits, hidden_hits = find_nearest_and_hidden_hits(prepared, samples)
     hit_cell, footprint = sample_cell[hits.sample], compute_footprints(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
-    outlines = _find_silhouettes_from_eye(prepared, cells)
-    edges = chain(outlines, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
+    silhouettes = _find_silhouettes_from_eye(prepared, cells)
+    edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
     geometry_lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
     shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
@@ -206,7 +207,7 @@ def classify(
     center_id[hit_cell] = shading.ids
     lines = Lines.joined(all_lines).distinct()
     if prepared.light_count > _MAX_DETAILED_LIGHTS:
-        is_crowded |= np.bincount(lines.cell, minlength=count) > MAX_LINES
+        is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
     lines = lines.limit_per_cell(MAX_LINES)
     center = CenterSamples(radiance, center_id)
     return Classification(cells, center, lines, is_unresolved, is_crowded)
@@ -218,12 +219,12 @@ def _add_lights(
     """Add a batch of lights to the radiance of hits, and find the edges that these lights cause.
 
     The edges are shadow edges and terminators (where a surface turns away from a light).  They are
-    searched for in the cell of each hit, which is a pixel or a square part of a pixel.
+    searched for in the cell of each hit: a pixel, or a square part of a pixel.
 
     Parameters
     ----------
     shading : Shading
-        Sum over lights of the radiance that the hits reflect.  This function adds to it.
+        The radiance reflected by the hits, summed over lights, to which this function adds.
     surfaces : CellSurfaces
         The visible surface at the centre of each cell, with its hit.
     lights : Lights
@@ -246,7 +247,7 @@ def _add_lights(
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = compute_light_geometry(hits, lights)
     frontlit = geometry.n_dot_l > 0
-    # A cell with a wide footprint will be divided in any case, so its shadow edges are not needed.
+    # Cells with wide footprints are divided in any case, so their shadow edges are not needed.
     is_wide = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(is_wide, 0, footprint)
     is_blocked, edge_triples, is_crowded = find_shadow_edges(hits, lights, frontlit, search_radius)
@@ -258,13 +259,13 @@ def _add_lights(
     lines, curved_cell = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, frontlit, footprint)
     highlight_cells = [hit_cell[hit_index] for hit_index in highlights]
-    wide_cell = hit_cell[is_wide | is_crowded]
-    unresolved_cell = np.concatenate([wide_cell, curved_cell, *highlight_cells])
+    incomplete_cell = hit_cell[is_wide | is_crowded]
+    unresolved_cell = np.concatenate([incomplete_cell, curved_cell, *highlight_cells])
     return lines, unresolved_cell, hit_cell[is_crowded]
 
 
 def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield, in batches, the silhouettes, as seen from the eye, that may cross cells.
+    """Yield batches of the silhouettes, seen from the eye, that may cross cells.
 
     A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function,
     which is a smooth function on the picture that is zero at the silhouette.
@@ -274,13 +275,13 @@ def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterato
     prepared : PreparedScene
         The scene, prepared for the camera.
     cells : Cells
-        The cells.  Their pairs of a cell and an object show which silhouettes may cross each cell.
+        The cells.  Their (cell, object) pairs list the objects whose silhouettes may cross them.
 
     Yields
     ------
     cell : (k,) int array
         Index of the cell that each silhouette may cross.  A box has up to six silhouettes, one for
-        each edge.
+        each edge of its outline.
     values : (6, k) float array
         Values of the edge function at six points of the cell: the centre; the centres of the right,
         left, lower and upper side; and the lower right corner.
@@ -288,8 +289,8 @@ def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterato
     frame = prepared.frame
     for batch in index_batches(np.arange(cells.pair_cell.size)):
         cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
-        center_right = frame.ray_right(cells.center_x[cell])
-        center_down = frame.ray_down(cells.center_y[cell])
-        ray = cell_rays(frame, center_right, center_down, cells.width)
-        triples = np.array([np.zeros_like(cell), cell, object_index])
-        yield from evaluate_silhouettes(prepared, frame.eye[None], triples, ray)
+        ray_right = frame.ray_right(cells.center_x[cell])
+        ray_down = frame.ray_down(cells.center_y[cell])
+        ray = cell_rays(frame, ray_right, ray_down, cells.width)
+        eye_cell_object = np.array([np.zeros_like(cell), cell, object_index])
+        yield from evaluate_silhouettes(prepared, frame.eye[None], eye_cell_object, ray)

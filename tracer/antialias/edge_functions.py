@@ -11,8 +11,8 @@ Each edge function is a function of the ray from the eye:
 silhouette of a sphere      the angle between the ray and the direction to the sphere's centre,
                             minus the angular radius of the sphere
 silhouette of a box         n . ray, with the normal n of the plane through the apex and an edge
-intersection of surfaces,   the difference of 1 / t, where the ray meets the two surfaces at t
-or crease                   times the ray
+intersection of surfaces,   1 / t1 - 1 / t2, where the points t1 * ray and t2 * ray lie on the two
+or crease                   surfaces
 terminator                  the cosine between the normal and the direction to the light
 ==========================  ======================================================================
 
@@ -40,31 +40,31 @@ from tracer.trace.hits import Hits
 # edge function at six points of the cell.  Unknown values are NaN.
 EdgeValues: TypeAlias = tuple[Ints, Floats]
 
-# The six points of a cell, in widths of the cell from its centre: the centre; the centres of the
-# right, left, lower and upper side; and the lower right corner.
+# The six points of a cell relative to its centre, in units of the cell's width: the centre; the
+# centres of the right, left, lower and upper side; and the lower right corner.
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
-# Maximum angle, in radians, by which an edge may turn across a cell so that a line represents the
-# edge; and the maximum for straight edges, divided by the cell's tolerance in radiance.  Tuned on
-# the project's scenes: with half the first maximum, errors of 4 samples per pixel are up to 1.6
-# times as large; half or twice the second number changes errors and times by 1 %.
+# A line represents an edge that turns across the cell by at most the first number, in radians.  The
+# edge counts as straight if it turns by at most the second number times the cell's tolerance in
+# radiance.  Tuned on the project's scenes: with half the first number, errors of 4 samples per
+# pixel are up to 1.6 times as large; half or twice the second changes errors and times by 1 %.
 _MAX_TURN, _TURN_PER_TOLERANCE = 0.5, 500.0
 
 
 class Lines(NamedTuple):
     """Straight lines c + a x + b y = 0 that cross cells (pixels, or square parts of pixels).
 
-    The coordinates x and y are relative to the centre of the cell, in widths of the cell.  The
-    y-axis points down.
+    The coordinates x and y are relative to the centre of the cell, in units of the cell's width.
+    The y-axis points down.
 
     Attributes
     ----------
     cell : (n,) int array
         Index of the cell that each line crosses.
     a, b, c : (n,) float arrays
-        Coefficients, scaled so that the maximum of |a x + b y| in the cell is 1, with a > 0, or
-        with a = 0 and b > 0.
+        Coefficients, scaled so that the maximum of |a x + b y| in the cell is 1, and that a > 0 (or
+        b > 0 if a = 0).
     """
 
     cell: Ints
@@ -84,7 +84,7 @@ class Lines(NamedTuple):
         Returns
         -------
         lines : Lines
-            All lines of the first set, then all lines of the second set, and so on.
+            The lines of all sets, in the same order.
         """
         return cls._make(map(np.concatenate, zip(*line_sets, strict=True)))
 
@@ -106,18 +106,20 @@ class Lines(NamedTuple):
     def distinct(self) -> Lines:
         """Sort the lines by cell and then by coefficients, and remove duplicates.
 
-        The lines of a cell then do not depend on the order in which they were found.
+        The result does not depend on the order in which the lines were found.
 
         Returns
         -------
         lines : Lines
-            The sorted lines, each of them once.
+            The sorted lines without duplicates.
         """
-        lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
-        return lines.take(indices(run_starts(*lines)))
+        sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
+        return sorted_lines.take(indices(run_starts(*sorted_lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
-        """Keep only the first lines of each cell.
+        """Keep at most `max_lines` lines of each cell.
+
+        The lines must be sorted by cell.
 
         Parameters
         ----------
@@ -127,8 +129,7 @@ class Lines(NamedTuple):
         Returns
         -------
         lines : Lines
-            The remaining lines, in the same order.  These lines, and those given, are sorted by
-            cell.
+            The first `max_lines` lines of each cell, in the same order.
         """
         position_in_cell = np.arange(self.cell.size) - self.cell.searchsorted(self.cell)
         return self.take(indices(position_in_cell < max_lines))
@@ -137,7 +138,7 @@ class Lines(NamedTuple):
 def cell_rays(
     frame: CameraFrame, center_right: Floats, center_down: Floats, cell_width: float
 ) -> Triple:
-    """Compute the rays from the eye through six points of each cell.
+    """Compute the rays from the eye through six points of each of n cells.
 
     A cell is a pixel, or a square part of a pixel.  The six points are, in this order: the centre;
     the centres of the right, left, lower and upper side; and the lower right corner.
@@ -156,17 +157,17 @@ def cell_rays(
     -------
     ray_right, ray_down : (6, n) float arrays
         Rightward and downward components of the rays.
-    ray_ahead : (1, n) float array
+    ray_forward : (1, n) float array
         Forward component of the rays, which is the same for all six points.
     """
     offset_right = _POINT_X * (frame.pixel_width * cell_width)
     offset_down = _POINT_Y * (frame.pixel_height * cell_width)
-    ray_ahead = np.full((1, center_right.size), frame.depth)
-    return center_right + offset_right, center_down + offset_down, ray_ahead
+    ray_forward = np.full((1, center_right.size), frame.depth)
+    return center_right + offset_right, center_down + offset_down, ray_forward
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Bound how much edge functions vary within a cell.
+    """Bound how far edge functions deviate, within a cell, from their values at its centre.
 
     A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
     picture that is zero at an edge.  Here it is approximated by the quadratic polynomial through
@@ -180,15 +181,15 @@ def bound_variation(values: Floats) -> Floats:
 
     Returns
     -------
-    max_difference : (...) float array
+    max_deviation : (...) float array
         Upper bound on the absolute difference between the polynomial at any point of the cell and
         its value at the centre.
     """
-    center, right, left, below, above, corner = values
-    linear = np.abs(right - left) + np.abs(below - above)
-    quadratic = np.abs(right + left - 2 * center) + np.abs(below + above - 2 * center)
-    mixed = np.abs(corner - right - below + center)
-    return np.asarray(0.5 * linear + 0.5 * quadratic + mixed)
+    center, right, left, lower, upper, corner = values
+    linear_part = np.abs(right - left) + np.abs(lower - upper)
+    square_part = np.abs(right + left - 2 * center) + np.abs(lower + upper - 2 * center)
+    mixed_part = np.abs(corner - right - lower + center)
+    return np.asarray(0.5 * linear_part + 0.5 * square_part + mixed_part)
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
@@ -231,11 +232,11 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     the centre of the cell.  The line is computed in two steps:
 
     1. On the straight line x = s g through the centre, f is c + s g^2 + s^2 (g . H g) / 2.  It is
-       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  If this point is outside of the cell,
-       it is moved along x = s g to the border.  At the point, f is replaced by its tangent plane
+       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  If this point is outside the cell, it
+       is moved along x = s g to the border.  At the point, f is replaced by its tangent plane
        c + a x + b y.
-    2. Along the unit vector t of the line c + a x + b y = 0, f differs from the tangent plane by
-       u^2 (t . H t) / 2 at the distance u from the point.  The average of this difference for
+    2. Along the line c + a x + b y = 0, whose unit vector is t, f differs from the tangent plane by
+       u^2 (t . H t) / 2 at the distance u from the point.  The mean of this difference over
        -1/2 < u < 1/2, which is t . H t / 24, is added to c.
 
     The curvature of the edge is |t . H t| / |g|.  This is also the angle, in radians, by which the
@@ -260,19 +261,19 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
         Indices of cells that a curved edge may cross: one index for each edge that no line
         represents within the tolerance, or whose edge function is unknown (NaN).
     """
-    # Scale the values, so that powers of the derivatives are finite in any unit of length.
-    center, right, left, below, above, corner = values / bound_variation(values)
+    # Scale the values so that powers of the derivatives are finite in any unit of length.
+    center, right, left, lower, upper, corner = values / bound_variation(values)
     # The components (a, b) of the gradient g, and the elements of the matrix H.
-    a, b = right - left, below - above
-    h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (below + above - 2 * center)
-    h_xy = 4 * (corner - right - below + center)
+    a, b = right - left, lower - upper
+    h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
+    h_xy = 4 * (corner - right - lower + center)
     slope_squared = a * a + b * b
     # Second derivative in the direction of g: g . H g / g^2
     second_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope_squared
     sqrt_term = np.sqrt(np.abs(slope_squared * (slope_squared - 2 * center * second_across)))
     s = -2 * center / (slope_squared + sqrt_term)
-    max_s = 0.5 / np.maximum(np.abs(a), np.abs(b))
-    s = np.clip(s, -max_s, max_s)
+    s_at_border = 0.5 / np.maximum(np.abs(a), np.abs(b))
+    s = np.clip(s, -s_at_border, s_at_border)
     x, y = s * a, s * b
     c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
@@ -280,10 +281,10 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     slope_squared = a * a + b * b
     # Second derivative in the direction of t: t . H t
     second_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope_squared
-    max_linear = 0.5 * (np.abs(a) + np.abs(b))
+    max_slope_term = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale3((a, b, c + second_along / 24), sign / max_linear))
-    # If the slope changes much across the edge, the far side of a small object may be in the cell.
+    lines = Lines(cell, *scale3((a, b, c + second_along / 24), sign / max_slope_term))
+    # If the slope changes much across the edge, the cell may contain both sides of a small object.
     turn = np.maximum(np.abs(second_along), np.abs(second_across)) / np.sqrt(slope_squared)
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  The comparison is True for NaN.
@@ -293,16 +294,16 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
 
 
 class InverseDepth(NamedTuple):
-    """The surfaces at n hits as functions on the picture: 1 / t, where a ray meets them at t.
+    """The surfaces at n hits, given by 1 / t as a function of the ray that meets them at t * ray.
 
-    A ray d from the eye, multiplied by t, ends on the surface.
+    Let d be a ray from the eye, and t d the point where it meets the surface.
 
     - A plane n . x = n . p has 1 / t = d . n / (n . p), which is a linear function of d.
     - A sphere |t d - C|^2 = r^2 with the centre C has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P
       with P = C^2 - r^2.  This is the near intersection or, if the eye is inside (P < 0), the far
       one.
 
-    Both are 1 / t = k . d + sqrt((k . d)^2 - w d^2), with
+    Both have the form 1 / t = k . d + sqrt((k . d)^2 - w d^2), with
 
     - k = n / (n . p) and w = 0 for a plane, without the square root;
     - k = C / P and w = 1 / P for a sphere.
@@ -311,21 +312,21 @@ class InverseDepth(NamedTuple):
 
     Attributes
     ----------
-    k : tuple of three (n,) float arrays
+    linear : tuple of three (n,) float arrays
         Components of the vector k of each surface, in the axes of the camera.
-    w : (n,) float array
+    quadratic : (n,) float array
         The number w of each surface; 0 for planes.
     """
 
-    k: Triple
-    w: Floats
+    linear: Triple
+    quadratic: Floats
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
         """Describe the surface at each hit, so that other rays can be intersected with it.
 
         A ray d from the eye meets the surface at t d, with 1 / t = k . d + sqrt((k . d)^2 - w d^2).
-        This method computes the vector k and the number w of each surface.
+        This method computes the vector k (`linear`) and the number w (`quadratic`).
 
         Parameters
         ----------
@@ -335,23 +336,23 @@ class InverseDepth(NamedTuple):
         Returns
         -------
         surfaces : InverseDepth
-            The fields `k` and `w` for each hit.  They describe the plane of the face for a hit on a
-            box, and the sphere for a hit on a sphere; but if the eye is on the sphere, the tangent
-            plane at the hit.  Planes have w = 0.
+            The plane of the face for each hit on a box, and the sphere for each hit on a sphere.
+            If the eye is on the sphere, the tangent plane at the hit replaces the sphere.  Planes
+            have w = 0.
         """
         spheres = hits.prepared.spheres
-        k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
+        linear, quadratic = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
-            interval = group.interval
-            # Planes.  If the eye is on a sphere, the tangent plane at the hit replaces the sphere.
-            k[:, interval] = [group.per_hit(normal / -group.eye_height) for normal in group.normal]
+            batch = group.interval
+            # Tangent planes, which are replaced by spheres unless the eye is on the sphere.
+            linear[:, batch] = [group.per_hit(part / -group.eye_height) for part in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.positions(group.repeat_runs(group.run_object))
-                power_of_eye = spheres.power[sphere_index]
+                power = spheres.power[sphere_index]  # P: the squared centre minus squared radius
                 center = np.array(take3(spheres.from_eye, sphere_index))
-                w[interval] = np.where(power_of_eye != 0, 1 / power_of_eye, 0)
-                k[:, interval] = np.where(power_of_eye != 0, center / power_of_eye, k[:, interval])
-        return cls((k[0], k[1], k[2]), w)
+                quadratic[batch] = np.where(power != 0, 1 / power, 0)
+                linear[:, batch] = np.where(power != 0, center / power, linear[:, batch])
+        return cls((linear[0], linear[1], linear[2]), quadratic)
 
     def take(self, surface_index: Ints) -> InverseDepth:
         """Select surfaces by index.
@@ -366,30 +367,30 @@ class InverseDepth(NamedTuple):
         selected : InverseDepth
             The m selected surfaces, in the order of `surface_index`.
         """
-        return InverseDepth(take3(self.k, surface_index), self.w[surface_index])
+        return InverseDepth(take3(self.linear, surface_index), self.quadratic[surface_index])
 
     def compute_inverse_t(self, ray: Triple) -> Floats:
-        """Compute 1 / t for six rays per surface, where t times the ray ends on the surface.
+        """Compute 1 / t for six rays per surface, where the point t * ray lies on the surface.
 
-        The formula is 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the ray d, and the vector k and
-        the number w of the surface; w is 0 for planes.  If a ray misses a sphere, the radicand is
-        negative, and is replaced by 0.
+        For the ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2).  The vector k (`linear`) and the
+        number w (`quadratic`) describe the surface.  Planes have w = 0, and no square root.  If a
+        ray misses a sphere, the radicand is negative, and is replaced by 0.
 
         Parameters
         ----------
         ray : tuple of three (6, n) float arrays
             Components of rays from the eye, in the axes of the camera.  Column i contains six rays
-            for surface i.  An array may have a single row, which then holds for all six rays.
+            for surface i.  An array with a single row applies to all six rays.
 
         Returns
         -------
         inverse_t : (6, n) float array
             1 / t of each ray.
         """
-        inverse_t = dot(self.k, ray)
-        sphere_index = indices(self.w)
-        if sphere_index.size:
-            d = map3(lambda component: component[:, sphere_index], ray)
-            radicand = inverse_t[:, sphere_index] ** 2 - self.w[sphere_index] * dot(d, d)
-            inverse_t[:, sphere_index] += np.sqrt(np.maximum(radicand, 0))
+        inverse_t = dot(self.linear, ray)
+        on_sphere = indices(self.quadratic)
+        if on_sphere.size:
+            d = map3(lambda component: component[:, on_sphere], ray)
+            radicand = inverse_t[:, on_sphere] ** 2 - self.quadratic[on_sphere] * dot(d, d)
+            inverse_t[:, on_sphere] += np.sqrt(np.maximum(radicand, 0))
         return inverse_t

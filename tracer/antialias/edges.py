@@ -1,8 +1,8 @@
 """Find the edges that may cross cells of the picture: silhouettes, creases, shadows, terminators.
 
-A cell is a pixel or a square part of a pixel.  Each edge is found as an edge function: a smooth
+A cell is a pixel or a square part of a pixel.  Each edge is described by an edge function: a smooth
 function on the picture that is zero at the edge (see `edge_functions`).  The functions of this
-module yield the values of edge functions at six points of each cell.  A later step computes from
+module yield the values of edge functions at six points of each cell.  A later step decides from
 these values whether the edge crosses the cell.
 
 Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
@@ -40,13 +40,13 @@ from tracer.trace.hits import Hits
 from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
 
-# Towards the horizon of a face, footprints are divided by the cosine at the far end of the cell.
-# This cosine is at least this fraction of the cosine at the hit, so that footprints stay finite.
+# Footprints on a face are divided by the cosine at the far end of the cell, which tends to 0 at the
+# horizon.  At least this fraction of the cosine at the hit is used, so footprints are finite.
 _MIN_COSINE_RATIO = 1e-3
 
 
 def compute_footprints(hits: Hits, cell_width: float) -> Floats:
-    """Compute, for each hit, the radius of the part of its surface that is visible in its cell.
+    """Compute the radius, around each hit, of the part of the surface visible in its cell.
 
     A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
     the cell meets a surface.
@@ -65,23 +65,23 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
     """
     frame = hits.prepared.frame
     angle = _compute_half_diagonal(frame, cell_width)
-    perpendicular_radius, distance = hits.from_eye[2] * angle, hits.distance
+    radius_at_hit, distance = hits.from_eye[2] * angle, hits.distance
     footprint = np.empty(distance.size)
     for group in hits.groups:
-        radius = perpendicular_radius[group.interval]
-        n_dot_v = group.per_hit(group.eye_height) / distance[group.interval]
+        radius = radius_at_hit[group.interval]
+        cosine = group.per_hit(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            footprint[group.interval] = _compute_footprint_on_face(radius, n_dot_v, angle)
+            footprint[group.interval] = _compute_footprint_on_face(radius, cosine, angle)
             continue
-        # At any angle, a strip of width r next to the silhouette of a sphere of radius R shows no
-        # more of the sphere than sqrt(2 r R).
+        # However oblique the view, a strip of width r along the silhouette of a sphere of radius R
+        # shows a part of the sphere that is at most sqrt(2 r R) wide.
         curvature = group.repeat_runs(hits.prepared.curvature[group.run_object])
-        footprint[group.interval] = np.fmin(radius / n_dot_v, np.sqrt(2 * radius / curvature))
+        footprint[group.interval] = np.fmin(radius / cosine, np.sqrt(2 * radius / curvature))
     return footprint
 
 
 def _compute_half_diagonal(frame: CameraFrame, cell_width: float) -> float:
-    """Compute half the diagonal of a square cell of the picture, as an angle seen from the eye.
+    """Compute the angle that half the diagonal of a square cell subtends at the eye.
 
     Parameters
     ----------
@@ -93,13 +93,13 @@ def _compute_half_diagonal(frame: CameraFrame, cell_width: float) -> float:
     Returns
     -------
     angle : float
-        The angle in radians, at the point of the window's plane that is nearest to the eye.  Cells
-        elsewhere have smaller angles.
+        The angle in radians, for a cell at the point of the image plane that is nearest to the eye.
+        Cells elsewhere subtend smaller angles.
     """
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
 
 
-def _compute_footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) -> Floats:
+def _compute_footprint_on_face(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
     """Compute the radius of the part of a planar face that is visible in each of n cells.
 
     A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
@@ -107,31 +107,30 @@ def _compute_footprint_on_face(radius: Floats, n_dot_v: Floats, angle: float) ->
 
     Parameters
     ----------
-    radius : (n,) float array
-        Half the diagonal of the cell at the distance of the hit, perpendicular to the ray, in the
-        scene's unit of length.
-    n_dot_v : (n,) float array
+    cell_radius : (n,) float array
+        Half the diagonal of the cell, perpendicular to the ray and at the distance of the hit, in
+        the scene's unit of length.
+    cosine : (n,) float array
         Cosine of the angle between the normal of the face and the direction to the eye, at the hit.
-    angle : float
-        Half the diagonal of the cell as an angle seen from the eye, in radians.
+    cell_angle : float
+        Angle that half the diagonal of the cell subtends at the eye, in radians.
 
     Returns
     -------
     footprint : (n,) float array
         Radius of the visible part around each hit, in the scene's unit of length.
     """
-    # At the far end of the cell, the cosine is smaller by at most the angle.
-    return radius / (n_dot_v * np.maximum(1 - angle / n_dot_v, _MIN_COSINE_RATIO))
+    # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
+    return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))
 
 
 def find_silhouette_pixels(
     prepared: PreparedScene, rows: slice, columns: slice
 ) -> tuple[Ints, Ints, Ints]:
-    """Find all pairs of a pixel and an object whose silhouette may cross the pixel.
+    """Find the (pixel, object) pairs in which the object's silhouette may cross the pixel.
 
-    Objects are convex.  So an object covers a pixel entirely if it covers both the upper and the
-    lower side of the pixel.  The silhouette may cross every other pixel that the object covers in
-    part.
+    All objects are convex.  So an object that covers the upper and the lower side of a pixel covers
+    the whole pixel.  Its silhouette may cross every other pixel that it overlaps.
 
     Parameters
     ----------
@@ -143,19 +142,19 @@ def find_silhouette_pixels(
     Returns
     -------
     row, column : (n,) int arrays
-        Row and column in the picture of each pair's pixel.
+        Position of each pair's pixel in the picture.
     object_index : (n,) int array
         Index of each pair's object.
     """
     borders = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # between rows of pixels
     top, bottom = prepared.bounds.top, prepared.bounds.bottom
-    # For each interval of pixels: row, object, and the columns at which it starts and stops.
+    # For each interval of pixels: its row, its object, and the columns where it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     limits = columns.start, columns.stop
     for shape in prepared.shapes:
         spans = find_object_spans(shape, prepared, borders[:-1], limits, height=1.0)
         object_index, row, left, right = spans
-        # The interval in which the object covers both the upper and the lower side of the row.
+        # Find the interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
         for border in (row, row + 1):
             border_left, border_right = shape.row_extent(object_index, borders[border], 0.0)
@@ -164,7 +163,7 @@ def find_silhouette_pixels(
         covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])
         covers_row &= inner_start < inner_stop
         start, stop = np.floor(left), np.floor(right) + 1
-        # Pixels that are covered entirely; if there are none, the interval is empty, at the end.
+        # Keep only pixels that are covered entirely; an empty interval lies at the end.
         inner_start, inner_stop = np.ceil(inner_start), np.floor(inner_stop)
         inner_start = np.where(covers_row, inner_start, stop).clip(start, stop)
         inner_stop = np.where(covers_row, inner_stop, stop).clip(inner_start, stop)
@@ -180,12 +179,12 @@ def find_silhouette_pixels(
 def evaluate_silhouettes(
     prepared: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Yield the edge functions of the silhouettes of objects, as seen from apexes.
+    """Yield the edge functions of silhouettes of objects, seen from the eye or from lights.
 
-    An apex is the eye or a light.  An edge function is a smooth function on the picture that is
-    zero at an edge.  It is evaluated at six points of a cell (a pixel, or a square part of a
-    pixel): the centre; the centres of the right, left, lower and upper side; and the lower right
-    corner.
+    The point from which an object is seen is called the apex.  An edge function is a smooth
+    function on the picture that is zero at an edge.  It is evaluated at six points of a cell (a
+    pixel, or a square part of a pixel): the centre; the centres of the right, left, lower and upper
+    side; and the lower right corner.
 
     Parameters
     ----------
@@ -197,15 +196,15 @@ def evaluate_silhouettes(
         Row 0 contains apex indices, row 1 cell indices, and row 2 indices of objects whose
         silhouette may cross the cell.
     ray : tuple of three (6, n) float arrays
-        Components, in the axes of the camera, of the vectors from the apex towards the surface
-        points that are visible at the six points of the cell.  An array may have a single row,
-        which then holds for all six points.
+        Components, in the axes of the camera, of vectors from the apex towards the surface points
+        that are visible at the six points of the cell.  An array with a single row applies to all
+        six points.
 
     Yields
     ------
     cell : (k,) int array
-        Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge.
-        Silhouettes of boxes that do not cross the cell are excluded.
+        Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge of
+        its outline; those that miss the cell are excluded.
     values : (6, k) float array
         Values of each silhouette's edge function at the six points of the cell.
     """
@@ -214,27 +213,27 @@ def evaluate_silhouettes(
     on_sphere = indices(spheres.objects.contains(object_index))
     if on_sphere.size:
         sphere_index = spheres.objects.positions(object_index[on_sphere])
-        sphere_ray = map3(lambda x: x[:, on_sphere], ray)
+        sphere_ray = map3(lambda component: component[:, on_sphere], ray)
         sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[on_sphere])
         center = map3(np.subtract, take3(spheres.from_eye, sphere_index), sphere_apex)
         values = sphere_edge_function(sphere_ray, center, spheres.radius[sphere_index])
         yield cell[on_sphere], values
     on_box = indices(boxes.objects.contains(object_index))
     if on_box.size:
-        # Planes are computed once for each pair of an apex and a box.
+        # Compute the planes once for each (apex, box) pair.
         box_index, box_count = boxes.objects.positions(object_index[on_box]), boxes.objects.size
         pair_key = apex_index[on_box] * box_count + box_index
         distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
         pair_apex, pair_box = np.divmod(distinct_key, box_count)
-        position = apex_position.T[:, pair_apex]
-        low, high = boxes.min_pt[:, pair_box] - position, boxes.max_pt[:, pair_box] - position
+        apex = apex_position.T[:, pair_apex]
+        low, high = boxes.min_pt[:, pair_box] - apex, boxes.max_pt[:, pair_box] - apex
         planes = frame.vector_to_camera(silhouette_planes(low, high))
-        box_ray = map3(lambda x: x[:, on_box], ray)
-        values = box_edge_functions(map3(lambda x: x[:, pair_index], planes), box_ray)
+        box_ray = map3(lambda component: component[:, on_box], ray)
+        values = box_edge_functions(map3(lambda part: part[:, pair_index], planes), box_ray)
         variation, center_value = bound_variation(values), values[0]
-        # An edge of the box ends where the planes through the neighbouring edges begin.
+        # An edge of the outline ends where the planes through its neighbours become negative.
         is_near = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
-        # A plane that is zero bounds nothing.  If all six are zero, nothing is known of the box.
+        # A plane of zeros bounds nothing.  If all six are zeros, the outline may be anywhere.
         is_near &= (variation > 0) | ~(variation > 0).any(axis=0)
         yield cell[on_box[is_near.nonzero()[1]]], values[:, is_near]
 
@@ -242,9 +241,9 @@ def evaluate_silhouettes(
 class CellSurfaces(NamedTuple):
     """The surfaces that are visible in cells (pixels, or square parts of pixels), at n hits.
 
-    A hit is where the ray through the centre of a cell meets a surface.  The methods yield the
-    edges on the surfaces that may cross the cells, as edge functions.  An edge function is a smooth
-    function on the picture that is zero at an edge.
+    A hit is where the ray through the centre of a cell meets a surface.  The methods yield those
+    edges on the surfaces that may cross the cells, each described by its edge function: a smooth
+    function on the picture that is zero at the edge.
 
     Attributes
     ----------
@@ -267,7 +266,7 @@ class CellSurfaces(NamedTuple):
     cell_width: float
 
     def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
-        """Compute rays through six points of cells, and where they meet the surfaces of the hits.
+        """Compute rays through six points of cells, and intersect them with the visible surfaces.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The six points
         are: the centre; the centres of the right, left, lower and upper side; and the lower right
@@ -276,15 +275,15 @@ class CellSurfaces(NamedTuple):
         Parameters
         ----------
         hit_index : (k,) int array
-            Indices of the hits whose cells are used.
+            Indices of the hits whose cells to use.
 
         Returns
         -------
         ray : tuple of three float arrays
             Components of the rays from the eye, in the axes of the camera: two arrays (6, k), and
-            an array (1, k) that holds for all six points.
+            an array (1, k) that applies to all six points.
         inverse_t : (6, k) float array
-            1 / t for each ray: t times the ray is the vector from the eye to the surface.
+            1 / t for each ray, where t * ray is the vector from the eye to the surface.
         """
         frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.from_eye, hit_index)
         scale = frame.depth / z
@@ -292,14 +291,14 @@ class CellSurfaces(NamedTuple):
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
-        """Yield the edges where the visible surface of a cell may meet the surface behind it.
+        """Yield the edges where a visible surface may meet the surface behind it.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
 
         Parameters
         ----------
         hidden_hits : Hits
-            Hits of other surfaces, behind the visible hits of the same samples.
+            Hits on other surfaces, behind the visible hits of the same samples.
 
         Yields
         ------
@@ -308,40 +307,39 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  The function is the difference of 1 / t of the two surfaces, where
-            a ray meets each of them at t times the ray.
+            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the two
+            surfaces.
         """
         sample = self.hits.sample
         hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
         hit_of_sample[sample] = np.arange(sample.size)
         visible_index = hit_of_sample[hidden_hits.sample]
-        # Two surfaces that meet within the cell are no farther from each other than this.
+        # Surfaces that meet within the cell are at most this far apart along the ray.
         max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
         hidden_depth = InverseDepth.from_hits(hidden_hits)
-        for batch in index_batches(indices(is_close)):
-            ray, inverse_t = self.trace_rays(visible_index[batch])
-            hidden_inverse_t = hidden_depth.take(batch).compute_inverse_t(ray)
-            yield self.cell[visible_index[batch]], inverse_t - hidden_inverse_t
+        for hidden_index in index_batches(indices(is_close)):
+            ray, inverse_t = self.trace_rays(visible_index[hidden_index])
+            hidden_inverse_t = hidden_depth.take(hidden_index).compute_inverse_t(ray)
+            yield self.cell[visible_index[hidden_index]], inverse_t - hidden_inverse_t
         yield from self._intersect_other_faces(hidden_hits, visible_index, is_close)
 
     def _intersect_other_faces(
         self, hidden_hits: Hits, visible_index: Ints, is_close: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where visible surfaces of cells may meet other faces of hidden boxes.
+        """Yield the edges where a visible surface may meet other faces of a box behind it.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  Behind
-        it, the same ray has a hidden hit on a face of a box.  A crease between this face and
-        another face of the box may be hidden as well, so the other face may be visible in the cell
-        although no sample hits it.  The face of the hidden hit is one of those tested, so its edge
-        may be yielded a second time.
+        it, the same ray has a hidden hit on a face of a box.  Another face of the box may emerge
+        from the visible surface within the cell although no sample hits it.  The face of the hidden
+        hit is tested, too, so its edge may be yielded a second time.
 
         Parameters
         ----------
         hidden_hits : Hits
             The n hidden hits.  Hits on spheres are skipped.
         visible_index : (n,) int array
-            Index of the visible hit on the same ray as each hidden hit.
+            Index of the visible hit in front of each hidden hit, on the same ray.
         is_close : (n,) bool array
             Whether the face of the hidden hit may meet the visible surface in the cell.  Other hits
             are skipped, except for those on boxes that contain the eye.
@@ -353,33 +351,33 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  The function is the difference of 1 / t of the visible surface and
-            the face, where a ray meets each of them at t times the ray.
+            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the
+            visible surface and the face.
         """
         prepared, hit_object = hidden_hits.prepared, hidden_hits.hit_object
         frame, boxes = prepared.frame, prepared.boxes
-        angle = _compute_half_diagonal(frame, self.cell_width)
+        cell_angle = _compute_half_diagonal(frame, self.cell_width)
         is_candidate = is_close | prepared.is_eye_inside[hit_object]
         on_box = indices(is_candidate & boxes.objects.contains(hit_object))
-        hit_object, visible = hit_object[on_box], visible_index[on_box]
+        hit_object, near_index = hit_object[on_box], visible_index[on_box]
         from_eye, distance = take3(hidden_hits.from_eye, on_box), hidden_hits.distance[on_box]
-        visible_distance, footprint = self.hits.distance[visible], self.footprint[visible]
+        visible_distance, footprint = self.hits.distance[near_index], self.footprint[near_index]
         box_index = boxes.objects.positions(hit_object)
         is_eye_inside = prepared.is_eye_inside[hit_object]
         for axis in range(3):
             height = frame.scene_component(from_eye, axis)
-            low, high = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
+            low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
             is_high = is_eye_inside == (height > 0)
-            face_height = np.where(is_high, high, low) - frame.eye[axis]
-            # The ray meets the plane of the face at this factor times the hidden hit.
-            factor = face_height / height
-            radius, n_dot_v = factor * from_eye[2] * angle, np.abs(height) / distance
-            max_gap = footprint + _compute_footprint_on_face(radius, n_dot_v, angle)
-            is_near = np.abs(factor * distance - visible_distance) <= max_gap
-            yield from self._intersect_planes(axis, visible, face_height, is_near)
+            face_height = np.where(is_high, high_face, low_face) - frame.eye[axis]
+            # The ray meets the plane of the face at this multiple of the hidden hit.
+            scale = face_height / height
+            cell_radius, cosine = scale * from_eye[2] * cell_angle, np.abs(height) / distance
+            max_gap = footprint + _compute_footprint_on_face(cell_radius, cosine, cell_angle)
+            is_near = np.abs(scale * distance - visible_distance) <= max_gap
+            yield from self._intersect_planes(axis, near_index, face_height, is_near)
 
     def find_creases(self) -> Iterator[EdgeValues]:
-        """Yield the creases near hits: the edges between two visible faces of the same box.
+        """Yield the edges between two visible faces of the same box that may cross cells.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.
 
@@ -390,8 +388,8 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  The function is the difference of 1 / t of the two faces, where a
-            ray meets each of them at t times the ray.
+            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the two
+            faces.
         """
         prepared, frame = self.hits.prepared, self.hits.prepared.frame
         corners = prepared.boxes.min_pt, prepared.boxes.max_pt
@@ -400,21 +398,21 @@ class CellSurfaces(NamedTuple):
             if not group.shape.is_planar or not np.any(is_other_face):
                 continue
             hit_index = np.arange(group.interval.start, group.interval.stop)
-            height = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
+            hit_height = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
             box_index = prepared.boxes.objects.positions(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
                 run_height = corner[axis, box_index] - frame.eye[axis]
                 is_visible = prepared.is_eye_inside[group.run_object] | (sign * run_height < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
                 face_height = group.repeat_runs(run_height)
-                is_near = np.abs(height - face_height) < self.footprint[group.interval]
+                is_near = np.abs(hit_height - face_height) < self.footprint[group.interval]
                 is_near &= is_visible
                 yield from self._intersect_planes(axis, hit_index, face_height, is_near)
 
     def _intersect_planes(
         self, axis: int, hit_index: Ints, face_height: Floats, is_near: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where visible surfaces of cells may meet planes of box faces.
+        """Yield the edges where visible surfaces may meet the planes of box faces.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
 
@@ -423,7 +421,7 @@ class CellSurfaces(NamedTuple):
         axis : int
             Axis of the scene to which all planes are perpendicular: 0, 1 or 2.
         hit_index : (n,) int array
-            For each of n pairs, the index of the visible hit.
+            Index of the visible hit in each of n pairs of a hit and a plane.
         face_height : (n,) float array
             Coordinate of each pair's plane along the axis, minus that of the eye.
         is_near : (n,) bool array
@@ -436,8 +434,8 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  The function is the difference of 1 / t of the visible surface and
-            the plane, where a ray meets each of them at t times the ray.
+            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the
+            visible surface and the plane.
         """
         for batch in index_batches(indices(is_near)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
@@ -447,7 +445,7 @@ class CellSurfaces(NamedTuple):
     def evaluate_shadow_edges(
         self, light_position: Floats, edge_triples: Ints
     ) -> Iterator[EdgeValues]:
-        """Yield the edges of shadows: the silhouettes of occluders, as seen from lights.
+        """Yield the edges of shadows: the silhouettes of occluders, seen from the lights.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.
 
@@ -474,7 +472,7 @@ class CellSurfaces(NamedTuple):
         for batch in index_batches(np.arange(edge_triples.shape[1])):
             light_index, hit_index, occluder_index = edge_triples[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
-            # Vectors from the light to the surface, divided by t.
+            # The vector from the light to the surface is t * ray - light.  Divide it by t.
             scaled_light = scale3(take3(light_from_eye, light_index), inverse_t)
             light_ray = map3(np.subtract, ray, scaled_light)
             triples = np.array([light_index, self.cell[hit_index], occluder_index])
@@ -483,7 +481,7 @@ class CellSurfaces(NamedTuple):
     def find_terminators(
         self, light_position: Floats, n_dot_l: Floats, length2: Floats
     ) -> Iterator[EdgeValues]:
-        """Yield terminators: the edges where spheres turn away from lights.
+        """Yield the terminators: the edges where spheres turn away from lights.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Terminators are
         searched for within the footprint of the hit (the part of the surface that is visible in
@@ -494,10 +492,10 @@ class CellSurfaces(NamedTuple):
         light_position : (m, 3) float array
             Positions of the lights, in the axes of the scene.
         n_dot_l : (m, n) float array
-            n . l, with the unit normal n at each of n hits, and the vector l from the hit to the
-            light.
+            n . l for each light and each of n hits, where n is the unit normal, and l the vector
+            from the hit to the light.
         length2 : (m, n) float array
-            l . l
+            l . l: the squared distance of the light from the hit.
 
         Yields
         ------
@@ -512,15 +510,15 @@ class CellSurfaces(NamedTuple):
         hit_object = self.hits.hit_object
         light_from_eye = prepared.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.
-        turn = self.footprint * prepared.curvature[hit_object]
-        for pair_index in index_batches(indices(n_dot_l**2 < turn * turn * length2)):
-            light_index, hit_index = np.divmod(pair_index, turn.size)
+        max_turn = self.footprint * prepared.curvature[hit_object]
+        for pair_index in index_batches(indices(n_dot_l**2 < max_turn * max_turn * length2)):
+            light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
-            # The rays meet the sphere at ray / inverse_t.  All vectors are multiplied by inverse_t.
+            # The ray meets the sphere at ray / inverse_t.  Multiply all vectors by inverse_t.
             sphere_index = spheres.objects.positions(hit_object[hit_index])
             center = take3(spheres.from_eye, sphere_index)
             normal = map3(np.subtract, ray, scale3(center, inverse_t))
             light = scale3(take3(light_from_eye, light_index), inverse_t)
             to_light = map3(np.subtract, light, ray)
-            length = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-            yield self.cell[hit_index], dot(normal, to_light) / length
+            length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
+            yield self.cell[hit_index], dot(normal, to_light) / length_product

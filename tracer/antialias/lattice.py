@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from tracer.arrays import Floats, Ints
 from tracer.trace.samples import Rows
 
-# Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in widths
-# of the cell.
+# Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in units of
+# the cell's width.
 Points2D: TypeAlias = NDArray[np.complex128]
 
 # For each number of points in a rank-1 lattice: the number of columns from the point of each row to
@@ -35,7 +35,7 @@ _COLUMN_STEPS = {5: 2, 13: 5, 25: 7, 65: 18}
 
 # Number of points of a lattice that replaces an upright grid, divided by that of the grid.  The
 # mean error of most pictures needs fewer points; this many are needed for the largest error, and
-# for edges in a direction of the lattice itself.
+# for edges that are parallel to lines of the lattice.
 _POINTS_PER_GRID_POINT = 2.5
 
 
@@ -59,16 +59,16 @@ class Lattice(NamedTuple):
     rows: int
 
     @classmethod
-    def at_least(cls, per_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
+    def at_least(cls, grid_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
         """Choose the smallest rotated lattice that can replace an upright grid of points.
 
         Parameters
         ----------
-        per_side : int
-            The grid has per_side x per_side points; at least 1.
+        grid_side : int
+            Number of points along each side of the grid; at least 1.
         ratio : float
-            Minimum number of points of the lattice, divided by that of the grid; at most 5.  With
-            the default, the error of the lattice is mostly less than that of the grid.
+            Minimum ratio of the number of lattice points to the number of grid points; at most 5.
+            With the default, the lattice is usually more accurate than the grid.
 
         Returns
         -------
@@ -76,9 +76,9 @@ class Lattice(NamedTuple):
             A rank-1 lattice of 13, 25 or 65 points, or a rank-1 lattice of 5 points that is
             repeated in both directions.
         """
-        repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, per_side + 1))
-        lattices = *(cls(1, points) for points in (13, 25, 65)), *repeated_lattices
-        large_enough = (lattice for lattice in lattices if lattice.size >= ratio * per_side**2)
+        repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
+        candidates = *(cls(1, count) for count in (13, 25, 65)), *repeated_lattices
+        large_enough = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
         return min(large_enough, key=lambda lattice: lattice.size)
 
     @property
@@ -87,35 +87,35 @@ class Lattice(NamedTuple):
         return self.columns * self.rows
 
     def samples(self, rows: slice, columns: slice) -> Rows:
-        """Place the points of the lattice in all pixels of a rectangle of the picture.
+        """Place the lattice in every pixel of a rectangle of the picture.
 
-        Pixels in every other row have the mirror image of the lattice.  So an edge in a direction
-        of the lattice has this direction in only half of its pixels.
+        The lattice is mirrored in every second row of pixels.  So an edge can be parallel to the
+        lines of the lattice in at most half of the pixels that it crosses.
 
         Parameters
         ----------
         rows, columns : slice
-            Rows and columns of the rectangle's pixels.  Start and stop are given.
+            Rows and columns of the rectangle's pixels.  Both slices have a start and a stop.
 
         Returns
         -------
         samples : Rows
-            The points, as samples of the picture.  They are ordered by row of points, from the top
-            row down, and from left to right within a row.
+            The lattice points as samples of the picture, in rows from top to bottom, and from left
+            to right within each row.
         """
-        row = np.arange(self.rows * rows.start, self.rows * rows.stop)
-        column = np.arange(self.columns * columns.start, self.columns * columns.stop)
-        y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
-        return Rows(y, x, self._row_offset(row) / self.columns, (self.columns, self.rows))
+        sample_row = np.arange(self.rows * rows.start, self.rows * rows.stop)
+        sample_column = np.arange(self.columns * columns.start, self.columns * columns.stop)
+        y, x = (sample_row + 0.5) / self.rows, (sample_column + 0.5) / self.columns
+        return Rows(y, x, self._row_shift(sample_row) / self.columns, (self.columns, self.rows))
 
     def points(self) -> Points2D:
-        """Return the points of one pixel, row by row.
+        """Return the lattice points of a single pixel, row by row.
 
         Returns
         -------
         points : (size,) complex array
-            Points x + iy relative to the centre of the pixel, in widths of the pixel: x and y are
-            between -1/2 and 1/2.  The y-axis points down.
+            Points x + iy relative to the centre of the pixel, in units of the pixel's width: x and
+            y are between -1/2 and 1/2.  The y-axis points down.
         """
         x, y = self.samples(slice(0, 1), slice(0, 1)).positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
@@ -126,8 +126,8 @@ class Lattice(NamedTuple):
         Parameters
         ----------
         radiance : (3, n) float array
-            Linear RGB radiance of all samples in the rectangle, ordered by row of points, from the
-            top row down, and from left to right within a row.
+            Linear RGB radiance of all samples in the rectangle, in rows of samples from top to
+            bottom, and from left to right within each row.
         width : int
             Number of pixels in each row of the rectangle.
 
@@ -136,32 +136,34 @@ class Lattice(NamedTuple):
         mean : (height, width, 3) float array
             Mean radiance of each pixel.
         """
-        point_radiance = radiance.reshape(3, -1, self.rows, width, self.columns)
-        # Row by row, because the order in which NumPy adds along an axis depends on the width.
-        total = point_radiance[:, :, 0].copy()
-        for row in range(1, self.rows):
-            total += point_radiance[:, :, row]
-        return np.moveaxis(total.sum(axis=3) / self.size, 0, 2)
+        sample_radiance = radiance.reshape(3, -1, self.rows, width, self.columns)
+        # Add row by row: the order in which NumPy sums along an axis depends on the width.
+        row_sum = sample_radiance[:, :, 0].copy()
+        for sample_row in range(1, self.rows):
+            row_sum += sample_radiance[:, :, sample_row]
+        return np.moveaxis(row_sum.sum(axis=3) / self.size, 0, 2)
 
-    def _row_offset(self, row: Ints) -> Floats:
-        """Compute the horizontal offset of the points in each row from the points of a grid.
+    def _row_shift(self, sample_row: Ints) -> Floats:
+        """Compute how far each row of sample points is shifted sideways from a regular grid.
 
         Parameters
         ----------
-        row : (n,) int array
-            Rows of points, numbered from the top of the picture.
+        sample_row : (n,) int array
+            Rows of sample points, numbered from the top of the picture.
 
         Returns
         -------
-        offset : (n,) float array
-            Offset to the right, in distances between the columns of the grid, between -1/2 and 1/2.
-            The central row of a pixel has the offset 0.  The offsets in every other row of pixels
-            have the opposite sign.
+        shift : (n,) float array
+            Shift to the right, in units of the horizontal grid spacing, between -1/2 and 1/2.  The
+            middle row of each lattice is not shifted.  The shifts are negated in every second row
+            of pixels.
         """
-        points = self.rows // self.columns
-        center = points // 2
-        column = (_COLUMN_STEPS.get(points, 0) * (row - center) + center) % points
-        return np.where(row // self.rows % 2, center - column, column - center) / points
+        lattice_rows = self.rows // self.columns
+        middle = lattice_rows // 2
+        column_step = _COLUMN_STEPS.get(lattice_rows, 0)
+        column = (column_step * (sample_row - middle) + middle) % lattice_rows
+        is_mirrored = sample_row // self.rows % 2
+        return np.where(is_mirrored, middle - column, column - middle) / lattice_rows
 
 
 # One point in each pixel: the centre.

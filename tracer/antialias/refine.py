@@ -41,13 +41,13 @@ from tracer.world.prepared_scene import PreparedScene
 _SAMPLES_PER_BATCH = BATCH_SIZE
 
 # Maximum error of the mean radiance of a cell if one sample per pixel is requested.  If n x n are
-# requested, the limit is divided by n^(3/2): the error of a grid of samples decreases as fast.
+# requested, the limit is divided by n^(3/2), because the error of a grid decreases at this rate.
 # Tuned on the project's scenes: with twice the limit, errors of 4 samples are up to twice as large;
 # with half the limit, 64 samples take up to 1.4 times as long.
 _TOLERANCE = 8e-3
 
 # Cells in which at most this many samples along each side are requested are sampled, not divided:
-# to classify their quarters would cost more than it saves.  Tuned on the project's scenes: with 4,
+# classifying their quarters would cost more than it saves.  Tuned on the project's scenes: with 4,
 # errors of 16 samples are up to 3 times as large.
 _MAX_SAMPLED_SIDE = 3
 
@@ -71,15 +71,15 @@ def is_supersampling_cheaper(prepared: PreparedScene, per_side: int) -> bool:
     Returns
     -------
     is_cheaper : bool
-        True if the mean number of pairs of silhouettes that cross the same pixel is large compared
-        with per_side x per_side.
+        True if the mean number of pairs of silhouettes that cross the same pixel is large relative
+        to the number of samples, per_side x per_side.
     """
-    density = prepared.bounds.silhouette_density(prepared.frame)
-    return density > _MAX_SILHOUETTE_PAIRS * per_side**2
+    pairs_per_pixel = prepared.bounds.silhouette_density(prepared.frame)
+    return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * per_side**2
 
 
 def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:
-    """Choose the sample points of cells that edges cross, or that they are divided into quarters.
+    """Choose how to refine cells that edges cross: by lattices of samples, or by division.
 
     A cell is a pixel, or a square part of a pixel.  The choice depends on whether the cells are
     pixels, and on the number n of samples that are requested along each side of a cell:
@@ -93,8 +93,8 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
     ==============  =======================================  ===========================
 
-    A cell is finished after the first step if its samples show no edge that was missed.  The second
-    step is for all other cells.
+    A cell is finished after the first step if its samples do not reveal an edge that was missed.
+    All other cells go on to the second step.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     """
     # Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1 times
     # as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with n <= 3
-    # take 1.6 to 2.2 times as long.  Without the second step, these parts have up to 1.5 times the
+    # take 1.6 to 2.2 times as long.  Without the second step, such parts have up to 1.5 times the
     # error.
     if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
         return None, False, None
@@ -126,8 +126,8 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
 def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    Pixels that edges cross are divided or sampled.  The aim is a root-mean-square error of at most
-    that of per_side x per_side uniform samples in each pixel.
+    Pixels that edges cross are divided or sampled.  The root-mean-square error is meant to be at
+    most that of per_side x per_side uniform samples in each pixel.
 
     Parameters
     ----------
@@ -147,13 +147,13 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
     samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
-    row, column, object_index = find_silhouette_pixels(prepared, rows, columns)
-    pair_pixel = (row - top) * width + column - first_column
-    every_pixel = np.arange(samples.size)
+    pair_row, pair_column, object_index = find_silhouette_pixels(prepared, rows, columns)
+    pair_pixel = (pair_row - top) * width + pair_column - first_column
+    all_pixels = np.arange(samples.size)
     tolerance = _TOLERANCE / per_side**1.5
-    center_x, center_y = samples.positions(every_pixel)
+    center_x, center_y = samples.positions(all_pixels)
     pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
-    classified = classify(prepared, pixels, samples, every_pixel)
+    classified = classify(prepared, pixels, samples, all_pixels)
     smooth = estimate_pixel_means(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classified.is_crowded
@@ -168,11 +168,11 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
 def _compute_cell_means(
     prepared: PreparedScene, classified: Classification, smooth: SmoothMeans, is_refinable: Bools
 ) -> Floats:
-    """Compute the mean radiance of cells, with more samples in those that edges may cross.
+    """Compute the mean radiance of cells, and refine those that edges may cross.
 
-    A cell is a pixel, or a square part of a pixel.  Its mean is that in `smooth` if (1) no edge was
-    found in the cell, and (2) the estimated error is at most the tolerance.  All other cells are
-    sampled on a lattice or divided into quarters (see `_choose_lattices`).
+    A cell is a pixel, or a square part of a pixel.  Its mean is taken from `smooth` if (1) no edge
+    was found in the cell, and (2) the estimated error is at most the tolerance.  All other cells
+    are sampled on a lattice or divided into quarters (see `_choose_lattices`).
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def _compute_cell_means(
     smooth : SmoothMeans
         Estimated mean radiance of each cell, valid if no edge crosses the cell.
     is_refinable : (n,) bool array
-        False for cells whose mean is that in `smooth` in any case.
+        False for cells whose mean is taken from `smooth` in any case.
 
     Returns
     -------
@@ -194,7 +194,7 @@ def _compute_cell_means(
     first_lattice, is_first_for_all, second_lattice = _choose_lattices(cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
     has_lines[classified.lines.cell] = True
-    # An unknown error (NaN) is neither within the tolerance nor above it.
+    # An unknown error (NaN) makes a cell neither accurate nor inaccurate.
     is_accurate, is_inaccurate = smooth.error <= cells.tolerance, smooth.error > cells.tolerance
     is_pending = is_refinable & (has_lines | classified.is_unresolved | ~is_accurate)
     if first_lattice is not None:
@@ -211,18 +211,18 @@ def _compute_cell_means(
             prepared, classified, pending_index, second_lattice
         )
         return mean
-    for batch in index_batches(pending_index, _cells_per_batch(prepared, samples_per_cell=4)):
-        mean[:, batch] = _refine_quarters(prepared, classified, smooth.error, batch)
+    for batch_index in index_batches(pending_index, _cells_per_batch(prepared, samples_per_cell=4)):
+        mean[:, batch_index] = _refine_quarters(prepared, classified, smooth.error, batch_index)
     return mean
 
 
 def _cells_per_batch(prepared: PreparedScene, samples_per_cell: int) -> int:
-    """Choose the number of cells to sample together, so that memory is limited.
+    """Choose how many cells to sample together, so that memory is limited.
 
     Parameters
     ----------
     prepared : PreparedScene
-        The scene.  The more objects overlap in the picture, the fewer samples are traced together.
+        The scene.  If many objects overlap in the picture, fewer samples are traced together.
     samples_per_cell : int
         Number of samples in each cell (a pixel, or a square part of a pixel).
 
@@ -258,16 +258,16 @@ def _sample_cells(
     mean : (3, m) float array
         Mean linear RGB radiance of each sampled cell.
     missed_edge : (m,) bool array
-        Whether the lines of the cell miss an edge.  This is True if two samples in the same region
-        hit different faces or objects, or the same face under different lights.
+        Whether an edge in the cell was missed.  This is True if two samples in the same region hit
+        different faces or objects, or the same face under different lights.
     """
-    cells, lines, count = classified.cells, classified.lines, cell_index.size
-    mean, missed_edge = np.empty((3, count)), np.zeros(count, dtype=np.bool_)
-    for batch in index_batches(np.arange(count), _cells_per_batch(prepared, lattice.size)):
-        position = np.full(cells.center_x.size, -1)  # of each cell in the batch
-        position[cell_index[batch]] = np.arange(batch.size)
-        batch_lines = lines.take(indices(position[lines.cell] >= 0))
-        batch_lines = batch_lines._replace(cell=position[batch_lines.cell])
+    cells, lines, cell_count = classified.cells, classified.lines, cell_index.size
+    mean, missed_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
+    for batch in index_batches(np.arange(cell_count), _cells_per_batch(prepared, lattice.size)):
+        index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
+        index_in_batch[cell_index[batch]] = np.arange(batch.size)
+        batch_lines = lines.take(indices(index_in_batch[lines.cell] >= 0))
+        batch_lines = batch_lines._replace(cell=index_in_batch[batch_lines.cell])
         points = place_weighted_points(batch_lines, batch.size, lattice.points())
         x, y = cells.positions(cell_index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
@@ -282,13 +282,13 @@ def _sample_cells(
 def _refine_quarters(
     prepared: PreparedScene, classified: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
-    """Compute the mean radiance of cells from the means of their quarters.
+    """Divide cells into quarters, and compute the mean radiance of each cell.
 
     A cell is a pixel, or a square part of a pixel.  It is *unresolved* if it may contain something
-    other than straight edges.  If all quarters of a cell are unresolved, and no line crosses any of
-    them, then the cell may still have no edge.  A lattice of samples tests this.  If (1) the
-    samples show no edge, and (2) their mean agrees with the mean of the quarters' center samples,
-    then the mean of the lattice is the result, and the quarters are not refined further.
+    other than straight edges.  If all quarters of a cell are unresolved, but no line crosses any of
+    them, the cell may still have no edge, and is sampled on a lattice.  If (1) these samples show
+    no edge, and (2) their mean agrees with that of the samples at the quarters' centres, then it is
+    the cell's mean, and the quarters are not refined further.
 
     Parameters
     ----------
@@ -312,19 +312,19 @@ def _refine_quarters(
     classified_quarters = classify(prepared, quarters, samples, order)
     center, quarter_center = classified.center.take(cell_index), classified_quarters.center
     smooth = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
-    has_all_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
+    is_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
-    tested_index = indices(has_all_unresolved & (line_count == 0))
+    tested_index = indices(is_unresolved & (line_count == 0))
     lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
     sampled_mean, missed_edge = _sample_cells(
         prepared, classified, cell_index[tested_index], lattice
     )
     expected_mean = smooth.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
-    agrees = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
+    is_confirmed = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
     is_smooth = np.zeros(count, dtype=np.bool_)
-    is_smooth[tested_index[agrees]] = True
+    is_smooth[tested_index[is_confirmed]] = True
     is_refinable = ~is_smooth.repeat(4)
     quarter_mean = _compute_cell_means(prepared, classified_quarters, smooth, is_refinable)
     mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)
-    mean[:, is_smooth] = sampled_mean[:, agrees]
+    mean[:, is_smooth] = sampled_mean[:, is_confirmed]
     return mean

@@ -19,13 +19,13 @@ from tracer.antialias.edge_functions import Lines
 from tracer.antialias.lattice import Points2D
 from tracer.arrays import Bools, Floats, Ints, indices
 
-# Regions with at most this fraction of the cell's area are ignored if they contain too few points.
-# They change the mean radiance of a cell by at most this fraction of the largest radiance.
+# Regions of at most this fraction of the cell's area are ignored if they contain too few points.
+# Each changes the mean radiance of a cell by at most this fraction of the largest radiance.
 _MIN_AREA = 1e-9
 
-# The points in a region represent it if the determinant of their covariance, in widths of the cell,
-# is more than this.  It is 0 for one or two points, or points in a row, and 1 / (27 m^2) for three
-# neighbouring points of a lattice with m points: 9e-6 for 65 points.
+# The points in a region represent it if the determinant of their covariance matrix, in units of the
+# cell's width, is more than this.  It is 0 for one or two points or points on a straight line, and
+# 1 / (27 m^2) for three neighbouring points of a lattice with m points: 9e-6 for 65 points.
 _MIN_DETERMINANT = 1e-6
 
 
@@ -56,7 +56,7 @@ class WeightedPoints(NamedTuple):
 
 
 def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
-    """Place the same points in all cells, and weight them to represent the regions between lines.
+    """Place points in all cells, and weight them so that they represent the regions between lines.
 
     A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  The
     weights of the points in a region add up to the exact area of the region, and the weighted mean
@@ -75,33 +75,33 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     Returns
     -------
     weighted : WeightedPoints
-        The m points of the first cell, then those of the second cell, and so on.  More points
-        follow for regions that contain too few of these points: such a region is divided into
-        triangles, and is represented by the centroids of the triangles.
+        The m points of the first cell, then those of the second cell, and so on.  Additional points
+        follow for regions that contain too few of these: such a region is divided into triangles,
+        and the centroids of the triangles represent it.
     """
-    cell, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
+    cells, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
     # The number of a region has one bit for each line of its cell: 1 on the line's positive side.
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
-    region = np.repeat(cell[None] << max_lines, points.size, axis=0)
+    region = np.repeat(cells[None] << max_lines, points.size, axis=0)
     for line_number in range(max_lines):
-        crossed_cell, values = _evaluate_lines(lines, line_start, line_number, cell, position)
+        crossed_cell, values = _evaluate_lines(lines, line_start, line_number, cells, position)
         region[:, crossed_cell] |= (values > 0) << line_number
     position, region = position.T.ravel(), region.T.ravel()
     triangles = _divide_into_triangles(lines, line_start, max_lines)
     weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
-    needed_index = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
-    placed = WeightedPoints(cell.repeat(points.size), position, weight, region)
-    pairs = zip(placed, triangles, strict=True)
-    return WeightedPoints(*(np.append(field, extra[needed_index]) for field, extra in pairs))
+    added_index = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
+    placed = WeightedPoints(cells.repeat(points.size), position, weight, region)
+    field_pairs = zip(placed, triangles, strict=True)
+    return WeightedPoints(*(np.append(field, extra[added_index]) for field, extra in field_pairs))
 
 
 def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
-    """Find regions that contain samples with different ids, which show that an edge was missed.
+    """Find samples in regions whose samples have different ids.
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Two samples
     have the same id if they hit the same face of the same object, and the same lights are visible
-    from both hits.  So samples with different ids lie on different sides of an edge.
+    from both hits.  So a region that contains different ids is crossed by an edge without a line.
 
     Parameters
     ----------
@@ -112,8 +112,8 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 
     Returns
     -------
-    index : (k,) int array
-        Indices of samples in such regions: at least one sample of each region.
+    mixed_index : (k,) int array
+        Indices of samples in such regions, at least one for each region.
     """
     reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region] = sample_id  # that of any sample in the region
@@ -134,7 +134,7 @@ def _evaluate_lines(
     line_start : (cells + 1,) int array
         The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     line_number : int
-        Which line of each cell to evaluate, counted from 0.
+        Number of the line to evaluate, among those of each cell, counted from 0.
     cell : (n,) int array
         Indices of cells.  Cells with at most `line_number` lines are skipped.
     position : (m, n) complex array
@@ -149,12 +149,12 @@ def _evaluate_lines(
     """
     line_index = line_start[cell] + line_number
     kept = indices(line_index < line_start[cell + 1])
-    cell_lines, point = lines.take(line_index[kept]), position[:, kept]
-    return kept, cell_lines.a * point.real + cell_lines.b * point.imag + cell_lines.c
+    kept_lines, point = lines.take(line_index[kept]), position[:, kept]
+    return kept, kept_lines.a * point.real + kept_lines.b * point.imag + kept_lines.c
 
 
 def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> WeightedPoints:
-    """Divide cells into triangles that no line crosses.
+    """Divide cells into triangles that are not crossed by lines.
 
     A cell is a pixel or a square part of a pixel.  It is divided into two triangles along a
     diagonal.  Then each line of the cell divides every triangle that it crosses into three.
@@ -171,16 +171,16 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     Returns
     -------
     triangles : WeightedPoints
-        The centroid of each triangle, with the area of the triangle as its weight, in areas of the
-        cell.  The region of the triangle has the number cell * 2^max_lines + sum of 2^k, where the
-        sum is over all lines of the cell (k = 0, 1, ...) that are positive in the triangle.
+        The centroid of each triangle, weighted with the area of the triangle relative to that of
+        the cell.  The number of the triangle's region is cell * 2^max_lines + sum of 2^k over those
+        lines k = 0, 1, ... of the cell on whose positive side the triangle lies.
     """
     cell = np.arange(line_start.size - 1).repeat(2)
     region = cell << max_lines
     square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
-    corner: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
+    corners: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
-        triangle, values = _evaluate_lines(lines, line_start, line_number, cell, corner)
+        triangle, values = _evaluate_lines(lines, line_start, line_number, cell, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
         region[triangle[positive_count == 3]] |= 1 << line_number
@@ -189,26 +189,26 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         is_first_positive, parent = positive_count[crossed] == 1, triangle[crossed]
         first_corner = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
         order = (first_corner + np.arange(3)[:, None]) % 3
-        (a, b, c), (a_value, b_value, c_value) = corner[order, parent], values[order, crossed]
-        # The line crosses the sides ab and ac in these points.
+        (a, b, c), (a_value, b_value, c_value) = corners[order, parent], values[order, crossed]
+        # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
-        corner[:, parent] = a, on_ab, on_ac
-        corner = np.concatenate([corner, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
+        corners[:, parent] = a, on_ab, on_ac
+        corners = np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         parent_region = region[parent]
         region[parent] = parent_region | is_first_positive << line_number
         region = np.concatenate([region, *[parent_region | ~is_first_positive << line_number] * 2])
         cell = np.concatenate([cell, cell[parent], cell[parent]])
-    side, other_side = corner[1] - corner[0], corner[2] - corner[0]
-    # No product of complex numbers: NumPy rounds it differently at the end of an array.
+    side, other_side = corners[1] - corners[0], corners[2] - corners[0]
+    # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
     area = np.abs(side.real * other_side.imag - side.imag * other_side.real) / 2
-    return WeightedPoints(cell, corner.sum(axis=0) / 3, area, region)
+    return WeightedPoints(cell, corners.sum(axis=0) / 3, area, region)
 
 
 def _compute_weights(
     position: Points2D, region: Ints, triangles: WeightedPoints, region_count: int
 ) -> tuple[Floats, Bools]:
-    """Compute weights of points so that the points in each region represent the region.
+    """Compute weights with which the points in each region represent the region.
 
     The weights of the points in a region add up to the area of the region, and the weighted mean of
     the points is the centroid of the region.  Let p be a point, q the mean of all points in its
@@ -220,27 +220,27 @@ def _compute_weights(
     ----------
     position : (n,) complex array
         Positions p = x + iy of the points, relative to the centres of their cells (pixels, or
-        square parts of pixels), in widths of the cell.
+        square parts of pixels), in units of the cell's width.
     region : (n,) int array
         Number of the region that contains each point.
     triangles : WeightedPoints
         Centroids (`position`), areas (`weight`) and regions of triangles that cover all regions.
     region_count : int
-        All numbers of regions are less than this.
+        Regions are numbered from 0 to region_count - 1.
 
     Returns
     -------
     weight : (n,) float array
-        Weight of each point, in areas of the cell.  It is 0 in regions that the points cannot
-        represent, because there are fewer than three points, or they lie almost on a straight line.
+        Weight of each point, as a fraction of the cell's area.  It is 0 in regions that their
+        points cannot represent: there are fewer than three, or they lie almost on a straight line.
     is_represented : (region_count,) bool array
         Whether the points in each region can represent the region.
     """
 
     def sum_by_region(value_region: Ints, values: Floats) -> Floats:
-        """Add up, for each region, the values (n,) whose element of `value_region` (n,) it is."""
+        """Sum the values (n,) in each region, where `value_region` (n,) gives their regions."""
         sums = np.bincount(value_region, values, minlength=region_count)
-        return sums.astype(np.float64, copy=False)  # integers if there are no values
+        return sums.astype(np.float64, copy=False)  # NumPy returns integers if there are no values
 
     point_count = np.maximum(np.bincount(region, minlength=region_count), 1)
     area = sum_by_region(triangles.region, triangles.weight)
@@ -251,7 +251,7 @@ def _compute_weights(
     s_xx, s_xy, s_yy = (sum_by_region(region, product) / point_count for product in products)
     determinant = s_xx * s_yy - s_xy * s_xy
     is_represented: Bools = determinant > _MIN_DETERMINANT
-    # The vector from q to the centroid, multiplied by the area.
+    # Moments about the origin, and the vector (to_x, to_y) from q to the centroid, times the area.
     moment = triangles.weight * triangles.position.real, triangles.weight * triangles.position.imag
     to_x = sum_by_region(triangles.region, moment[0]) - area * q_x
     to_y = sum_by_region(triangles.region, moment[1]) - area * q_y

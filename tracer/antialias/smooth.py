@@ -64,14 +64,14 @@ class SmoothMeans(NamedTuple):
 
 
 def estimate_pixel_means(center: CenterSamples, width: int) -> SmoothMeans:
-    """Estimate the mean radiance of pixels without edges from samples at the pixels' centres.
+    """Estimate the mean radiance of pixels without edges from samples at their centres.
 
     The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, plus terms of higher
-    order.  Here f, f_xx and f_yy are the value and the second derivatives at the centre.  The
-    second derivatives are approximated by second differences: f_xx between the pixel and its two
-    neighbours in the row, and f_yy in the column.  Each second difference is added only if both
-    neighbours have the same id as the pixel.  Two samples have the same id if they hit the same
-    face of the same object, and the same lights are visible from both hits.
+    order.  Here f, f_xx and f_yy are the value and the second derivatives at the centre.  Second
+    differences between a pixel and its two neighbours approximate f_xx (in the row) and f_yy (in
+    the column).  A second difference is used only if both neighbours have the same id as the pixel,
+    that is, if all three samples hit the same face of the same object, and the same lights are
+    visible from the three hits.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def estimate_pixel_means(center: CenterSamples, width: int) -> SmoothMeans:
     Returns
     -------
     means : SmoothMeans
-        Estimated mean radiance of each pixel (`radiance`), with an estimate of its error (`error`).
-        Both are meaningless for the pixels at the border of the rectangle.  The error is the
-        maximum of two numbers, one from the row and one from the column:
+        Estimated mean radiance of each pixel (`radiance`) and its estimated error (`error`).  Both
+        are meaningless for pixels at the border of the rectangle.  The error is the larger of two
+        numbers, one from the row and one from the column:
 
         1. If both neighbours have the pixel's id, the number is the absolute second difference,
            divided by 24.
@@ -96,26 +96,26 @@ def estimate_pixel_means(center: CenterSamples, width: int) -> SmoothMeans:
     radiance, center_id = center
     correction, error = np.zeros(radiance.shape), np.zeros(center_id.size)
     for stride in (1, width):
-        inner = slice(stride, -stride)
+        inner_pixels = slice(stride, -stride)
         has_same_id = center_id[stride:] == center_id[:-stride]
         difference = (radiance[:, stride:] - radiance[:, :-stride]) * has_same_id
         second_difference = (difference[:, stride:] - difference[:, :-stride]) / 24
         same_id_before, same_id_after = has_same_id[:-stride], has_same_id[stride:]
         max_difference = np.abs(second_difference).max(axis=0)
-        direction_error = np.where(same_id_before | same_id_after, max_difference, np.nan)
-        error[inner] = np.maximum(error[inner], direction_error)
-        correction[:, inner] += second_difference * (same_id_before & same_id_after)
+        axis_error = np.where(same_id_before | same_id_after, max_difference, np.nan)
+        error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
+        correction[:, inner_pixels] += second_difference * (same_id_before & same_id_after)
     return SmoothMeans(radiance + correction, error)
 
 
 def estimate_quarter_means(
     center: CenterSamples, error: Floats, quarter_center: CenterSamples, tolerance: float
 ) -> SmoothMeans:
-    """Estimate the mean radiance of the quarters of cells from samples at the quarters' centres.
+    """Estimate the mean radiance of quarters of cells from samples at their centres.
 
     A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: the
     difference between the mean of the four quarter samples and the cell's own sample is divided by
-    3, and added to the sample of each quarter.  This correction is made only if the five samples
+    3, and added to the sample of each quarter.  This correction is made only if all five samples
     have the same id, that is, if they hit the same face of the same object, and the same lights are
     visible from all five hits.
 
@@ -135,23 +135,22 @@ def estimate_quarter_means(
     -------
     means : SmoothMeans
         Estimated mean radiance of each of the 4 m quarters (`radiance`), valid if no edge crosses
-        the quarter, and an estimate of its error (`error`).  The error is the larger of two
-        estimates.  If one of them is unknown, the error is the other; if both are unknown, the
-        error is NaN.
+        the quarter, and its estimated error (`error`): the larger of the following two estimates,
+        the only known one, or NaN if both are unknown.
 
-        1. The *own* error is half of the correction, because the remaining error is of higher order
-           in the width of the cell.  It is unknown if the five samples have different ids.
-        2. The *inherited* error is the error of the cell, divided by 4, because errors decrease
-           with the square of the width.  If the own error is unknown, an edge may be near.  Towards
-           an edge, light may decrease like a square root, so the error of the cell is then divided
-           by only 2.  The inherited error is ignored if it is at most the tolerance, and the sample
-           of the quarter hits a surface but has another id than the sample of the cell.
+        1. The *own* error is half the correction, because the remaining error is of higher order in
+           the width of the cell.  It is unknown if the five samples have different ids.
+        2. The *inherited* error is a quarter of the cell's error, because errors decrease with the
+           square of the width.  If the own error is unknown, an edge may be near, where light may
+           decrease like a square root; then it is half the cell's error.  The inherited error is
+           ignored if it is at most the tolerance, and the quarter's sample hits a surface but has a
+           different id from the cell's sample.
     """
     cell_id, quarter_id = center.id.repeat(4), quarter_center.id
-    quarter_mean = quarter_center.radiance.reshape(3, -1, 4).mean(axis=2)
-    has_one_id = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
-    correction = np.where(has_one_id, (quarter_mean - center.radiance) / 3, 0)
-    own_error = np.where(has_one_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
+    mean_of_quarters = quarter_center.radiance.reshape(3, -1, 4).mean(axis=2)
+    has_same_id = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
+    correction = np.where(has_same_id, (mean_of_quarters - center.radiance) / 3, 0)
+    own_error = np.where(has_same_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
     inherited_error = error.repeat(4) / np.where(np.isnan(own_error), 2, 4)
     hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)
     inherited_error[hits_other_surface & (inherited_error <= tolerance)] = np.nan

@@ -62,7 +62,7 @@ class FirstHits:
         distance[hits.sample] = hits.distance
         point[hits.sample] = np.transpose(hits.points(slice(None)))
         for group in hits.groups:
-            if group.shape.is_planar:  # exactly, unlike normals in camera axes
+            if group.shape.is_planar:  # exact, unlike normals converted from camera axes
                 normal[group.sample] = 0
                 normal[group.sample, group.repeat_runs(group.face)] = group.repeat_runs(group.sign)
             else:
@@ -74,8 +74,7 @@ class FirstHits:
 def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = None) -> FirstHits:
     """Find the first surface hit by the ray through each position of the picture.
 
-    Ties are decided by the order of the scene file: of several surfaces at exactly the same
-    distance, the first is hit.
+    If several surfaces are at exactly the same distance, the first one in the scene file is hit.
 
     Parameters
     ----------
@@ -111,10 +110,10 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
     prepared = PreparedScene(scene)
-    arrays = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
+    fields = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
     for batch in index_batches(np.arange(count), prepared.batch_size(_RAYS_PER_BATCH)):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared, samples))
-        for array, values in zip(arrays, vars(batch_hits).values(), strict=True):
+        for array, values in zip(fields, vars(batch_hits).values(), strict=True):
             array[batch[order]] = values
-    return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in arrays))
+    return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in fields))

@@ -41,7 +41,7 @@ class ShapeHits(NamedTuple):
         of the face along this axis; meaningless for spheres.
     normal : tuple of three float arrays
         Unit normals on the side of the eye, in camera axes: (runs,) for planar shapes, otherwise
-        (n,).  `per_hit` converts both to (n,).
+        (n,).  `per_hit` converts either to (n,).
     eye_height : float array
         Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
     """
@@ -58,7 +58,7 @@ class ShapeHits(NamedTuple):
     eye_height: Floats
 
     def repeat_runs(self, run_values: Any) -> Any:
-        """Convert one value for each run to one value for each hit.
+        """Repeat the value of each run for all hits of the run.
 
         A run consists of consecutive hits on the same face of the same object.
 
@@ -70,12 +70,12 @@ class ShapeHits(NamedTuple):
         Returns
         -------
         hit_values : (n,) array
-            The value of the run to which each hit belongs.
+            For each hit, the value of its run.
         """
         return repeat_runs(run_values, self.run_length)
 
     def per_hit(self, values: Floats) -> Floats:
-        """Convert one value for each tangent plane to one value for each hit.
+        """Look up, for each hit, the value that belongs to its tangent plane.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class ShapeHits(NamedTuple):
         Returns
         -------
         hit_values : (n,) float array
-            The value of each hit.
+            The value for each hit.
         """
         return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
@@ -106,7 +106,7 @@ class ShapeHits(NamedTuple):
             Signed distance of the point from each tangent plane; positive on the side of the eye.
         """
         if self.shape.is_planar:
-            # In scene axes, a light in the plane of a face has height 0 exactly.
+            # In scene axes, a point in the plane of a face has a height of exactly 0.
             return self.per_hit(self.sign * (point[self.face] - self.level))
         return dot(self.normal, to_point)
 
@@ -173,17 +173,17 @@ class Hits(NamedTuple):
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def object_values(self, values: NDArray[Any]) -> Any:
-        """Look up, for each of n hits, the value of the object on which the hit lies.
+        """Look up the value of the object on which each hit lies.
 
         Parameters
         ----------
         values : (objects,) array
-            A value for each object of the scene.
+            One value for each object of the scene.
 
         Returns
         -------
         hit_values : (n,) array
-            The value of each hit's object.
+            The value of the object of each of n hits.
         """
         return values[self.run_object].repeat(np.diff(self.run_start))
 
@@ -198,6 +198,6 @@ class Hits(NamedTuple):
         Returns
         -------
         position : tuple of three (k,) float arrays
-            Coordinates x, y and z of each hit.
+            Coordinates x, y and z of the hits.
         """
         return self.prepared.frame.point_to_scene(take3(self.from_eye, hit_index))

@@ -24,9 +24,9 @@ from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_LENGTH2
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import Lights
 
-# A highlight has the shape of the bell exp(-x^2).  Maximum change of x over the part of the surface
-# that one sample can represent; the x beyond which the bell is negligible; and the x where the bell
-# underflows.  Tuned on the project's scenes: with half or twice the first, and with 2 for the
+# A highlight has the shape of the bell exp(-x^2).  The maximum change of x over a part of a surface
+# that one sample can represent; the x beyond which the bell is negligible; and the x at which it
+# underflows.  Tuned on the project's scenes: with half or twice the first number, or with 2 for the
 # second, errors of single pictures are up to 1.1 times as large.
 _MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
 
@@ -44,8 +44,8 @@ class LightGeometry(NamedTuple):
     lights : Lights
         The lights.
     n_dot_l : (lights, n) float array
-        n . l for each pair.  It is -inf if the eye is inside the hit's object and the light is
-        outside: no light enters the object.
+        n . l for each pair; -inf if the eye is inside the hit's object and the light is outside,
+        because no light enters the object.
     length2 : (lights, n) float array
         l . l for each pair: the squared distance of the light.
     """
@@ -56,12 +56,12 @@ class LightGeometry(NamedTuple):
     length2: Floats
 
     def compute_highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
-        """Compute the strength (n.h)^p of one light's highlight at selected hits.
+        """Compute the strength (n.h)^p of the highlight of one light at selected hits.
 
         Here n is the unit normal, h the unit half vector between the directions l to the light and
         v to the eye, and p the exponent of the surface.  As n.h = (n.l + n.v) / |l + v|, and
-        |l + v|^2 = 2 + 2 l.v, three cosines suffice for most hits.  They do not suffice if (1) a
-        large exponent amplifies the rounding error of n.h, or (2) l and v almost cancel.  Then the
+        |l + v|^2 = 2 + 2 l.v, the three cosines n.l, n.v and l.v suffice for most hits.  But if (1)
+        a large exponent amplifies the rounding error of n.h, or (2) l and v almost cancel, the
         strength is computed from the vectors.
 
         For exponents up to 1e6, the error is at most 1e-12 if |l + v| > 0.3, and at most 1e-10 if
@@ -88,11 +88,11 @@ class LightGeometry(NamedTuple):
         n_dot_l = self.n_dot_l[light_index][hit_index] / light_distance
         n_dot_v = hits.eye_height[hit_index] / eye_distance
         half_square = 1 + dot(to_light, from_eye) / (-eye_distance * light_distance)  # |l + v|^2/2
-        cosine2 = n_dot_l + n_dot_v
-        cosine2 *= cosine2
-        cosine2 /= 2 * half_square
+        cosine_squared = n_dot_l + n_dot_v
+        cosine_squared *= cosine_squared
+        cosine_squared /= 2 * half_square
         exponent = hits.object_values(hits.prepared.exponent)[hit_index]
-        strength: Floats = np.exp(0.5 * exponent * np.log(cosine2))
+        strength: Floats = np.exp(0.5 * exponent * np.log(cosine_squared))
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
         inaccurate = indices(is_inaccurate)
         if inaccurate.size:
@@ -106,7 +106,7 @@ class LightGeometry(NamedTuple):
 def _compute_accurate_highlight(
     normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
 ) -> Floats:
-    """Compute highlights (n.h)^p from unit vectors, with little cancellation.
+    """Compute the strength (n.h)^p of highlights accurately from unit vectors.
 
     Here n is the normal, h the unit half vector between the directions to the light and to the eye,
     and p the exponent.  With e = n - h, the cosine n.h is 1 - e.e / 2.  So the highlight is
@@ -118,19 +118,19 @@ def _compute_accurate_highlight(
         Components of the unit normals, and of the unit vectors to the light and to the eye, in any
         common axes.
     exponent : (n,) float array
-        Exponent of each highlight.
+        Exponent p of each highlight.
 
     Returns
     -------
     strength : (n,) float array
-        The highlight at each of n points; 0 where the light and the eye are in opposite directions.
+        Strength at each of n points; 0 if the light and the eye are in opposite directions.
     """
     directions_sum = map3(np.add, light_direction, eye_direction)
     length2 = dot(directions_sum, directions_sum)
     e = map3(np.subtract, normal, scale3(directions_sum, 1 / np.sqrt(length2)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
-    # In opposite directions, the light grazes the surface, and the sum consists of rounding errors.
+    # If the directions are opposite, the light grazes the surface, and their sum is mere rounding.
     return np.where(length2 > MIN_HALF_LENGTH2, strength, 0.0)
 
 
@@ -147,25 +147,25 @@ class Shading:
     Attributes
     ----------
     ids : (n,) int array
-        For each hit, a number that encodes the object, its face, and the lights visible from the
-        hit.  If `with_ids` is False, the array is empty.
+        For each hit, a number that encodes the object, its face, and the lights that are visible
+        from the hit.  The array is empty if `with_ids` is False.
     """
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        # All groups of hits, from the first to the last, in which any surface has highlights.
+        # The slice of hits from the first to the last group in which any surface has highlights.
         is_glossy = hits.prepared.is_glossy
-        intervals = [g.interval for g in hits.groups if is_glossy[g.run_object].any()]
+        intervals = [part.interval for part in hits.groups if is_glossy[part.run_object].any()]
         self._glossy = slice(intervals[0].start, intervals[-1].stop) if intervals else slice(0, 0)
         self._is_glossy = hits.object_values(is_glossy)[self._glossy]
-        # Sums over lights of intensity times n.l for all hits, and of intensity times (n.h)^p for
-        # the hits in these groups, without the colours of surfaces; None before the first light.
+        # Sums over lights of I n.l for all hits, and of I (n.h)^p for the hits in the slice, where
+        # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
         self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add a batch of lights to the reflected radiance, and encode their visibility in `ids`.
+        """Add the light of a batch of lights, and encode in `ids` which of them are visible.
 
         Parameters
         ----------
@@ -191,9 +191,9 @@ class Shading:
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
     def reflection_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
-        """Yield the diffuse and the specular radiance of the n hits, for each colour channel.
+        """Yield the diffuse and the specular radiance of n hits for each colour channel.
 
-        Nothing is yielded if no hit is lit.
+        If no hit is lit, nothing is yielded.
 
         Yields
         ------
@@ -203,8 +203,7 @@ class Shading:
             Sum over visible lights of I kd n.l, where I is the light's intensity, kd the object's
             diffuse colour, n the unit normal, and l the direction to the light.
         glossy : slice
-            A slice of hits, outside of which no object has highlights.  It is empty if no lit
-            object has highlights.
+            A slice of k hits that contains all hits with highlights; it may be empty.
         specular : (k,) float array
             For each hit in this slice, the sum over visible lights of I ks (n.h)^p, where ks is the
             object's specular colour, h the unit half vector between the directions to the light and
@@ -229,7 +228,7 @@ class Shading:
         Parameters
         ----------
         out : (3, samples) float array of zeros, optional
-            Array that receives the result, and is returned.
+            Array in which to store the result; it is returned.
 
         Returns
         -------
@@ -237,9 +236,9 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, diffuse, glossy, specular in self.reflection_terms():
-            diffuse[glossy] += specular
-            out[channel][self._hits.sample] = diffuse
+        for channel, reflected, glossy, specular in self.reflection_terms():
+            reflected[glossy] += specular  # until here, the diffuse radiance only
+            out[channel][self._hits.sample] = reflected
         return out
 
 
@@ -249,19 +248,20 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
     Parameters
     ----------
     total : (3, n) float array or None
-        The sum so far, for each colour channel and each of n hits, which is overwritten; None if
-        this is the first light.
+        Sum over the lights before this one, for each colour channel and each of n hits.  The array
+        is overwritten.  None for the first light.
     intensity : (3,) float array
         The light's RGB intensity.
     factor : (n,) float array
-        Factor of the intensity at each hit: a cosine, or the strength of a highlight.
+        Number by which to multiply the intensity at each hit: a cosine, or the strength of a
+        highlight.
 
     Returns
     -------
     total : (3, n) float array
         The new sum.
     """
-    if total is None:  # to create zeros and to add to them would take longer
+    if total is None:  # faster than creating zeros and adding to them
         return np.multiply.outer(intensity, factor)
     for channel_total, channel_intensity in zip(total, intensity.tolist(), strict=True):
         channel_total += channel_intensity * factor
@@ -269,7 +269,7 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute n . l and l . l for all pairs of a light and a hit, regardless of occluders.
+    """Compute n . l and l . l for all (light, hit) pairs, regardless of occluders.
 
     Here n is the unit normal at the hit, and l the vector from the hit to the light.
 
@@ -289,15 +289,15 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     shape = len(lights.from_eye), hits.from_eye.shape[1]
     geometry = LightGeometry(hits, lights, np.empty(shape), np.empty(shape))
     for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
-        # If the eye is inside an object, the object blocks all lights outside of it.
-        is_blocked = hits.prepared.is_eye_inside & (lights.side[light_index] != INSIDE)
+        # An object that contains the eye blocks all lights outside it.
+        blocks_light = hits.prepared.is_eye_inside & (lights.side[light_index] != INSIDE)
         for group in hits.groups:
             from_eye = hits.from_eye[:, group.interval]
             to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
             n_dot_l = group.compute_height(lights.position[light_index], to_light)
-            if is_blocked[group.run_object].any():
-                # 0 would count as a terminator: a line at which light begins.
-                n_dot_l[group.repeat_runs(is_blocked[group.run_object])] = -np.inf
+            if blocks_light[group.run_object].any():
+                # Not 0, which would count as a terminator: a line where the light begins.
+                n_dot_l[group.repeat_runs(blocks_light[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
             geometry.length2[light_index, group.interval] = dot(to_light, to_light)
     return geometry
@@ -308,10 +308,11 @@ def find_narrow_highlights(
 ) -> Iterator[Ints]:
     """Find hits whose footprint may contain a highlight too narrow for a single sample.
 
-    The footprint is the part of the surface around the hit that a cell of the picture covers.
-    Around the centre of a highlight, its strength is about exp(-p a^2 / 2), with the exponent p and
-    the angle a between the normal and the half vector.  The angle changes over the footprint
-    because the surface curves, and because the directions to the light and to the eye turn.
+    The footprint is the part of the surface, around the hit, that is visible in a cell of the
+    picture.  Near its centre, a highlight has a strength of about exp(-p a^2 / 2), where p is the
+    exponent, and a the angle between the normal and the half vector.  The angle changes over the
+    footprint because the surface is curved, and because the directions to the light and to the eye
+    change.
 
     Parameters
     ----------
@@ -326,20 +327,20 @@ def find_narrow_highlights(
     Yields
     ------
     hit_index : (k,) int array
-        Indices of hits with such a highlight of one light.  A hit is yielded again for each further
-        light that causes such a highlight.
+        Indices of the hits with such a highlight, for one light.  The same hit may be yielded for
+        several lights.
     """
     hits, prepared = geometry.hits, geometry.hits.prepared
     is_glossy = hits.object_values(prepared.is_glossy)
     if not is_glossy.any():
         return
     eye_turn = 1 / hits.distance + hits.object_values(prepared.curvature)
-    # Change of sqrt(p / 2) a, for an angle a that changes by 1.
-    scale = np.where(is_glossy, np.sqrt(hits.object_values(prepared.exponent) / 2), 0)
-    for light_index, is_frontlit in enumerate(frontlit):
-        turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index])
-        lobe_step = footprint * turn * scale
-        hit_index = indices((lobe_step > _MAX_LOBE_STEP) & is_frontlit)
+    # If the angle a changes by 1, the lobe position sqrt(p / 2) a changes by this much.
+    lobe_scale = np.where(is_glossy, np.sqrt(hits.object_values(prepared.exponent) / 2), 0)
+    for light_index, faces_light in enumerate(frontlit):
+        max_turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index])
+        lobe_step = footprint * max_turn * lobe_scale
+        hit_index = indices((lobe_step > _MAX_LOBE_STEP) & faces_light)
         if hit_index.size:
             strength = geometry.compute_highlight_strength(light_index, hit_index)
             lobe_position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)

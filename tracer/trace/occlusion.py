@@ -10,8 +10,8 @@ shadow segment
     one capsule: around the segment from the centre of the bounding sphere to the light, with the
     radius of the sphere.
 footprint
-    The radius, on a surface, of the part that a cell of the picture (a pixel or a square part of a
-    pixel) sees around its hit.
+    The part of a surface, around a hit, that is visible in a cell of the picture (a pixel or a
+    square part of a pixel); also the radius of this part.
 crowded
     A hit is crowded if more than `_MAX_EDGES_PER_HIT` shadow edges of one light may cross its
     footprint.
@@ -99,7 +99,7 @@ class Packets(NamedTuple):
     is_lit: Bools
 
     def replace_by_children(self, columns: Ints) -> Ints:
-        """Replace each column that refers to a packet by one column for each child of the packet.
+        """Replace each column that refers to a packet by one column per child of the packet.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
@@ -112,13 +112,13 @@ class Packets(NamedTuple):
         Returns
         -------
         expanded : (2, j) or (3, j) int array
-            Row 1 contains the indices of the children; j is the total number of children.  The
-            other rows repeat the values of the children's packets.
+            One column for each of j children.  Row 1 contains the index of the child; the other
+            rows repeat the values of its packet.
         """
         packet_index = columns[1]
-        counts, starts = self.child_count[packet_index], self.child_start[packet_index]
-        column_index, child_index = segment_indices(counts, starts)
-        expanded = columns.take(column_index, axis=1)
+        child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
+        parent_column, child_index = segment_indices(child_count, child_start)
+        expanded = columns.take(parent_column, axis=1)
         expanded[1] = child_index
         return expanded
 
@@ -126,11 +126,11 @@ class Packets(NamedTuple):
 def _find_occluders(
     hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
-    """Find the (light, hit, object) triples whose shadow segments need an exact test.
+    """Find the (light, hit, object) triples that need an exact shadow test.
 
-    A shadow segment is the straight segment from a hit to a light.  The function also finds hits in
-    shadow that need no exact test: those in a packet (a group of neighbouring hits) that a single
-    object shades entirely.
+    Triples whose object certainly does not block the segment from the hit to the light are
+    excluded.  Hits that are certainly in shadow are returned separately: those in a packet (a group
+    of neighbouring hits) that a single object shades entirely.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def _find_occluders(
     lights : Lights
         The lights that cast the shadows.
     frontlit : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Other pairs are mostly skipped.
+        Whether the surface at the hit faces the light.  Most other pairs are skipped.
     footprint : (n,) float array, optional
         If given, also find the objects that block a segment to the light from any surface point
         within this distance of the hit.
@@ -152,8 +152,8 @@ def _find_occluders(
         Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
-        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  The
-        whole footprint of such a hit is in shadow, too.  The pairs are missing from later batches.
+        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow, with
+        all points within `footprint` of them.  Later batches exclude these pairs.
     """
     if lights.grid is None or not frontlit.any():
         return
@@ -170,18 +170,18 @@ def _find_occluders(
 def _query_grid(
     grid: LightGrid, packets: Packets, shapes: Iterable[Shape]
 ) -> Iterator[tuple[Shape, Ints]]:
-    """Yield, in batches, the objects that a light grid lists for packets.
+    """Yield batches of the objects that may lie between packets and lights.
 
     A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
-    structure that lists the objects that may lie between a sphere and a light.
+    structure that lists the objects that may lie between such a sphere and a light.
 
     Parameters
     ----------
     grid : LightGrid
         The light grid of the lights.
     packets : Packets
-        The packets.  A pair of a light and a packet is skipped if `packets.is_lit` is False when
-        its batch begins.
+        The packets.  A (light, packet) pair is skipped if `packets.is_lit` is False when its batch
+        begins.
     shapes : iterable of Spheres and Boxes
         All objects, grouped by shape.
 
@@ -194,21 +194,21 @@ def _query_grid(
         lie between the packet and the light.
     """
     for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
-        queried = slice(start, start + _PACKETS_PER_QUERY)
-        center, radius = packets.center[:, queried], packets.radius[queried]
-        own_object = packets.object_index[queried]
-        for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried]):
+        queried_packets = slice(start, start + _PACKETS_PER_QUERY)
+        center, radius = packets.center[:, queried_packets], packets.radius[queried_packets]
+        own_object = packets.object_index[queried_packets]
+        for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried_packets]):
             triples[1] += start
             for shape in shapes:
-                of_shape = triples.take(indices(shape.objects.contains(triples[2])), axis=1)
-                for batch in batches(packets.child_count[of_shape[1]]):
-                    yield shape, of_shape[:, batch]
+                shape_triples = triples.take(indices(shape.objects.contains(triples[2])), axis=1)
+                for batch in batches(packets.child_count[shape_triples[1]]):
+                    yield shape, shape_triples[:, batch]
 
 
 def _test_packets(
     packets: Packets, lights: Lights, shape: Shape, triples: Ints
 ) -> tuple[Ints, Ints]:
-    """Test which objects may shade packets in part, and which packets are in shadow entirely.
+    """Find packets that are in shadow entirely, and objects that may shade a part of a packet.
 
     A packet is a group of neighbouring hits; its capsule contains the segments from all its hits to
     a light.  An object shades no hit of the packet if it misses the capsule, and all hits if it
@@ -217,8 +217,8 @@ def _test_packets(
     Parameters
     ----------
     packets : Packets
-        All packets of one level.  For pairs of a light and a packet that is in shadow entirely,
-        this function sets `packets.is_lit` to False.
+        All packets of one level.  If a packet is in shadow entirely, this function sets
+        `packets.is_lit` to False for the packet and the light.
     lights : Lights
         The lights.
     shape : Spheres or Boxes
@@ -229,8 +229,8 @@ def _test_packets(
     Returns
     -------
     undecided : (3, j) int array
-        The columns of `triples` whose object may shade a part of the packet, except for packets
-        that another object shades entirely.
+        The columns of `triples` whose object may shade a part of the packet; packets that another
+        object shades entirely are excluded.
     shaded_packets : (2, i) int array
         Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
     """
@@ -252,18 +252,18 @@ class _EdgeSet:
 
     A shadow edge is a triple of a light, a hit and an occluder: the edge of the occluder's shadow
     may pass near the hit.  The set encodes each triple as one integer key.  The light grid may find
-    an edge more than once (in several octants), so duplicates are removed from time to time.
+    the same edge in several octants, so duplicates are removed from time to time.
 
     Parameters
     ----------
     shape : (int, int, int)
-        Numbers of lights, hits and objects, to which the indices in edges refer.
+        Total numbers of lights, hits and objects.
 
     Attributes
     ----------
     is_crowded : (lights, hits) bool array
-        Whether the hit has more than `_MAX_EDGES_PER_HIT` edges of the light.  The set keeps no
-        edges for such a pair of a light and a hit.
+        Whether the hit has more than `_MAX_EDGES_PER_HIT` edges of the light.  The set does not
+        keep the edges of such a (light, hit) pair.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
@@ -271,7 +271,7 @@ class _EdgeSet:
         self._shape, self._keys = shape, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
-        """Add shadow edges to the set, except for those of crowded hits.
+        """Add shadow edges to the set, but ignore those of crowded hits.
 
         A hit is crowded if more than `_MAX_EDGES_PER_HIT` edges of one light may pass near it.
 
@@ -305,22 +305,22 @@ class _EdgeSet:
         """Sort the keys of shadow edges, and remove duplicates and the edges of crowded hits.
 
         Each key is an integer that encodes a light, a hit and an occluder.  A hit is crowded if
-        more than `_MAX_EDGES_PER_HIT` shadow edges of one light may pass near it.  Such a pair of a
-        light and a hit is recorded in `is_crowded`.
+        more than `_MAX_EDGES_PER_HIT` shadow edges of one light may pass near it.  Such (light,
+        hit) pairs are recorded in `is_crowded`.
         """
         keys = np.unique(np.concatenate(self._keys))
-        pair_key = keys // self._shape[2]  # of a light and a hit
+        pair_key = keys // self._shape[2]  # encodes the light and the hit
         run_start, edge_count = run_lengths(pair_key)
-        is_crowded = edge_count > _MAX_EDGES_PER_HIT
-        self.is_crowded.ravel()[pair_key[run_start[is_crowded]]] = True
-        self._keys = [keys[~is_crowded.repeat(edge_count)]]
+        is_run_crowded = edge_count > _MAX_EDGES_PER_HIT
+        self.is_crowded.ravel()[pair_key[run_start[is_run_crowded]]] = True
+        self._keys = [keys[~is_run_crowded.repeat(edge_count)]]
 
 
 def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
-    """Test, for each light and each hit, whether an object blocks the segment between them.
+    """Test whether an object blocks the straight segment between each hit and each light.
 
     The object on which the hit lies is not tested.  It blocks the light only if the surface faces
-    away from the light, and then `frontlit` is False.
+    away from the light, where `frontlit` is False.
 
     Parameters
     ----------
@@ -347,11 +347,11 @@ def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
 def find_shadow_edges(
     hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
 ) -> tuple[Bools, Ints, Bools]:
-    """Test which hits are in shadow, and find the shadow edges near each hit.
+    """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
-    An edge is near a hit if it may cross the hit's footprint: the part of the surface around the
-    hit that a cell of the picture covers.  If one object shades the whole footprint from a light,
-    the edges of other shadows of this light are invisible and excluded.
+    An edge is near a hit if it may cross the hit's footprint: the part of the surface, around the
+    hit, that is visible in a cell of the picture.  If one object shades the whole footprint from a
+    light, the edges of other shadows of this light are invisible there, and are excluded.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def find_shadow_edges(
     frontlit : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array
-        Radius around each hit, in the scene's unit of length, within which to search for edges.
+        Radius of each footprint, in the scene's unit of length.
 
     Returns
     -------
@@ -377,28 +377,28 @@ def find_shadow_edges(
         Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of one light.
     """
     is_blocked, in_umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-    edges = _EdgeSet((*frontlit.shape, hits.prepared.position_error.size))
+    edge_set = _EdgeSet((*frontlit.shape, hits.prepared.position_error.size))
     for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit, footprint):
-        tests = _test_footprints(hits, lights, shape, triples, footprint)
-        triples, blocks, covers, has_edge = tests
+        results = _test_footprints(hits, lights, shape, triples, footprint)
+        triples, blocks, covers, has_edge = results
         put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
         put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
         put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
-        edges.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
-    edge_triples = edges.distinct()
+        edge_set.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
+    edge_triples = edge_set.distinct()
     is_visible = ~take_2d(in_umbra, edge_triples[0], edge_triples[1])
-    is_crowded = np.any(edges.is_crowded & ~in_umbra, axis=0)
+    is_crowded = np.any(edge_set.is_crowded & ~in_umbra, axis=0)
     return is_blocked | in_umbra, edge_triples[:, is_visible], is_crowded
 
 
 def _test_footprints(
     hits: Hits, lights: Lights, shape: Shape, triples: Ints, footprint: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test whether each object shades its hit, and all or part of the hit's footprint.
+    """Test whether each object shades its hit, and all or part of the footprint of the hit.
 
-    The footprint is the part of the surface around the hit that a cell of the picture covers.  Each
-    object is tested three times: unchanged, grown by the radius of the footprint, and shrunk by
-    this radius.  The first matching row of this table decides:
+    The footprint is the part of the surface, around the hit, that is visible in a cell of the
+    picture.  Each object is tested unchanged, grown by the radius of the footprint, and shrunk by
+    this radius.  The first row of this table that matches determines the result:
 
     ===================  ======================================  ======================
     shadow in footprint  condition                               result
@@ -413,15 +413,15 @@ def _test_footprints(
     nowhere              otherwise                               all False
     ===================  ======================================  ======================
 
-    The first row tests the unchanged object, too, because a hit near the surface may be inside the
-    object but outside the shrunk object.  The shrunk object then seems to block light from within
-    the object.  The first row excludes lights on the surface: they light one side of the plane that
-    touches the object at the light, and this plane may cross the footprint.
+    The first row also tests the unchanged object, because a hit inside the object may be outside
+    the shrunk object, which then seems to block light from within the object.  The first row
+    excludes lights on the surface: such a light reaches one side of the tangent plane at the light,
+    and this plane may cross the footprint.
 
     Parameters
     ----------
     hits, lights : Hits, Lights
-        All hits and lights, to which the indices in `triples` refer.
+        All hits and all lights.
     shape : Spheres or Boxes
         The shape of all objects in `triples`.
     triples : (3, k) int array
@@ -442,8 +442,8 @@ def _test_footprints(
     """
     radius = footprint[triples[1]]
     blocks_grown = _test_segments(hits, lights, shape, triples, radius)
-    # If both the light and the hit are inside the grown object, it contains the whole segment, and
-    # does not block it, although the unchanged object may.
+    # If the light and the hit are both inside the grown object, it does not block the segment,
+    # although the unchanged object may.
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
     near_index = indices(blocks_grown | (light_distance <= radius))
     near_triples = triples.take(near_index, axis=1)
@@ -458,23 +458,23 @@ def _test_footprints(
 def _test_segments(
     hits: Hits, lights: Lights, shape: Shape, triples: Ints, growth: Floats | None = None
 ) -> Bools:
-    """Test exactly whether each object blocks the segment from its hit to its light.
+    """Test exactly whether objects block the segments from hits to lights.
 
     Parameters
     ----------
     hits, lights : Hits, Lights
-        All hits and lights, to which the indices in `triples` refer.
+        All hits and all lights.
     shape : Spheres or Boxes
         The shape of all objects in `triples`.
     triples : (3, k) int array
         Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     growth : (k,) float array, optional
-        Distance by which each object is grown before the test; a negative value shrinks the object.
+        Distance by which to grow each object before the test; negative to shrink it.
 
     Returns
     -------
     blocks : (k,) bool array
-        Whether the object blocks the segment.
+        Whether the object blocks the segment from the hit to the light.
     """
     light_index, hit_index, object_index = triples
     light_position = take3(lights.position.T, light_index)
@@ -515,10 +515,10 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
 def _build_row_packets(
     hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits: int
 ) -> Packets:
-    """Divide each run of hits into row packets: groups of at most `max_hits` hits.
+    """Divide runs of hits into row packets of at most `max_hits` hits.
 
-    A run consists of all consecutive hits in one row of samples that lie on the same object.  The
-    last packet of a run may have fewer hits.
+    A run consists of consecutive hits in one row of samples that lie on the same object.  Its last
+    packet may have fewer hits than the others.
 
     Parameters
     ----------
@@ -534,35 +534,35 @@ def _build_row_packets(
     Returns
     -------
     row_packets : Packets
-        The groups, in the order of the hits.  A group is lit by a light if any of its hits faces
-        the light.
+        The packets, in the order of the hits.  A packet counts as lit by a light if the surface at
+        any of its hits faces the light.
     """
     run_size = np.diff(hits.run_start)
-    run_index, offset = segment_indices(-(-run_size // max_hits))
-    offset *= max_hits
-    start = hits.run_start[run_index] + offset
-    count = np.minimum(run_size[run_index] - offset, max_hits)
+    run_index, first_in_run = segment_indices(-(-run_size // max_hits))
+    first_in_run *= max_hits
+    first_hit = hits.run_start[run_index] + first_in_run
+    hit_count = np.minimum(run_size[run_index] - first_in_run, max_hits)
     object_index = hits.run_object[run_index]
-    is_lit = np.logical_or.reduceat(frontlit, start, axis=1)
-    center, radius = _compute_bounding_spheres(hits, start)
+    is_lit = np.logical_or.reduceat(frontlit, first_hit, axis=1)
+    center, radius = _compute_bounding_spheres(hits, first_hit)
     radius += hits.prepared.position_error[object_index]
     if footprint is not None:
-        radius += np.maximum.reduceat(footprint, start)
-    return Packets(object_index, start, count, center, radius, is_lit)
+        radius += np.maximum.reduceat(footprint, first_hit)
+    return Packets(object_index, first_hit, hit_count, center, radius, is_lit)
 
 
 def _build_square_packets(
     hits: Hits, row_packets: Packets, square_width: float
 ) -> tuple[Packets, Packets]:
-    """Group row packets into square packets.
+    """Group row packets on one object, in one square of the picture, into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  Row packets belong
     to the same square packet if
 
     1. they lie on the same object,
     2. their first hits are in the same square of the picture, and
-    3. their first hits are in the same layer of depth: a bounding sphere around surfaces at very
-       different depths would be large.
+    3. their first hits are in the same layer of depth, because a bounding sphere around hits at
+       very different depths would be large.
 
     Parameters
     ----------
@@ -594,7 +594,7 @@ def _build_square_packets(
     return _merge_row_packets(row_packets, start, count), row_packets
 
 
-def _compute_bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
+def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
 
     The sphere encloses the bounding box of the group's hits in camera axes.  If the hits are known
@@ -606,9 +606,9 @@ def _compute_bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
     hits : Hits
         All hits.  Each hit belongs to one group.  The hits of one group lie on the same object, in
         the same row of samples.
-    start : (m,) int array
-        Group i contains the hits start[i], ..., start[i + 1] - 1.  The last group ends with the
-        last hit.
+    first_hit : (m,) int array
+        Index of the first hit of each group.  A group ends where the next one starts; the last one
+        ends with the last hit.
 
     Returns
     -------
@@ -618,13 +618,14 @@ def _compute_bounding_spheres(hits: Hits, start: Ints) -> tuple[Floats, Floats]:
         Radii of the spheres.
     """
     if isinstance(hits.samples, Scattered) or hits.prepared.spheres.is_eye_inside.any():
-        corner = np.minimum.reduceat(hits.from_eye, start, axis=1)
-        opposite = np.maximum.reduceat(hits.from_eye, start, axis=1)
+        corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
+        opposite = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     else:
         # Hits in one row of samples lie on a straight line, or on an arc of less than half a
-        # circle.  A sphere whose diameter is the chord from the first to the last contains both.
-        last = np.append(start[1:], hits.from_eye.shape[1]) - 1
-        corner, opposite = hits.from_eye.take(start, axis=1), hits.from_eye.take(last, axis=1)
+        # circle.  A sphere whose diameter is the segment from the first to the last contains both.
+        last_hit = np.append(first_hit[1:], hits.from_eye.shape[1]) - 1
+        corner = hits.from_eye.take(first_hit, axis=1)
+        opposite = hits.from_eye.take(last_hit, axis=1)
     half_diagonal = 0.5 * (opposite - corner)
     center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
@@ -649,13 +650,13 @@ def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packet
     square_packets : Packets
         The m square packets.
     """
-    low, high = (
+    low_corner, high_corner = (
         extremum.reduceat(row_packets.center, start, axis=1)
         for extremum in (np.minimum, np.maximum)
     )
-    center = 0.5 * (low + high)
-    offset = row_packets.center - center.repeat(count, axis=1)
-    needed_radius = np.sqrt((offset * offset).sum(axis=0)) + row_packets.radius
+    center = 0.5 * (low_corner + high_corner)
+    center_offset = row_packets.center - center.repeat(count, axis=1)
+    needed_radius = np.sqrt((center_offset * center_offset).sum(axis=0)) + row_packets.radius
     radius = np.maximum.reduceat(needed_radius, start)
     is_lit = np.logical_or.reduceat(row_packets.is_lit, start, axis=1)
     return Packets(row_packets.object_index[start], start, count, center, radius, is_lit)

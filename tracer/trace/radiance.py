@@ -27,7 +27,7 @@ def compute_radiance(
     samples : Rows or Scattered
         The n samples: positions in the picture, through which rays are traced.
     out : (3, n) float array of zeros, optional
-        Array that receives the result, and is returned.
+        Array in which to store the result; it is returned.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def compute_radiance(
 
 
 def compute_radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance at each sample, and an id of the visible face and its lights.
+    """Compute the radiance at each sample, and an id of the visible face and the lights on it.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def compute_radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Add up, over all lights, the radiance that hits reflect towards the eye, with shadows.
+    """Sum the radiance that hits reflect towards the eye over all lights, with shadows.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
     light_batches : iterable of Lights
         The lights, in batches.
     with_ids : bool
-        Whether to compute `Shading.ids`, which encodes each hit's face and the lights visible from
-        the hit.
+        Whether to compute `Shading.ids`, which encode the face of each hit and the lights visible
+        from the hit.
 
     Returns
     -------

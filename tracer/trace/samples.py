@@ -19,13 +19,13 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Spans are widened by this many pixels on both sides: far more than their rounding errors.
 _SPAN_PADDING = 0.5
 
-# Scattered samples are sorted by a single number each, if all numbers are smaller than this.  Then
-# the rounding errors of the numbers are less than 1e-4 pixels.
+# Each scattered sample is sorted by a single number if all these numbers are smaller than this, so
+# that their rounding errors are less than 1e-4 pixels.
 _MAX_SINGLE_KEY = 2.0**39
 
-# The order of scattered samples along a row is exact for positions up to this many pixels from the
-# left border of the picture.  All positions farther away are treated as equally far, so they are
-# tested with more objects than necessary.  A power of two: see `_sort_key`.
+# Scattered samples are sorted along a row if they are at most this many pixels from the left border
+# of the picture.  Samples farther away are treated as equally far, so they are tested with more
+# objects than necessary.  A power of two: see `_sort_key`.
 _MAX_SORTED_X = 2.0**20
 
 
@@ -37,9 +37,9 @@ def find_object_spans(
     height: float = 0.0,
     pad: float = 0.0,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Compute the spans of all objects of one shape in rows of the picture.
+    """Compute which part of each row of the picture is covered by each object of one shape.
 
-    A span is the part of one row that one object covers, whether or not other objects hide it.
+    The part of one row that one object covers is called a span.  Other objects may hide it.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ def find_object_spans(
     rows : (rows,) float array
         Upper border of each row, in pixels from the top of the picture, in ascending order.
     columns : (float, float)
-        Interval of columns, in pixels from the left border of the picture.  Objects that are
-        entirely outside of this interval are skipped.
+        Horizontal interval, in pixels from the left border of the picture.  Objects entirely
+        outside this interval are skipped.
     height : float
-        Height of the rows, in pixels.  If it is 0, a row is a line, and the spans are exact except
-        for rounding errors.
+        Height of the rows, in pixels.  If it is 0, each row is a line, and the spans are exact
+        except for rounding errors.
     pad : float
-        Number of pixels by which spans are widened on both sides.
+        Number of pixels by which to widen the spans on both sides.
 
     Returns
     -------
@@ -70,14 +70,14 @@ def find_object_spans(
     bounds = prepared.bounds.take(shape.objects.slice)
     candidate = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
     first_row = rows.searchsorted(bounds.top[candidate] - pad - height)
-    end_row = rows.searchsorted(bounds.bottom[candidate] + pad, side="right")
-    span_candidate, row = segment_indices(np.maximum(end_row - first_row, 0), first_row)
+    stop_row = rows.searchsorted(bounds.bottom[candidate] + pad, side="right")
+    span_candidate, row = segment_indices(np.maximum(stop_row - first_row, 0), first_row)
     position = candidate[span_candidate]
     object_index = position + shape.objects.start
     left, right = shape.row_extent(object_index, rows[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
-    kept = indices(left <= right)
-    return object_index[kept], row[kept], left[kept] - pad, right[kept] + pad
+    kept_span = indices(left <= right)
+    return object_index[kept_span], row[kept_span], left[kept_span] - pad, right[kept_span] + pad
 
 
 class Rows(NamedTuple):
@@ -92,9 +92,9 @@ class Rows(NamedTuple):
     x : (columns,) float array
         Horizontal positions along a row, in ascending order and equally spaced.
     shift : (rows,) float array
-        Distance by which the samples of each row are moved to the right.
+        Distance by which the samples of each row are shifted to the right.
     per_pixel : (int, int)
-        Number of columns of samples in the width of a pixel, and of rows in its height.
+        Numbers of columns and rows of samples in a pixel.
     """
 
     y: Floats
@@ -109,10 +109,10 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Mean number of samples in the width of a pixel, for the choice of the size of packets.
+        """Weighted geometric mean of the numbers of columns and rows of samples in a pixel.
 
-        This is a weighted geometric mean of the numbers across a pixel and down a pixel.  A packet
-        (a group of neighbouring hits) lies along a row, so the number across has more weight.
+        It determines the size of packets (groups of neighbouring hits).  Most packets lie along a
+        row, so the number of columns has more weight.
         """
         columns, rows = self.per_pixel
         return float(columns**0.75 * rows**0.25)
@@ -150,9 +150,10 @@ class Rows(NamedTuple):
         return self.x[column] + self.shift[row], self.y[row]
 
     def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
-        """Find, for each object of one shape, the samples at which it may be visible.
+        """Find the samples at which each object of one shape may be visible.
 
-        The samples are grouped into spans: consecutive samples in one row, for the same object.
+        They are grouped into spans.  A span consists of consecutive samples in one row, for one
+        object.
 
         Parameters
         ----------
@@ -206,7 +207,7 @@ class Scattered(NamedTuple):
 
     @classmethod
     def from_positions(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
-        """Create samples from positions in the picture, which are sorted.
+        """Create sorted samples from positions in the picture in any order.
 
         Parameters
         ----------
@@ -222,7 +223,7 @@ class Scattered(NamedTuple):
             Sample i is at the position (x[order[i]], y[order[i]]).
         """
         row = np.floor(y)
-        # Sorting by a single number is faster, but large numbers would be rounded too much.
+        # Sorting by a single number is faster, but large numbers have large rounding errors.
         single_key = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
         if np.abs(single_key).max(initial=0) < _MAX_SINGLE_KEY:
             order = single_key.argsort(kind="stable")
@@ -239,7 +240,7 @@ class Scattered(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Assumed number of samples in the width of a pixel: 1, since the real one is unknown."""
+        """Assumed number of samples across a pixel: 1, because the real number is unknown."""
         return 1.0
 
     def ray_right(self, frame: CameraFrame) -> Floats:
@@ -274,9 +275,9 @@ class Scattered(NamedTuple):
         return self.x[sample_index], self.y[sample_index]
 
     def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
-        """Find, for each object of one shape, the samples at which it may be visible.
+        """Find the samples at which each object of one shape may be visible.
 
-        The result has the form of that of `Rows.find_spans`, with one sample in each span.
+        The result has the same form as that of `Rows.find_spans`, with one sample in each span.
 
         Parameters
         ----------
@@ -290,8 +291,8 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's only sample.  Both are the same array: the span has the vertical
-            position y[row].
+            Index of each span's only sample.  Both are the same array, so that y[row] is the
+            vertical position of the span.
         count : None
             None means that each span has one sample.
         """
@@ -307,7 +308,7 @@ class Scattered(NamedTuple):
 
 
 def _sort_key(row: Ints, x: Floats) -> Floats:
-    """Encode each position as one number, such that the numbers are ordered by row, then by x.
+    """Encode positions as numbers that are ordered by row, and then by x.
 
     Parameters
     ----------
@@ -322,7 +323,7 @@ def _sort_key(row: Ints, x: Floats) -> Floats:
         The number for each position.  Two positions may have equal numbers if they differ by very
         little, or if both are farther from the left border than `_MAX_SORTED_X`.
     """
-    # Rounding never changes the order, because the product is exact.
+    # The product is exact, so rounding never reverses the order of two positions.
     key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)
     return key
 

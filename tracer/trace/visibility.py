@@ -1,6 +1,6 @@
 """Visibility: which surface does the ray through each sample meet first?
 
-An object is tested only with the rays through samples that it may cover in the picture.  Then the
+Each object is tested only with the rays through samples that it may cover in the picture.  Then the
 nearest of the intersections at each sample is selected.
 """
 
@@ -27,8 +27,7 @@ _MAX_DISTANCE = np.finfo(np.float64).max
 def find_nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     """Find the first surface that the ray through each sample hits.
 
-    Ties are decided by the order of the scene file: of several surfaces at exactly the same
-    distance, the first is hit.
+    If several surfaces are at exactly the same distance, the first one in the scene file is hit.
 
     Parameters
     ----------
@@ -40,7 +39,7 @@ def find_nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     Returns
     -------
     hits : Hits
-        One hit for each sample whose ray meets a surface.  Other samples have no hit.
+        One hit for each sample whose ray meets a surface; other samples have no hit.
     """
     groups = _intersect_objects(prepared, samples)
     visible = _select_visible(prepared, groups, _find_nearest_distances(samples, groups))
@@ -48,7 +47,7 @@ def find_nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
 
 
 def find_nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """Find the first surface that the ray through each sample hits, and all surfaces behind it.
+    """Find the first surface that the ray through each sample hits, and the objects behind it.
 
     Parameters
     ----------
@@ -62,21 +61,21 @@ def find_nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> t
     nearest : Hits
         One hit for each sample whose ray meets a surface, as from `find_nearest_hits`.
     hidden : Hits
-        One hit for each object that the ray meets behind the nearest surface: none, one or several
-        hits for each sample.
+        One hit for each object that the ray meets behind the nearest surface: any number of hits
+        for each sample.
     """
     groups = _intersect_objects(prepared, samples)
-    nearest = _find_nearest_distances(samples, groups)
+    nearest_t = _find_nearest_distances(samples, groups)
     hidden = [
-        group.select((group.t > nearest.take(group.sample)) & (group.t < np.inf))
+        group.select((group.t > nearest_t.take(group.sample)) & (group.t < np.inf))
         for group in groups
     ]
-    visible = _select_visible(prepared, groups, nearest)
+    visible = _select_visible(prepared, groups, nearest_t)
     return _build_hits(prepared, samples, visible), _build_hits(prepared, samples, hidden)
 
 
 class _Intersections(NamedTuple):
-    """Intersections of rays with objects, for n pairs of a sample and an object of one shape.
+    """Intersections of rays with objects of one shape, for n (sample, object) pairs.
 
     The ray through a sample has the direction (ray_right, ray_down, depth), in camera axes.  The
     pairs are arranged in spans: consecutive samples in one row, paired with the same object.
@@ -117,42 +116,42 @@ class _Intersections(NamedTuple):
         return repeat_runs(self.object_index, self.sample_count)
 
     def select(self, mask: Bools) -> _Intersections:
-        """Select intersections, for pairs of a sample and an object.
+        """Keep only the (sample, object) pairs selected by a mask.
 
         Parameters
         ----------
         mask : (n,) bool array
-            Whether to select the pair.
+            Whether to keep each pair.
 
         Returns
         -------
-        selected : _Intersections
+        kept : _Intersections
             The selected pairs in the same order; this object itself if all pairs are selected.
         """
-        selected = indices(mask)
-        if selected.size == mask.size:
+        kept_pair = indices(mask)
+        if kept_pair.size == mask.size:
             return self
         shape, sample_count, object_index, ray_down, *pair_fields = self
         if sample_count is None:
-            object_index, ray_down = object_index.take(selected), ray_down.take(selected)
+            object_index, ray_down = object_index.take(kept_pair), ray_down.take(kept_pair)
         else:
-            sample_count = np.diff(selected.searchsorted(sample_count.cumsum()), prepend=0)
-        pair_fields = [field.take(selected) for field in pair_fields]
+            sample_count = np.diff(kept_pair.searchsorted(sample_count.cumsum()), prepend=0)
+        pair_fields = [field.take(kept_pair) for field in pair_fields]
         return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
-        """Divide hits into runs, and find the first hit of each run.
+        """Divide hits into runs, and return the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
         object.  Runs of scattered samples also end at the borders of squares of `_RUN_WIDTH`
-        pixels, and of layers of depth: see `CameraFrame.depth_layer`.
+        pixels, and at the borders of layers of depth (see `CameraFrame.depth_layer`).
 
         Parameters
         ----------
         samples : Rows or Scattered
             Positions in the picture, through which rays are traced.
         frame : CameraFrame
-            The rays of the camera.
+            The camera.
         depth : (n,) float array
             Depth of each hit: the forward component of the vector from the eye.
 
@@ -169,12 +168,12 @@ class _Intersections(NamedTuple):
             is_start |= run_starts(self.object_index, np.floor(y), np.floor(x / _RUN_WIDTH), layer)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
-            is_start[1:] |= np.diff(self.sample) > 1  # a nearer object hides the samples between
+            is_start[1:] |= np.diff(self.sample) > 1  # a nearer object hides the object in between
         return indices(is_start)
 
 
 def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
-    """Intersect the ray through each sample with all objects that may be visible at the sample.
+    """Intersect the ray through each sample with all objects that may be visible there.
 
     Parameters
     ----------
@@ -186,8 +185,8 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
     Returns
     -------
     groups : list of _Intersections
-        The pairs of a sample and an object: one group for each shape.  The groups include pairs
-        whose ray misses the object.
+        The (sample, object) pairs: one group for each shape.  The groups include pairs whose ray
+        misses the object.
     """
     frame, groups = prepared.frame, []
     sample_right, row_down = samples.ray_right(frame), frame.ray_down(samples.y)
@@ -195,14 +194,14 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
         object_index, row, first_sample, sample_count = samples.find_spans(shape, prepared)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
         ray_down, ray_right = row_down.take(row), sample_right.take(sample)
-        t_and_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
-        fields = sample_count, object_index, ray_down, sample, ray_right, *t_and_data
+        t_and_hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
+        fields = sample_count, object_index, ray_down, sample, ray_right, *t_and_hit_data
         groups.append(_Intersections(shape, *fields))
     return groups
 
 
 def _find_nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
-    """Compute the distance of the first intersection along the ray through each sample.
+    """Compute the distance of the nearest intersection along the ray through each sample.
 
     Parameters
     ----------
@@ -213,18 +212,18 @@ def _find_nearest_distances(samples: Samples, groups: list[_Intersections]) -> F
 
     Returns
     -------
-    nearest : (n,) float array
+    nearest_t : (n,) float array
         Distance in units of the length of the ray's direction; `_MAX_DISTANCE` if the ray meets no
         surface.
     """
-    nearest = np.full(samples.size, _MAX_DISTANCE)
+    nearest_t = np.full(samples.size, _MAX_DISTANCE)
     for group in groups:
-        np.minimum.at(nearest, group.sample, group.t)
-    return nearest
+        np.minimum.at(nearest_t, group.sample, group.t)
+    return nearest_t
 
 
 def _select_visible(
-    prepared: PreparedScene, groups: list[_Intersections], nearest: Floats
+    prepared: PreparedScene, groups: list[_Intersections], nearest_t: Floats
 ) -> list[_Intersections]:
     """Select the visible intersections: one for each sample whose ray meets a surface.
 
@@ -234,30 +233,30 @@ def _select_visible(
         The scene.
     groups : list of _Intersections
         All intersections of rays with objects: one group for each shape.
-    nearest : (samples,) float array
+    nearest_t : (samples,) float array
         Distance of the nearest intersection at each sample, from `_find_nearest_distances`.
 
     Returns
     -------
     visible : list of _Intersections
-        The nearest intersection at each sample, in the same groups.  If several objects are at this
-        distance, only the first of them in the scene file is selected.
+        The nearest intersection at each sample, in the same groups.  If several objects are at the
+        same distance, only the first one in the scene file is selected.
     """
-    visible = [group.select(group.t == nearest.take(group.sample)) for group in groups]
-    if sum(group.t.size for group in visible) == np.count_nonzero(nearest < _MAX_DISTANCE):
+    visible = [group.select(group.t == nearest_t.take(group.sample)) for group in groups]
+    if sum(group.t.size for group in visible) == np.count_nonzero(nearest_t < _MAX_DISTANCE):
         return visible  # no sample has two nearest intersections
     file_index = prepared.surfaces.file_index
-    first_position = np.full(nearest.size, file_index.size)
+    first_in_file = np.full(nearest_t.size, file_index.size)
     for group in visible:
-        np.minimum.at(first_position, group.sample, file_index.take(group.pair_object))
+        np.minimum.at(first_in_file, group.sample, file_index.take(group.pair_object))
     return [
-        group.select(file_index.take(group.pair_object) == first_position.take(group.sample))
+        group.select(file_index.take(group.pair_object) == first_in_file.take(group.sample))
         for group in visible
     ]
 
 
 def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Convert intersections to hits: compute their positions, runs and tangent planes.
+    """Convert intersections to hits: compute positions, runs and tangent planes.
 
     Parameters
     ----------
@@ -266,8 +265,8 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
     groups : list of _Intersections
-        The intersections of rays with objects: one group for each shape.  All rays meet their
-        objects.
+        The intersections of rays with objects: one group for each shape, without pairs whose ray
+        misses the object.
 
     Returns
     -------
@@ -275,23 +274,23 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
         One hit for each intersection.
     """
     frame, groups = prepared.frame, [group for group in groups if group.t.size]
-    bounds = np.cumsum([0] + [group.t.size for group in groups]).tolist()
-    from_eye, shape_hits, empty = np.empty((3, bounds[-1])), [], np.zeros(0, dtype=np.intp)
-    for group, start, end in zip(groups, bounds, bounds[1:], strict=False):
+    starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
+    from_eye, shape_hits, empty = np.empty((3, starts[-1])), [], np.zeros(0, dtype=np.intp)
+    for group, start, end in zip(groups, starts, starts[1:], strict=False):
         group_from_eye = from_eye[:, start:end]
         ray_down = repeat_runs(group.ray_down, group.sample_count)
         np.multiply(group.t, group.ray_right, out=group_from_eye[0])
         np.multiply(group.t, ray_down, out=group_from_eye[1])
         np.multiply(group.t, frame.depth, out=group_from_eye[2])
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
-        length = np.diff(run_start, append=end - start)
+        run_length = np.diff(run_start, append=end - start)
         run_object = group.pair_object[run_start]
-        surface = group.shape.tangent_planes(
-            run_object, length, group_from_eye, group.t, group.hit_data
+        planes = group.shape.tangent_planes(
+            run_object, run_length, group_from_eye, group.t, group.hit_data
         )
         interval = slice(start, end)
         shape_hits.append(
-            ShapeHits(group.shape, interval, group.sample, length, run_object, *surface)
+            ShapeHits(group.shape, interval, group.sample, run_length, run_object, *planes)
         )
     run_start = np.concatenate([empty, [0], *(group.run_length for group in shape_hits)]).cumsum()
     sample = np.concatenate([empty, *(group.sample for group in shape_hits)])
