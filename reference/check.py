@@ -165,7 +165,7 @@ class CheckResult:
         sentences = []
         if self.ties.any():
             tie_count = _format_pixel_count(self.ties)
-            sentences.append(f"Mitsuba shows the other of surfaces that tie on {tie_count}")
+            sentences.append(f"surfaces tie on {tie_count}, where Mitsuba shows another one")
         if not self.differing.any():
             clauses = list_figures_out_of_tolerance(self.figures)
             return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
@@ -182,7 +182,7 @@ class CheckResult:
         return [*sentences, sentence]
 
     def report(self) -> str:
-        """Format the verdict, the figures, the rendering times and the remarks, each on a line."""
+        """Format the verdict, the figures, the rendering times and the remarks, one per line."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
@@ -201,7 +201,7 @@ def _format_pixel_count(mask: Bools) -> str:
 
 
 def list_figures_out_of_tolerance(figures: Figures) -> list[str]:
-    """List the figures that are too bad for two pictures that should be equal.
+    """List the figures that are out of tolerance for two pictures that should be equal.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def list_figures_out_of_tolerance(figures: Figures) -> list[str]:
     Returns
     -------
     clauses : list of str
-        A clause for each figure that is out of tolerance, such as "SSIM 0.99800 is below 0.999".
+        One clause per such figure, for example "SSIM 0.99800 is below 0.999".
     """
     clauses = []
     if figures.ssim < MIN_SSIM:
@@ -222,10 +222,10 @@ def list_figures_out_of_tolerance(figures: Figures) -> list[str]:
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find the pixels of another renderer's picture that a very close edge can explain.
+    """Find the pixels of another renderer's picture whose radiance a nearby edge can explain.
 
     The tracer renders the scene four times, each time with all samples shifted diagonally.  An edge
-    can explain a pixel whose radiance lies between the minimum and the maximum of these pictures.
+    can explain a pixel whose radiance lies in the range of these four pictures.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     shift : float
         Distance in pixels, along each axis, by which the tracer's samples are shifted.
     tolerance : float
-        Linear radiance by which a pixel may exceed the range.
+        Linear radiance by which a pixel may lie outside this range.
 
     Returns
     -------
@@ -284,7 +284,7 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the tracer with this project's Mitsuba plugins on all light in a scene.
+    """Compare how the tracer and this project's Mitsuba plugins render all light in a scene.
 
     Parameters
     ----------
@@ -314,10 +314,9 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the tracer with Mitsuba's built-in (stock) plugins on the diffuse light in a scene.
+    """Compare how the tracer and Mitsuba's built-in (stock) plugins render a scene's diffuse light.
 
-    Both pictures have the square pixels that Mitsuba requires, so they may be higher or lower than
-    the scene file states.
+    Mitsuba requires square pixels, so the height of both pictures may differ from the scene's.
 
     Parameters
     ----------
@@ -437,32 +436,32 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale
     # If the pictures differ too much as a whole, compare the pixels again, with less tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
-        is_different = difference > tolerance
-        edges = is_different.copy()
+        is_different, max_difference = difference > tolerance, tolerance * scale
+        edge_mask = is_different.copy()
         if is_different.any():
-            edges &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, tolerance * scale)
-        if edges.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
-            edges[:] = False
-        ties, examined, wrong = _examine_exactly(
-            scene, tracer_image, mitsuba_image, is_different & ~edges, tolerance * scale
+            edge_mask &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, max_difference)
+        if edge_mask.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
+            edge_mask[:] = False
+        tie_mask, examined_mask, wrong_mask = _examine_exactly(
+            scene, tracer_image, mitsuba_image, is_different & ~edge_mask, max_difference
         )
-        excluded = edges | ties
+        excluded_mask = edge_mask | tie_mask
         # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
-        compared_image = np.where(excluded[:, :, None], mitsuba_image, tracer_image)
-        mask = None if excluded.all() else excluded
+        compared_image = np.where(excluded_mask[:, :, None], mitsuba_image, tracer_image)
+        mask = None if excluded_mask.all() else excluded_mask
         figures = measure_differences(compared_image / scale, mitsuba_image / scale, mask)
-        if examined.any() or not list_figures_out_of_tolerance(figures):
+        if examined_mask.any() or not list_figures_out_of_tolerance(figures):
             break
     return CheckResult(
         name=name,
         tracer=tracer_image,
         tracer_seconds=tracer_seconds,
         mitsuba=rendering,
-        edges=edges,
-        ties=ties,
-        differing=is_different & ~excluded,
-        examined=examined,
-        wrong=wrong,
+        edges=edge_mask,
+        ties=tie_mask,
+        differing=is_different & ~excluded_mask,
+        examined=examined_mask,
+        wrong=wrong_mask,
         figures=figures,
     )
 
@@ -491,14 +490,14 @@ def _examine_exactly(
 
     Returns
     -------
-    ties : (h, w) bool array
+    tie_mask : (h, w) bool array
         Pixels that are ties.
-    examined : (h, w) bool array
+    examined_mask : (h, w) bool array
         Pixels of the last batch that are not ties; all False if every pixel is a tie.
-    wrong : (h, w) bool array
+    wrong_mask : (h, w) bool array
         Examined pixels in which the tracer is wrong.
     """
-    ties, examined, wrong = np.zeros((3, *is_different.shape), dtype=np.bool_)
+    tie_mask, examined_mask, wrong_mask = np.zeros((3, *is_different.shape), dtype=np.bool_)
     positions = np.argwhere(is_different)
     batch_count = -(-len(positions) // _PIXELS_PER_BATCH)
     for batch_index in range(batch_count):
@@ -515,11 +514,11 @@ def _examine_exactly(
             if tracer_is_right.all():
                 break
         is_tie = tracer_is_right & mitsuba_is_right
-        ties[rows, columns] = is_tie
+        tie_mask[rows, columns] = is_tie
         if not is_tie.all():
-            examined[rows, columns], wrong[rows, columns] = ~is_tie, ~tracer_is_right
+            examined_mask[rows, columns], wrong_mask[rows, columns] = ~is_tie, ~tracer_is_right
             break
-    return ties, examined, wrong
+    return tie_mask, examined_mask, wrong_mask
 
 
 def _similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
@@ -585,9 +584,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make_output_folder(options.output)
     # Ignore warnings, for example of a black picture: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)
-    path_pairs = zip(scene_paths, map(Path, outputs), strict=True)
-    tracked_pairs = track(path_pairs, len(scene_paths), "scenes")
-    return worst_status([attempt(_check_and_print, *pair, options) for pair in tracked_pairs])
+    pairs = track(zip(scene_paths, map(Path, outputs), strict=True), len(scene_paths), "scenes")
+    return worst_status([attempt(_check_and_print, *pair, options) for pair in pairs])
 
 
 def worst_status(results: Iterable[CheckResult | Failure]) -> int:
@@ -611,7 +609,7 @@ def worst_status(results: Iterable[CheckResult | Failure]) -> int:
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
-    """Compare the tracer and Mitsuba on one scene, print the result, and draw it as a picture.
+    """Compare the tracer and Mitsuba on one scene, print the result, and write a picture of it.
 
     Parameters
     ----------

@@ -99,15 +99,12 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     command_parser = make_parser("reference.compare")
     add_argument, report_error = command_parser.add_argument, command_parser.error
     add_argument("hand_in", metavar="HAND-IN", type=Path, help="the picture to check, or a folder")
-    reference_help = "a scene file, a picture, or a folder of these"
-    add_argument("reference", metavar="RIGHT", type=Path, help=reference_help)
-    add_argument("--ssim", type=parse_tolerance, metavar="S", help="smallest SSIM to accept")
-    max_help = "largest linear difference to accept"
-    add_argument("--max", type=parse_tolerance, metavar="M", help=max_help)
+    add_argument("reference", metavar="RIGHT", type=Path, help="a scene, a picture, or a folder")
+    add_argument("--ssim", type=parse_tolerance, metavar="S", help="minimum SSIM")
+    add_argument("--max", type=parse_tolerance, metavar="M", help="maximum linear difference")
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
     add_argument("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
-    html_help = "write one page that shows all pictures"
-    add_argument("--html", type=parse_path, metavar="OUT.html", help=html_help)
+    add_argument("--html", type=parse_path, metavar="OUT.html", help="write a page of all pictures")
     formats = command_parser.add_mutually_exclusive_group()
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
     add_format("--json", const=format_json, help="print a list with one object per picture")
@@ -370,11 +367,10 @@ def _compare_files(
     )  # fmt: skip
     pair = make_pair(result, picture.codes, solution.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
-        comparison_path = _choose_comparison_path(options, picture_path)
+        output_path = _choose_comparison_path(options, picture_path)
         labels = printable(picture_path.name), printable(reference_path.name)
-        error_types = (ValueError,)
-        with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY, error_types=error_types):
-            comparison_path.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(comparison_path, (picture.codes, solution.codes), difference, labels)
-        result = result._replace(comparison=str(comparison_path))
+        with errors_as_failure(output_path, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
+            output_path.parent.mkdir(parents=True, exist_ok=True)
+            write_comparison(output_path, (picture.codes, solution.codes), difference, labels)
+        result = result._replace(comparison=str(output_path))
     return result, pair
