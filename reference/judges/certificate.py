@@ -2,12 +2,12 @@
 
 The idea: objects are convex and lights are points.  So every edge in the picture is the zero of a
 smooth function, and radiance is smooth between edges.  Enclose the radiance by a polynomial where
-it is smooth, enclose each edge in a narrow strip, and count the worst case inside the strips.
+it is smooth, enclose each edge in a narrow strip, and assume the worst case inside the strips.
 If the bounds are too wide, divide the picture into smaller cells.
 
 Sources: the subdivision is that of Warnock (1969; see `cells`).  The bounds are affine arithmetic
-of second order (Comba and Stolfi, 1993; see `enclosures`).  Their combination is this project's
-own.
+of second order (Comba and Stolfi, 1993; see `enclosures`).  This project combines the
+two.
 
 A cell of the picture is treated as follows:
 
@@ -33,9 +33,9 @@ strip.  Two errors remain:
 The error of a pixel is at most the sum of these over its cells, weighted by areas.  Cells whose
 error is at most the average that remains to the pixel are finished; the others are divided.
 
-Samples are traced by the tracer, but only for the question of what they see, not for radiance.  If
-a sample shows a face that the cell rules out, then the certificate or the tracer has an error, and
-a RuntimeError is raised.
+The tracer traces the samples, but only to find which surface is visible and which lights reach it;
+its radiance is not used.  If a sample shows a face that the cell rules out, then the certificate or
+the tracer has an error, and a RuntimeError is raised.
 
 Rounding: positions of samples and cells have rounding errors smaller than the error bounds of the
 enclosures, which contain 1e-13 times the coordinates involved.  Areas and means of regions take
@@ -99,14 +99,14 @@ _ROUNDING, _ERROR_FOR_CELLS = 1e-9, 0.999
 
 @dataclass(frozen=True)
 class Certificate:
-    """A picture, with proved bounds on the mean radiance of every pixel.
+    """A picture with proven bounds on the mean radiance of every pixel.
 
     Attributes
     ----------
     low, high : (height, width, 3) float arrays
         Lower and upper bounds on the mean linear RGB radiance of each pixel.
     image : (height, width, 3) float array
-        The best estimate of the mean radiance, which lies between the bounds.
+        Best estimate of the mean radiance, which lies between the bounds.
     cell_count : int
         Number of cells (square parts of the picture) that were examined.
     """
@@ -123,19 +123,19 @@ class Certificate:
 
     @property
     def is_certain(self) -> Bools:
-        """Mask (height, width) of the pixels for which both bounds have the same 8-bit codes."""
+        """Mask (height, width) of the pixels whose two bounds have the same 8-bit codes."""
         return np.asarray((to_codes(self.low) == to_codes(self.high)).all(axis=2))
 
 
 class CellEstimates(NamedTuple):
-    """Estimates of the mean radiance of c cells, with the convex regions from which they come.
+    """Estimates of the mean radiance of c cells, with the convex regions they are based on.
 
     Edges divide the cells into n regions.  An edge lies in a strip between two parallel lines.  Its
     jump is a bound on the change of radiance across it.
 
     Attributes
     ----------
-    lines : Strips
+    strips : Strips
         The strips whose centre lines divide cells.
     regions : Regions
         The regions.
@@ -143,14 +143,14 @@ class CellEstimates(NamedTuple):
         Enclosures (8, 3, n) of the radiance of all points of each region that lie in no strip.
     doubt : (n,) float array
         Additional error of the radiance anywhere in a region: the sum of the jumps of all strips
-        that contain the region's centroid, where the region's sample is traced.
+        that contain the region's centroid, through which the region's sample is traced.
     max_radiance : (3, c) float array
-        Upper bound on the radiance of all points in a cell.
+        Upper bound on the radiance anywhere in a cell.
     mean, error : (3, c) and (c,) float arrays
         Estimate of the mean radiance of each cell, and an upper bound on its error in any channel.
     """
 
-    lines: Strips
+    strips: Strips
     regions: Regions
     radiance: Enclosures
     doubt: Floats
@@ -172,11 +172,11 @@ def estimate_means(
     analysis : CellAnalysis
         The c cells, with their pairs and edge functions.
     contributions : Contributions
-        For each pair, the radiance of all lights that are not settled.  A light is settled if it is
-        known to reach all or nothing of the face in the cell.
+        For each pair, the radiance due to unsettled lights.  A light is settled if it is known to
+        reach all or nothing of the face in the cell.
     is_skipped : (c,) bool array
-        Cells for which no sample is traced.  Their mean is half of `max_radiance`, with the same
-        error.  Cells without radiance, or with too many edges, are skipped, too.
+        Cells to skip: no sample is traced in them, and their mean is half of `max_radiance`, with
+        an error of the same amount.  Black cells, and cells with too many edges, are skipped, too.
 
     Returns
     -------
@@ -190,31 +190,31 @@ def estimate_means(
     """
     cells, cell_count = analysis.cells, analysis.cells.x.size
     max_radiance = _bound_radiance(cells, contributions)
-    edges = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
-    has_many_edges = np.bincount(edges.cell, minlength=cell_count) > _MAX_LINES
+    all_strips = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
+    has_many_edges = np.bincount(all_strips.cell, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
     is_skipped = is_skipped | has_many_edges | is_black
-    lines = edges.take(~is_skipped[edges.cell])
-    sampled, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
-    regions = divide_into_regions(lines._replace(cell=new_index[lines.cell]), sampled.size)
-    regions = regions._replace(cell=sampled[regions.cell])
-    doubt = _bound_doubt(lines, regions, cell_count)
+    strips = all_strips.take(~is_skipped[all_strips.cell])
+    sampled_cell, new_cell = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
+    regions = divide_into_regions(strips._replace(cell=new_cell[strips.cell]), sampled_cell.size)
+    regions = regions._replace(cell=sampled_cell[regions.cell])
+    doubt = _bound_doubts(strips, regions, cell_count)
     radiance = _enclose_regions(analysis, contributions, regions)
     region_mean = (radiance.coef[:UNKNOWN] * regions.mean[:, None]).sum(axis=0)
-    max_difference = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
-    region_error = np.minimum(radiance.radius + doubt, max_difference).max(axis=0)
-    weighted = regions.area * region_mean
-    mean = np.array([sum_by_index(regions.cell, channel, cell_count) for channel in weighted])
+    max_error = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
+    region_error = np.minimum(radiance.radius + doubt, max_error).max(axis=0)
+    weighted_mean = regions.area * region_mean
+    mean = np.array([sum_by_index(regions.cell, channel, cell_count) for channel in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
     cell_error = sum_by_index(regions.cell, regions.area * region_error, cell_count)
-    cell_error += sum_by_index(lines.cell, lines.area * lines.jump, cell_count)
+    cell_error += sum_by_index(strips.cell, strips.area * strips.jump, cell_count)
     cell_error[is_skipped] = np.inf
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
-    return CellEstimates(lines, regions, radiance, doubt, max_radiance, mean, cell_error)
+    return CellEstimates(strips, regions, radiance, doubt, max_radiance, mean, cell_error)
 
 
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
-    """Compute an upper bound on the radiance in each cell, from its faces under all lights.
+    """Compute an upper bound on the radiance in each cell, as if all unsettled lights reached it.
 
     A light is settled for a face in a cell if it is known to reach all or nothing of the face in
     the cell.
@@ -222,19 +222,19 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     Parameters
     ----------
     cells : Cells
-        The c cells, with the radiance that settled lights add to each face.
+        The c cells, with the radiance of each face due to settled lights.
     contributions : Contributions
-        The radiance that each light that is not settled adds to a face at lit points.
+        The radiance that each unsettled light adds to a face where it reaches the face.
 
     Returns
     -------
     max_radiance : (3, c) float array
-        Upper bounds in each channel: the maximum over the faces of the cell, or 0 without a face.
+        Upper bounds in each channel: the maximum over the faces of the cell, or 0 if there is none.
     """
-    bound_of_pair, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
-    add_at_sorted_index(bound_of_pair, contributions.pair, contributions.radiance.max_abs)
-    for channel, bound in zip(max_radiance, bound_of_pair, strict=True):
-        np.maximum.at(channel, cells.pair_cell, bound)
+    pair_bound, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
+    add_at_sorted_index(pair_bound, contributions.pair, contributions.radiance.max_abs)
+    for channel, channel_bound in zip(max_radiance, pair_bound, strict=True):
+        np.maximum.at(channel, cells.pair_cell, channel_bound)
     return max_radiance
 
 
@@ -244,46 +244,48 @@ def _enclose_edges(
     """Enclose each edge in a strip, and bound the jump (change of radiance) across the edge.
 
     A strip is the part of a cell between two parallel lines.  An edge lies where an edge function
-    is zero.
+    is zero.  A light is settled for a face in a cell if it is known to reach all or nothing of the
+    face there.
 
     Parameters
     ----------
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        Radiance of all lights that are not settled (not known to reach all or nothing of a face in
-        a cell).  It bounds the jumps at the edges of shadows.
+        The radiance due to unsettled lights, which bounds the jumps at shadow edges.
     max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell.  It bounds the jumps at the outlines of faces.
+        Upper bound on the radiance in each cell, which bounds the jumps at all other edges.
     is_skipped : (c,) bool array
-        Cells whose edges are omitted.
+        Cells whose edges are ignored.
 
     Returns
     -------
     strips : Strips
-        The strips, sorted by cell.  Edges without a jump are omitted.
+        The strips, sorted by cell.  Edges without a jump get no strip.
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
     pair, light, functions = analysis.edge_functions()
+    # A number that identifies each contribution.
     keys = contributions.pair * light_count + contributions.light
     position, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
-    # The last element is for lights without a contribution.
-    jump_of_light = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
-    jump = np.where(light < 0, max_radiance.max(axis=0)[cell], jump_of_light)
-    index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
-    return enclose_in_strips(cell[index], functions[index], jump[index])
+    # Position -1 selects the appended 0, for lights without a contribution.
+    light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
+    jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
+    kept = np.flatnonzero((jump > 0) & ~is_skipped[cell])
+    return enclose_in_strips(cell[kept], functions[kept], jump[kept])
 
 
-def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the error in a region's radiance that arises if its sample lies in a strip.
+def _bound_doubts(strips: Strips, regions: Regions, cell_count: int) -> Floats:
+    """Bound the error of each region's radiance due to a sample that lies in a strip.
 
     A strip is the part of a cell between two parallel lines that enclose an edge.  Each region is
     shaded by one sample at its centroid.  If the centroid is in a strip, the sample may be on the
-    wrong side of the edge.  Then the whole region may be wrong by the jump of radiance there.
+    wrong side of the edge.  Then the whole region may be wrong by the jump of radiance across the
+    edge.
 
     Parameters
     ----------
-    lines : Strips
+    strips : Strips
         The strips whose centre lines divide cells into regions, sorted by cell.
     regions : Regions
         The n regions.
@@ -297,12 +299,12 @@ def _bound_doubt(lines: Strips, regions: Regions, cell_count: int) -> Floats:
         the region is so small that rounding errors make its centroid unknown.
     """
     _, x, y, *_ = regions.mean
-    first_line = lines.cell.searchsorted(np.arange(cell_count + 1))
-    length = np.diff(first_line)[regions.cell]
-    region, line = list_segment_elements(length, first_line[regions.cell])
-    distance = np.abs(lines.a[line] * x[region] + lines.b[line] * y[region] + lines.c[line])
-    is_in_strip = distance <= lines.half_width[line]
-    doubt = sum_by_index(region, is_in_strip * lines.jump[line], x.size)
+    strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
+    strip_count = np.diff(strip_start)[regions.cell]
+    region, strip = list_segment_elements(strip_count, strip_start[regions.cell])
+    distance = np.abs(strips.a[strip] * x[region] + strips.b[strip] * y[region] + strips.c[strip])
+    is_in_strip = distance <= strips.half_width[strip]
+    doubt = sum_by_index(region, is_in_strip * strips.jump[strip], x.size)
     doubt[regions.area < MIN_AREA] = np.inf
     return doubt
 
@@ -320,15 +322,15 @@ def _enclose_regions(
     analysis : CellAnalysis
         The cells, with the radiance of settled lights.
     contributions : Contributions
-        Radiance of all lights that are not settled.
+        The radiance due to all unsettled lights.
     regions : Regions
         The n regions of the cells.
 
     Returns
     -------
     radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance of the visible face from all settled lights, and from
-        those other lights that reach the centroid.  Regions that show the background have zeros.
+        Enclosures (8, 3, n) of the radiance of the visible face due to all settled lights, and to
+        the unsettled lights that reach the centroid; zeros where the background is visible.
 
     Raises
     ------
@@ -336,21 +338,20 @@ def _enclose_regions(
         If a sample shows a face that the cell rules out.
     """
     _, x, y, *_ = regions.mean
-    pair, is_lit = _trace_centroids(analysis, regions.cell, x, y)
+    pair, is_lit = _trace_samples(analysis, regions.cell, x, y)
     radiance = analysis.cells.radiance[pair].coef
     radiance[..., pair < 0] = 0
     light_count = analysis.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
+    # A number that identifies each contribution.
     keys = contributions.pair * light_count + contributions.light
     position = find_in_sorted(keys, pair[region] * light_count + light)
     add_at_sorted_index(radiance, region, contributions.radiance[position].coef)
     return Enclosures(radiance)
 
 
-def _trace_centroids(
-    analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats
-) -> tuple[Ints, Bools]:
-    """Trace samples in cells: find the face that each one shows, and the lights that reach it.
+def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
+    """Trace samples in cells, to find the face that each one shows and the lights that reach it.
 
     A pair is one face that may be visible in one cell.  A light is settled for a pair if it is
     known to reach all or nothing of the face in the cell.
@@ -362,14 +363,14 @@ def _trace_centroids(
     cell : (n,) int array
         The cell of each sample.
     x, y : (n,) float arrays
-        Position of each sample in its cell, from -1 to 1.
+        Position of each sample in its cell, in coordinates from -1 to 1.
 
     Returns
     -------
     pair : (n,) int array
         For each sample, the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether the light reaches the visible point of the sample; False for settled lights and for
+        Whether the light reaches the visible point of the sample; False for settled lights, and on
         the background.
 
     Raises
@@ -377,11 +378,11 @@ def _trace_centroids(
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    cells, faces, half = analysis.cells, analysis.faces, analysis.cells.width / 2
-    hits, sample, face = faces.trace_samples(cells.x[cell] + half * x, cells.y[cell] + half * y)
-    keys = cells.pair_cell * faces.object_index.size + cells.pair_face
-    order, pair = keys.argsort(), np.full(cell.size, -1)
-    position = find_in_sorted(keys[order], cell[sample] * faces.object_index.size + face)
+    cells, faces, scale = analysis.cells, analysis.faces, analysis.cells.width / 2
+    hits, sample, face = faces.trace_samples(cells.x[cell] + scale * x, cells.y[cell] + scale * y)
+    pair_keys = cells.pair_cell * faces.object_index.size + cells.pair_face
+    order, pair = pair_keys.argsort(), np.full(cell.size, -1)
+    position = find_in_sorted(pair_keys[order], cell[sample] * faces.object_index.size + face)
     if (position < 0).any():
         message = "a sample contradicts its cell: the certificate or the tracer is wrong"
         raise RuntimeError(message)
@@ -392,31 +393,31 @@ def _trace_centroids(
 
 
 class _Picture:
-    """A picture to which cells are added when their mean radiance is known accurately enough.
+    """A picture to which cells are added once their mean radiance is known accurately enough.
 
     Attributes
     ----------
     faces : Faces
         The spheres and the sides of boxes in the scene.
-    error : float
+    permitted_error : float
         Permitted error of each pixel's mean radiance.
     image : (3, rows, columns) float array
-        For each pixel, the sum of the mean radiance of its finished cells, weighted by their areas.
-        Cells may reach beyond the picture, so there are `MAX_WIDTH` more rows and columns.
+        For each pixel, the sum of the mean radiance of its finished cells, weighted by area.  Cells
+        may extend beyond the picture, so there are `MAX_WIDTH` more rows and columns.
     bound : (rows, columns) float array
         Upper bound on the error of `image` in any channel.
     cell_count : int
-        Number of cells that were examined.
+        Number of cells examined so far.
     """
 
-    def __init__(self, scene: Scene, error: float) -> None:
-        """Prepare a scene for certification, and make a black picture.
+    def __init__(self, scene: Scene, permitted_error: float) -> None:
+        """Prepare a scene for certification, and create a black picture.
 
         Parameters
         ----------
         scene : Scene
             The scene.
-        error : float
+        permitted_error : float
             Permitted error of each pixel's mean radiance.
 
         Raises
@@ -424,12 +425,12 @@ class _Picture:
         ValueError
             If the eye is on a surface, or a light is too far away.
         """
-        self.faces, self.error, self.cell_count = Faces(scene), error, 0
+        self.faces, self.permitted_error, self.cell_count = Faces(scene), permitted_error, 0
         size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
-        """Divide cells into two groups if their arrays are too large for one batch.
+        """Divide the cells into two groups if they are too many for one batch.
 
         Parameters
         ----------
@@ -451,16 +452,21 @@ class _Picture:
         return groups if is_below_median.any() else [cells]
 
     def pixel_index(self, cells: Cells) -> Ints:
-        """Return, for each of c cells, the pixel that contains it.
+        """Find the pixel that contains each of c cells.
+
+        Parameters
+        ----------
+        cells : Cells
+            The cells.
 
         Returns
         -------
         pixel : (c,) int array
-            Indices into the flat array `bound`.  For a cell that covers several pixels, the upper
-            left one.
+            Indices into the flattened array `bound`.  For a cell that covers several pixels, the
+            index of the upper left one.
         """
-        half = cells.width / 2 if cells.width > 1 else 0
-        row, column = (np.floor(center - half).astype(np.intp) for center in (cells.y, cells.x))
+        shift = cells.width / 2 if cells.width > 1 else 0
+        row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
     def add(self, cells: Cells, index: Ints, radiance: Enclosures) -> None:
@@ -469,7 +475,7 @@ class _Picture:
         Parameters
         ----------
         cells : Cells
-            Cells, which may be narrower or wider than a pixel.
+            Cells narrower than a pixel, as wide, or wider.
         index : (n,) int array
             Indices of the finished cells in `cells`.
         radiance : Enclosures
@@ -480,12 +486,12 @@ class _Picture:
         row, column = np.divmod(upper_left, self.bound.shape[1])
         down, across = np.indices((pixels_across, pixels_across))
         pixel = row + down, column + across
-        # Means of the powers of X and Y over each pixel of a cell: X^2 varies about its centre.
-        x, y = ((2 * number + 1) / pixels_across - 1 for number in (across, down))
+        # Means of 1, X, Y, X^2, X Y and Y^2 over each pixel of a cell, or over a smaller cell.
+        x, y = ((2 * offset + 1) / pixels_across - 1 for offset in (across, down))
         variance = 1 / (3 * pixels_across * pixels_across)
-        mean = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
+        means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixel, area * np.tensordot(coef[:UNKNOWN], mean, ((0,), (0,))))
+            np.add.at(channel, pixel, area * np.tensordot(coef[:UNKNOWN], means, ((0,), (0,))))
         np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
@@ -498,12 +504,12 @@ class _Picture:
         Parameters
         ----------
         cells : Cells
-            Cells of which no part has been added to the picture.
+            Cells that have not been added to the picture, not even in part.
 
         Returns
         -------
         pending : Cells
-            The cells that must be divided, without pairs and triples that proved to be irrelevant.
+            The cells that must be divided, without pairs and triples that proved irrelevant.
 
         Raises
         ------
@@ -514,10 +520,11 @@ class _Picture:
         analysis = CellAnalysis(self.faces, cells)
         cells = analysis.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
-        is_pending = pair_count > 0  # other cells are black
+        is_pending = pair_count > 0  # cells without pairs are black
         is_alone = pair_count[cells.pair_cell] == 1
         fills_cell = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
-        contributions = analysis.shade(fills_cell | (cells.width <= 1), _SETTLED_ERROR * self.error)
+        error = _SETTLED_ERROR * self.permitted_error
+        contributions = analysis.shade(fills_cell | (cells.width <= 1), error)
         smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[smooth]] = False
         self.add(cells, cells.pair_cell[smooth], cells.radiance[smooth])
@@ -525,20 +532,20 @@ class _Picture:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_accurate = self.is_accurate(cells, estimates.error, is_pending)
             finished = np.flatnonzero(is_pending & is_accurate)
-            mean, error = estimates.mean[:, finished], estimates.error[finished]
-            self.add(cells, finished, enclose_constants(mean, error))
+            mean = enclose_constants(estimates.mean[:, finished], estimates.error[finished])
+            self.add(cells, finished, mean)
             is_pending[finished] = False
         return cells.select_cells(is_pending)
 
     def is_accurate(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
-        """Decide which cells are accurate enough, so that they need not be divided.
+        """Decide which cells are accurate enough to be added without further division.
 
         A cell is accurate enough if one of these is true:
 
         1.  If all pending cells of its pixel were added now, the pixel's error would be within the
            limit.
-        2.  Its error is at most the average error that is still permitted to the pending cells of
-           its pixel.
+        2.  Its error is at most the average error still permitted in the pending cells of its
+            pixel.
         3.  It has the minimum width, or its pixel has at least `_MAX_PENDING_CELLS` cells in
            `cells`.
 
@@ -549,21 +556,21 @@ class _Picture:
         error : (c,) float array
             Bound on the error of each cell's mean radiance, in any channel.
         is_pending : (c,) bool array
-            The cells that have not been added to the picture.
+            Whether the cell has not been added to the picture.
 
         Returns
         -------
         is_accurate : (c,) bool array
             Whether the cell is accurate enough.
         """
-        weight = is_pending * np.float64(cells.width**2)
-        pixel, index = np.unique(self.pixel_index(cells), return_inverse=True)
-        remaining = self.error - self.bound.reshape(-1)[pixel]
-        total_error = sum_by_index(index, weight * error, pixel.size)
-        average_error = remaining / sum_by_index(index, weight, pixel.size)
-        max_error = np.where(total_error <= remaining, np.inf, average_error)
-        max_error[np.bincount(index) >= _MAX_PENDING_CELLS] = np.inf
-        return np.asarray((error <= max_error[index]) | (cells.width <= _MIN_WIDTH))
+        area = is_pending * np.float64(cells.width**2)
+        pixel, pixel_number = np.unique(self.pixel_index(cells), return_inverse=True)
+        remaining_error = self.permitted_error - self.bound.reshape(-1)[pixel]
+        total_error = sum_by_index(pixel_number, area * error, pixel.size)
+        average_error = remaining_error / sum_by_index(pixel_number, area, pixel.size)
+        max_error = np.where(total_error <= remaining_error, np.inf, average_error)
+        max_error[np.bincount(pixel_number) >= _MAX_PENDING_CELLS] = np.inf
+        return np.asarray((error <= max_error[pixel_number]) | (cells.width <= _MIN_WIDTH))
 
 
 @np.errstate(all="ignore")
@@ -580,10 +587,10 @@ def certify(
     scene : Scene
         The scene.
     error : float
-        Permitted error of a pixel's mean, in linear radiance; more than 0.  Pixels in which edges
-        touch each other may exceed it: see `Certificate.error`.
+        Permitted error of each pixel's mean linear radiance; more than 0.  Pixels where edges touch
+        each other may exceed it: see `Certificate.error`.
     progress : callable
-        Called repeatedly, with the fraction of the picture that is finished.
+        Called repeatedly with the finished fraction of the picture.
 
     Returns
     -------
@@ -594,9 +601,9 @@ def certify(
     ------
     ValueError
         If (1) `error` is not positive, (2) the eye is on a surface, or (3) a light is more than
-        1e14 times as far away as an object is large.
+        1e14 times as far away as the smallest object is large.
     RuntimeError
-        If a sample contradicts the bounds, so that the certificate or the tracer is wrong.
+        If a sample contradicts the bounds, which means that the certificate or the tracer is wrong.
     """
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")
@@ -615,7 +622,7 @@ def certify(
         if pending.x.size:
             stack.append(pending)
     size = slice(scene.height), slice(scene.width)
-    # Radiance is never negative, but a sum of enclosures may be, by a rounding error.
+    # Radiance is never negative, but rounding errors can make a sum of enclosures negative.
     image = picture.image[(slice(None), *size)].transpose(1, 2, 0).copy().clip(0)
     bound = picture.bound[size][:, :, None] + _ROUNDING * image.max(initial=0)
     return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cell_count)

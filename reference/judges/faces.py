@@ -1,4 +1,4 @@
-"""The scene as the certificate needs it: faces, lights and shadows, in the camera's axes.
+"""Describe a scene for the certificate: faces, lights and shadows, in the camera's axes.
 
 Which functions decide what a pixel shows, and how can they be bounded?  A *face* is a sphere, or a
 rectangular side of a box.  Everything that the certificate needs to know about a face is linear or
@@ -12,15 +12,15 @@ quadratic in the direction of a camera ray, if it is divided by the distance:
 
   For a plane e.x = l, 1 / t = k.d with k = e / l, and s = 0.
 - A *half-space* is the set of points x with n.x + b >= 0.  The point t d is inside if
-  n.d + b / t >= 0.  A half-space is stored as five numbers: n, b, and the size of the terms of
-  which b is a sum, for bounds on rounding errors.
+  n.d + b / t >= 0.  A half-space is stored as five numbers: n, b, and the sum of the absolute
+  values of the terms of b, from which rounding errors are bounded.
 - The height of a light at q above the tangent plane of a face, divided by t, is also of the form
   n.d + b / t.  The normal of a sphere is g (t d - c) / r, with g = 1 outside and g = -1 inside.
   With t^2 d^2 = 2 t c.d - p follow n = g (q - c) / r and b = g (p - c.q) / r.  Above a rectangle,
   n = 0.
 
-This module is the only one in the certificate that uses internals of the tracer: the prepared
-scene, its light grid, and single samples.  From a sample, the certificate uses only *which* face is
+In the certificate, only this module uses internals of the tracer: the prepared scene, its light
+grid, and single samples.  From a sample, the certificate uses only *which* face is
 visible and *which* lights reach it, never the radiance.
 """
 
@@ -57,7 +57,8 @@ class Faces:
     d|^2).
 
     A half-space is the set of points x with n.x + b >= 0.  It is stored as five numbers: the three
-    components of n, then b, then a bound on the size of the terms that were added up to compute b.
+    components of n, then b, then a bound on the absolute values of the terms that were added up to
+    b.
 
     Attributes
     ----------
@@ -78,28 +79,28 @@ class Faces:
     is_planar : (f,) bool array
         Whether the face is a side of a box.
     may_be_visible : (f,) bool array
-        Whether the face is visible from the eye, apart from other objects that may hide it.
+        Whether the face would be visible from the eye if no other object hid it.
     sheet_face : (n,) int array
-        For a box without extent along one axis, its only face with area that may be visible; for
-        other objects, -1.
+        For a sheet (a box without extent along one axis), its only face that has area and may be
+        visible; for other objects, -1.
     plane_id : (2, f) float array
-        Two numbers that identify the plane of a face: only faces in the same plane have the same
-        two.  If two of them overlap, the first in the scene file is visible.
+        Two numbers that identify the plane of a face, equal only for faces in the same plane.  If
+        two such faces overlap, the first in the scene file is visible.
     linear_coef, root_coef : (3, f) and (f,) float arrays
-        Coefficients k and w of the inverse distance, see above.  For a side of a box, w = 0.
+        Coefficients k and w of the inverse distance (see above).  For a side of a box, w = 0.
     equation : (5, f) float array
         For a side of a box, the half-space beyond its plane.  For a sphere, the part of its
         equation that differs from the equations of other spheres, -2 c.x + p = 0 without x^2.
     height_half_space : (5, m + 1, f) float array
-        For each light, and last for the eye: the half-space whose function n.d + b / t is the
-        height above the tangent plane of the face, divided by t.
+        For each light, and last for the eye, the half-space whose function n.d + b / t is the
+        height of the light or eye above the tangent plane of the face, divided by t.
     rim_half_spaces : (5, 4, f) float array
         Four half-spaces whose intersection with the plane of a side of a box is this side.
     bounding_box : (2, 3, f) float array
         Lower and upper corners of the bounding boxes of the faces' objects, in the scene's axes.
     is_unlit : (m, f) bool array
-        Whether a light reaches no visible point of the face, because it is (1) outside an object
-        around the eye, (2) inside any other object, or (3) behind the face's plane.
+        Whether the light reaches no visible point of the face, because the light is (1) outside an
+        object that contains the eye, (2) inside any other object, or (3) behind the face's plane.
     to_center : (3, m, spheres) float array
         Vectors from the lights to the spheres' centres.
     shadow_volume : (5, 9, m, boxes) float array
@@ -107,9 +108,9 @@ class Faces:
         behind the planes that face the light.  The other six are inside planes through the light
         and the box's silhouette.
     has_shadow_edge : (9, m, boxes) bool array
-        Whether the plane of the half-space may be an edge of the shadow.  A plane that faces the
-        light is no edge, unless the light is on it: where the shadow volume meets it, it meets the
-        box.
+        Whether the shadow may have an edge in the plane of the half-space.  A plane that faces the
+        light contains no edge unless the light is on it: where the shadow volume touches such a
+        plane, it touches the box.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -138,84 +139,92 @@ class Faces:
         is_on_box = is_eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.eye_power == 0) or is_on_box.any():
             raise ValueError("the eye is on a surface; move it off")
-        sizes = np.append(spheres.radius, (boxes.max_pt - boxes.min_pt).ravel())
-        max_distance = _MAX_LIGHT_DISTANCE * sizes[sizes > 0].min(initial=np.inf)
+        lengths = np.append(spheres.radius, (boxes.max_pt - boxes.min_pt).ravel())
+        max_distance = _MAX_LIGHT_DISTANCE * lengths[lengths > 0].min(initial=np.inf)
         if np.abs(self.light_position).max(initial=0) > max_distance:
             distance = f"more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object is large"
             raise ValueError(f"a light is {distance}; move it closer")
         self._set_face_attributes(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._set_shadow_volumes(low, high)
-        # A light on a side of a box counts as outside.  But with the eye in the box, it reaches
-        # other objects in the box.
+        # `side` is positive outside an object, and negative inside.  A light on a side of a box
+        # counts as outside.  But if the eye is in the box, the light reaches other objects in the
+        # box.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
-        box = boxes.objects.indices()
-        side[:, box] *= boxes.signed_distance(box, (x, y, z)) != 0
+        box_index = boxes.objects.indices()
+        side[:, box_index] *= boxes.signed_distance(box_index, (x, y, z)) != 0
         is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
-        # It does not reach the box itself, whose sides are seen from within.
+        # Such a light does not reach the box itself, whose sides are seen from within.
         is_unlit = is_enclosed | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
-        """Set all attributes with one item per face (a sphere, or a side of a box).
+        """Set the attributes that have one item per face (a sphere, or a side of a box).
+
+        Let c be the centre of a sphere, r its radius, and q a light or the eye, all relative to the
+        eye.  Let g be 1 if the eye is outside the sphere, and -1 if it is inside.  A ray with
+        direction d meets the sphere at t d.  The height of q above the tangent plane there, divided
+        by t, is n.d + b / t with n = g (q - c) / r and b = g (power - c.q) / r, where the power of
+        the eye is |c|^2 - r^2.
 
         Parameters
         ----------
         low, high : (3, boxes) float arrays
             Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
-        prepared, axes, n = self.prepared, self.frame.axes, self.sphere_count
+        prepared, axes, sphere_count = self.prepared, self.frame.axes, self.sphere_count
         c, r, power = self.center, self.radius, self.eye_power
-        # Lights, then the eye.
+        # The lights, then the eye.
         points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
-        points = points[:, :, None, None]
         q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
-        g, c_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
-        b, size = power - c_q.sum(axis=0), np.abs(power) + np.abs(c_q).sum(axis=0)
-        sphere_height = np.array([*(g * (q - c[:, None])), g * b, size]) / r
-        # Arrays of boxes have three axes: along x, y or z; low or high side; number of the box.
-        corner = np.stack([low, high], axis=1)
+        g, c_times_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
+        b, b_size = power - c_times_q.sum(axis=0), np.abs(power) + np.abs(c_times_q).sum(axis=0)
+        sphere_height = np.array([*(g * (q - c[:, None])), g * b, b_size]) / r
+        # The last axes of all arrays for boxes: x, y or z; low or high side; index of the box.
+        offset = np.stack([low, high], axis=1)
         position = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
-        inward = np.where(prepared.is_eye_inside[n:], 1, -1) * [[-1], [1]]
+        inward = np.where(prepared.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
-        above = np.sign(corner) * (position - points)
-        side_height = np.array([*np.zeros((3, *above.shape)), above, np.abs(above)])
-        side = np.empty((5, *corner.shape))  # half-spaces whose intersection is the box
-        side[:3] = axes[:, :, None, None] * [[1], [-1]]
-        side[3:] = corner * [[-1], [1]], np.abs(corner)
-        rim = side[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
-        plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], position.shape), position])
+        height = np.sign(offset) * (position - points[:, :, None, None])
+        side_height = np.array([*np.zeros((3, *height.shape)), height, np.abs(height)])
+        half_space = np.empty((5, *offset.shape))  # half-spaces whose intersection is the box
+        half_space[:3] = axes[:, :, None, None] * [[1], [-1]]
+        half_space[3:] = offset * [[-1], [1]], np.abs(offset)
+        rim = half_space[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
+        side_plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], position.shape), position])
 
         def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
-            """Append values of boxes' sides to those of spheres, as a new array (..., f)."""
+            """Join the values of spheres and of box sides, as an array (..., f)."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), side)
-        self.linear_coef = append_sides(c / power, axes[:, :, None, None] / corner)
-        self.root_coef = append_sides(1 / power, 0 * corner)
+        self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), half_space)
+        self.linear_coef = append_sides(c / power, axes[:, :, None, None] / offset)
+        self.root_coef = append_sides(1 / power, 0 * offset)
         self.height_half_space = append_sides(sphere_height, side_height)
-        self.rim_half_spaces = append_sides(np.zeros((5, 4, n)), rim.repeat(2, axis=3))
-        self.plane_id = append_sides(np.array([np.full(n, 3), np.arange(n)]), plane)
-        box = np.broadcast_to(np.arange(n, self.object_count), corner.shape)
-        self.object_index = append_sides(np.arange(n), box)
-        self.is_planar = self.object_index >= n
-        sphere_box = np.array([prepared.spheres.center - r, prepared.spheres.center + r])
-        object_box = np.append(sphere_box, position.swapaxes(0, 1), axis=2)
-        self.bounding_box = object_box[:, :, self.object_index]
-        may_be_visible = append_sides(np.ones(n, np.bool_), (corner * inward > 0) & has_area)
+        self.rim_half_spaces = append_sides(np.zeros((5, 4, sphere_count)), rim.repeat(2, axis=3))
+        sphere_index = np.arange(sphere_count)
+        sphere_plane = np.array([np.full(sphere_count, 3), sphere_index])
+        self.plane_id = append_sides(sphere_plane, side_plane)
+        box_index = np.broadcast_to(np.arange(sphere_count, self.object_count), offset.shape)
+        self.object_index = append_sides(sphere_index, box_index)
+        self.is_planar = self.object_index >= sphere_count
+        sphere_bounds = np.array([prepared.spheres.center - r, prepared.spheres.center + r])
+        object_bounds = np.append(sphere_bounds, position.swapaxes(0, 1), axis=2)
+        self.bounding_box = object_bounds[:, :, self.object_index]
+        may_be_visible = append_sides(np.full(sphere_count, True), (offset * inward > 0) & has_area)
         self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
-        is_sheet = np.append(np.zeros(n, np.bool_), ~has_extent.all(axis=0))
-        face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
+        is_sheet = np.append(np.zeros(sphere_count, np.bool_), ~has_extent.all(axis=0))
+        sheet_face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
         self.sheet_face = np.full(self.object_count, -1)
-        self.sheet_face[self.object_index[face]] = face
+        self.sheet_face[self.object_index[sheet_face]] = sheet_face
 
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
-        """Set the attributes `shadow_volume` and `has_shadow_edge`, for each box and light.
+        """Set the attributes `shadow_volume` and `has_shadow_edge` for each box and light.
 
         Each half-space n.x + b >= 0 touches its box: the minimum of n.x over the box's corners is
-        -b.  The corners are relative to the eye, not to the light, so that nothing cancels in n.x,
-        however distant the light is.
+        -b.  The corners x are relative to the eye, not to the light, so that nothing cancels in
+        n.x, however distant the light is.
 
         Parameters
         ----------
@@ -224,25 +233,25 @@ class Faces:
         """
         lights = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
         low, high = low[:, None], high[:, None]
-        a, b = low - lights, high - lights
-        cone = np.array(silhouette_planes(a.reshape(3, -1), b.reshape(3, -1)))
-        is_edge_on, is_on_plane = (a == 0) & (b == 0), (a == 0) | (b == 0)
-        side = np.where(is_edge_on, 0, np.where(a >= 0, 1, np.where(b <= 0, -1, 0)))
-        front_side = np.eye(3)[:, :, None, None] * side
-        n = np.append(front_side, cone.reshape(3, 6, *a.shape[1:]), axis=1)
-        dots = np.array([n * low[:, None], n * high[:, None]])
-        offset, size = -dots.min(axis=0).sum(axis=0), np.abs(dots).max(axis=0).sum(axis=0)
-        offset[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
-        u, v, w = self.frame.vector_to_camera((n[0], n[1], n[2]))
-        self.shadow_volume = np.array([u, v, w, offset, size])
+        to_low, to_high = low - lights, high - lights
+        cone_normal = np.array(silhouette_planes(to_low.reshape(3, -1), to_high.reshape(3, -1)))
+        is_edge_on, is_on_plane = (to_low == 0) & (to_high == 0), (to_low == 0) | (to_high == 0)
+        side_sign = np.where(is_edge_on, 0, np.where(to_low >= 0, 1, np.where(to_high <= 0, -1, 0)))
+        side_normal = np.eye(3)[:, :, None, None] * side_sign
+        normal = np.append(side_normal, cone_normal.reshape(3, 6, *to_low.shape[1:]), axis=1)
+        products = np.array([normal * low[:, None], normal * high[:, None]])
+        b, b_size = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
+        b[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
+        u, v, w = self.frame.vector_to_camera((normal[0], normal[1], normal[2]))
+        self.shadow_volume = np.array([u, v, w, b, b_size])
         cone_edges = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
         self.has_shadow_edge = np.append(is_on_plane, cone_edges, axis=0)
 
     def find_occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
-        """List the objects that may block light on its way to parts of faces.
+        """List the objects that may block light from parts of faces.
 
-        A face is a sphere or a side of a box.  The tracer's light grid, which lists objects by
-        their directions from a light, finds those between a part of a face and the light.
+        A face is a sphere or a side of a box.  The search uses the tracer's light grid, which lists
+        objects by their direction from each light.
 
         Parameters
         ----------
@@ -251,7 +260,7 @@ class Faces:
         face : (k,) int array
             The face of each part.
         active : (m, k) bool array
-            The pairs of a light and a part for which to search.
+            For which (light, part) pairs to search.
 
         Returns
         -------
@@ -265,13 +274,13 @@ class Faces:
         if grid is not None and active.any():
             triples = grid.query(center, half_size[:, None], self.object_index[face], active)
             for light, part_index, occluder in triples:
-                key = np.ravel_multi_index((part_index, light, occluder), shape)
-                keys.append(key[may_block[occluder]])
-        # The grid may find an object in several octants, so duplicates are removed.
+                triple_key = np.ravel_multi_index((part_index, light, occluder), shape)
+                keys.append(triple_key[may_block[occluder]])
+        # The grid may find an object in several octants, so remove duplicates.
         return np.array(np.unravel_index(np.unique(np.concatenate(keys)), shape))
 
     def trace_samples(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
-        """Find the faces that are visible at positions in the picture, by tracing camera rays.
+        """Trace camera rays to find the faces visible at given positions in the picture.
 
         Parameters
         ----------
@@ -281,7 +290,7 @@ class Faces:
         Returns
         -------
         hits : Hits
-            The h nearest intersections.  A ray that meets no object has none.
+            The nearest intersection of each of the h rays that meet an object.
         sample : (h,) int array
             The ray of each hit, as an index into `x`.
         face : (h,) int array
@@ -296,19 +305,19 @@ class Faces:
             side = 2 * group.face + is_high_side
             side = group.run_object + group.shape.is_planar * box_count * side
             face[group.interval] = group.repeat_runs(side)
-        # A ray through the rim of a sheet may hit a side that has no area.
+        # A ray through the rim of a sheet may hit a side without area.
         sheet_face = self.sheet_face[self.object_index[face]]
         return hits, order[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
 
     def is_lit(self, hits: Hits, active: Bools) -> Bools:
-        """Test which lights reach hits (points where camera rays meet objects), by shadow rays.
+        """Test which lights reach each hit (a point where a camera ray meets a face).
 
         Parameters
         ----------
         hits : Hits
             The h hits.
         active : (m, h) bool array
-            The pairs of a light and a hit to test.
+            Which (light, hit) pairs to test.
 
         Returns
         -------

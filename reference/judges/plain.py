@@ -1,22 +1,22 @@
-"""Render scenes by the plainest means: every ray against every object.  Read this module first.
+"""Render scenes in the plainest way: test every ray against every object.  Read this module first.
 
-The problem: what should a picture look like, exactly?  This renderer answers without any code of
-the tracer but the scene's description, so that the two can be compared.  All formulas of the format
-are repeated here on purpose: a reference that shares code with what it validates would repeat its
-errors.
+The problem: what exactly should a picture look like?  This renderer answers without any code of the
+tracer except the description of the scene, so that the two can be compared.  All formulas of the
+format are repeated here on purpose: a reference that shares code with what it validates would
+repeat its errors.
 
 The number type can be chosen:
 
 - Decimal numbers of 80 digits make this renderer the *oracle*.  Lengths that agree to 50 digits are
   treated as equal, because the scene's own numbers have 16 digits.  So contact and ties are decided
   exactly.
-- Float32, the quadratic formula of textbooks, or shadow rays with an epsilon show how usual ray
+- Float32, the textbook quadratic formula, or shadow rays with an epsilon show how common ray
   tracers fail (see `reference.stability`).
 
-Visibility: the closest intersection with t > 0 along the camera ray is visible.  Among equally
-close ones, that of the first object in the file is visible and, on one box, that of the side along
-the first axis.  If the eye is inside an object, or on its surface, the far intersection is used,
-and the normal points inwards.
+Visibility: the closest intersection with t > 0 along the camera ray is visible.  If several are
+equally close, the one on the first object in the file is visible and, on a single box, the one on
+the side along the first axis.  If the eye is inside an object, or on its surface, the far
+intersection is used, and the normal points inwards.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from numpy.typing import ArrayLike, NDArray
 from tracer import Phong, Scene, Sphere
 
 Array: TypeAlias = NDArray[Any]
-"""Numbers of any type: float32, float64, or Decimal objects.  Vectors are (3, n)."""
+"""Array of numbers of any type: float32, float64, or Decimal objects.  Vectors are (3, n)."""
 
 Roots: TypeAlias = tuple[Array, Array]
-"""The smaller and the larger t of the points origin + t direction where rays meet a surface."""
+"""The smaller and the larger t at which each ray, origin + t direction, meets a surface."""
 
 _DECIMALS = decimal.Context(prec=80, Emax=decimal.MAX_EMAX, Emin=decimal.MIN_EMIN, traps=[])
 
@@ -45,17 +45,17 @@ ARITHMETICS: dict[str, tuple[Callable[[Any], Any], float]] = {
     "float32": (np.float32, 0),
     "decimal": (np.frompyfunc(Decimal, 1, 1), 1e-50),
 }
-"""For each number type, the function that converts numbers to it, and the length, relative to the
-scene's largest coordinate, up to which lengths are treated as 0."""
+"""For each number type, the function that converts numbers to it, and the ratio to the scene's
+largest coordinate up to which lengths are treated as 0."""
 
 
 def _dot(a: Array, b: Array) -> Any:
-    """Compute the dot product of each pair of vectors (3, n), in numbers of any type."""
+    """Compute the dot products of vectors (3, n) with numbers of any type."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _norm(vectors: Array) -> Any:
-    """Compute the length of each vector (3, n), in numbers of any type."""
+    """Compute the lengths of vectors (3, n) with numbers of any type."""
     return np.sqrt(_dot(vectors, vectors))
 
 
@@ -69,7 +69,7 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
 
     The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
     Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable
-    form of the roots does not cancel on huge spheres (Press et al., Numerical Recipes, 5.6).
+    form of the roots avoids cancellation on huge spheres (Press et al., Numerical Recipes, 5.6).
 
     Parameters
     ----------
@@ -84,16 +84,16 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
         t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
     to_center = center - origin
-    length2, along = _dot(direction, direction), _dot(to_center, direction)
-    perpendicular = to_center - along / length2 * direction
-    root = np.sqrt(length2 * (radius * radius - _dot(perpendicular, perpendicular)))
-    sum_without_cancellation = np.where(along < 0, along - root, along + root)
-    t = sum_without_cancellation / length2
-    other_t = (_dot(to_center, to_center) - radius * radius) / sum_without_cancellation
+    length2, projection = _dot(direction, direction), _dot(to_center, direction)
+    perpendicular = to_center - projection / length2 * direction
+    half_chord = np.sqrt(length2 * (radius * radius - _dot(perpendicular, perpendicular)))
+    stable_sum = np.where(projection < 0, projection - half_chord, projection + half_chord)
+    t = stable_sum / length2
+    other_t = (_dot(to_center, to_center) - radius * radius) / stable_sum
     return np.minimum(t, other_t), np.maximum(t, other_t)
 
 
-def intersect_by_textbook(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
+def intersect_by_formula(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
     """Intersect rays with a sphere by the quadratic formula, as most textbooks do.
 
     The error grows with the square of the distance from the origin to the sphere.
@@ -111,12 +111,13 @@ def intersect_by_textbook(origin: Array, direction: Array, center: Array, radius
         t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
     from_center = origin - center
-    constant = _dot(from_center, from_center) - radius * radius
-    return _quadratic_roots(_dot(direction, direction), 2 * _dot(from_center, direction), constant)
+    linear_coef = 2 * _dot(from_center, direction)
+    constant_term = _dot(from_center, from_center) - radius * radius
+    return _solve_quadratics(_dot(direction, direction), linear_coef, constant_term)
 
 
 def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula, with a square multiplied out.
+    """Intersect rays with a sphere by the quadratic formula, with one square multiplied out.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
     with the square of the distance from the ray's origin to the sphere, and with the square of the
@@ -135,12 +136,12 @@ def intersect_by_expansion(origin: Array, direction: Array, center: Array, radiu
         t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
     """
     distance2 = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
-    along = _dot(origin, direction) - _dot(center, direction)
-    return _quadratic_roots(_dot(direction, direction), 2 * along, distance2 - radius * radius)
+    linear_coef = 2 * (_dot(origin, direction) - _dot(center, direction))
+    return _solve_quadratics(_dot(direction, direction), linear_coef, distance2 - radius * radius)
 
 
-def _quadratic_roots(a: Array, b: Array, c: Array) -> Roots:
-    """Solve quadratic equations a t^2 + b t + c = 0 by the usual formula.
+def _solve_quadratics(a: Array, b: Array, c: Array) -> Roots:
+    """Solve the quadratic equations a t^2 + b t + c = 0 by the usual formula.
 
     Parameters
     ----------
@@ -152,16 +153,16 @@ def _quadratic_roots(a: Array, b: Array, c: Array) -> Roots:
     low, high : (n,) arrays
         The smaller and the larger solution; NaN if there is no real one.
     """
-    root = np.sqrt(b * b - 4 * a * c)
-    return (-b - root) / (2 * a), (-b + root) / (2 * a)
+    square_root = np.sqrt(b * b - 4 * a * c)
+    return (-b - square_root) / (2 * a), (-b + square_root) / (2 * a)
 
 
 SPHERE_METHODS = {
     "closest": intersect_by_projection,
-    "textbook": intersect_by_textbook,
+    "textbook": intersect_by_formula,
     "expanded": intersect_by_expansion,
 }
-"""Methods to intersect rays with a sphere."""
+"""Methods of intersecting rays with a sphere."""
 
 SHADOW_METHODS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
     "exact": lambda point, normal: (point, 0),
@@ -177,8 +178,8 @@ SHADOW_METHODS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
         0,
     ),
 }
-"""Methods to keep a point from shading itself: from points and normals (3, n), compute the origins
-(3, n) of the shadow rays, and the length up to which intersections are ignored.
+"""Methods of keeping a surface from shading its own points.  Each computes, from points and normals
+(3, n), the origins (3, n) of the shadow rays, and the length up to which intersections are ignored.
 
 The first method also skips the point's own object.  This is exact, because all objects are convex.
 """
@@ -189,7 +190,7 @@ _DEFAULTS |= {"shadow_method": "exact", "ties": "first"}
 
 
 class TracedRays(NamedTuple):
-    """Results for n camera rays: the visible surface, the lights that reach it, and its radiance.
+    """Results of n camera rays: the visible surface, the lights that reach it, and its radiance.
 
     Attributes
     ----------
@@ -207,19 +208,19 @@ class TracedRays(NamedTuple):
 
 
 class _PlainTracer:
-    """A scene converted to one number type, with the methods to trace rays through it.
+    """A scene converted to one number type, with methods to trace rays through it.
 
     Attributes
     ----------
     scene, surfaces : Scene, list of Surface
         The scene and its surfaces, in the order of the file.
     to_numbers : callable
-        Converts numbers, or arrays of them, to the number type.
+        Converts numbers, or arrays of numbers, to the number type.
     intersect_sphere, start_shadow_rays : callables
         The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
     skips_own_object, last_wins : bool
-        Whether a surface never shades its own points by the usual test (method "exact"); whether
-        the last of several equally close surfaces is visible, instead of the first.
+        Whether shadow rays skip the surface that they start from (method "exact"); whether the last
+        of several equally close surfaces is visible instead of the first.
     eye : (3, 1) array
         Position of the eye.
     light_positions : list of (3, 1) arrays
@@ -227,15 +228,15 @@ class _PlainTracer:
     is_sphere : list of bool
         Whether each surface is a sphere; others are boxes.
     shapes : list of pairs of arrays
-        For each surface, centre (3, 1) and radius (1, 1) of a sphere, or the lower and the upper
-        corner (3, 1) of a box.
+        For each surface, the centre (3, 1) and radius (1, 1) of a sphere, or the lower and upper
+        corners (3, 1) of a box.
     is_eye_inside : list of bool
-        For each surface, whether the eye is inside of it, or on it.
+        For each surface, whether the eye is inside it or on it.
     scene_size : number
         The largest absolute coordinate or radius in the scene.
     relative_tolerance : number
-        Lengths up to this, relative to another length, are treated as 0: 1e-50 in decimal numbers,
-        otherwise 0.
+        A length is treated as 0 if its ratio to another length is at most this: 1e-50 in decimal
+        numbers, otherwise 0.
     tolerance : number
         Lengths up to this are treated as 0: `relative_tolerance` times `scene_size`.
     """
@@ -243,7 +244,7 @@ class _PlainTracer:
     def __init__(
         self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to a number type, and choose the methods to trace it.
+        """Convert a scene to a number type, and choose the methods of tracing it.
 
         Parameters
         ----------
@@ -268,11 +269,11 @@ class _PlainTracer:
         self.eye = to_numbers(scene.camera.view_point)[:, None]
         self.light_positions = [to_numbers(light.position)[:, None] for light in scene.lights]
         self.is_sphere = [isinstance(surface, Sphere) for surface in self.surfaces]
-        pairs = [
-            (s.center, [s.radius]) if isinstance(s, Sphere) else (s.min_pt, s.max_pt)
-            for s in self.surfaces
+        shapes = [
+            (each.center, [each.radius]) if isinstance(each, Sphere) else (each.min_pt, each.max_pt)
+            for each in self.surfaces
         ]
-        self.shapes = [(to_numbers(a)[:, None], to_numbers(b)[:, None]) for a, b in pairs]
+        self.shapes = [(to_numbers(a)[:, None], to_numbers(b)[:, None]) for a, b in shapes]
         lengths = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
         self.relative_tolerance = to_numbers(relative_tolerance)
         self.scene_size = max(np.abs(length).max() for length in lengths)
@@ -281,7 +282,7 @@ class _PlainTracer:
         self.is_eye_inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
 
     def snap_to_zero(self, values: Array, scale: Array) -> Array:
-        """Replace values by 0 where they are tiny compared with a scale.
+        """Replace values with 0 where they are tiny compared with a scale.
 
         Parameters
         ----------
@@ -294,7 +295,7 @@ class _PlainTracer:
         Returns
         -------
         snapped : array
-            The values, or 0, in the shape of `values`.
+            `values`, with 0 in place of tiny values.
         """
         if not self.relative_tolerance:
             return values
@@ -315,7 +316,7 @@ class _PlainTracer:
         -------
         distance : (n,) array
             Positive outside the surface, 0 on it, negative inside.  For a box, the maximum over the
-            planes of its sides, which is less than the distance outside its edges.
+            planes of its sides, which is less than the distance near its edges and corners.
         """
         center_or_low, radius_or_high = self.shapes[surface]
         if self.is_sphere[surface]:
@@ -325,12 +326,12 @@ class _PlainTracer:
         return self.snap_to_zero(distance, self.scene_size)
 
     def ray_directions(self, x: Array, y: Array) -> Array:
-        """Compute the directions of the camera rays through positions in the picture.
+        """Compute the directions of camera rays through given positions in the picture.
 
         Parameters
         ----------
         x, y : (n,) float arrays
-            Positions in pixels, to the right of the upper left corner and below it.
+            Positions, in pixels to the right of the upper left corner and below it.
 
         Returns
         -------
@@ -362,13 +363,13 @@ class _PlainTracer:
         direction : (3, n) array
             Directions of the rays.
         is_closed : bool
-            Whether a ray within the plane of a side meets the slab of this side.
+            Whether a ray in the plane of a side meets the slab behind this side.
 
         Returns
         -------
         near, far : (3, n) arrays
-            t where each ray enters and leaves the slab along each axis; near > far if it misses
-            the slab.
+            t where each ray enters and leaves the slab along each axis; near > far if the ray
+            misses the slab.
         """
         corners = (corner - origin for corner in self.shapes[box])
         low, high = (self.snap_to_zero(corner, self.scene_size) for corner in corners)
@@ -390,7 +391,7 @@ class _PlainTracer:
         direction : (3, n) array
             Directions of the rays.
         is_closed : bool
-            Whether rays within the plane of a box's side can meet the box.
+            Whether a ray in the plane of a box's side can meet the box.
 
         Returns
         -------
@@ -414,26 +415,26 @@ class _PlainTracer:
         Returns
         -------
         traced : TracedRays
-            The result for each ray.
+            The results, with one item per ray.
         """
         direction = self.ray_directions(x, y)
         closest_t, surface = self.find_closest(direction)
         visible = np.flatnonzero(surface >= 0)
-        owner, direction = surface[visible], direction.take(visible, 1)
+        visible_surface, direction = surface[visible], direction.take(visible, 1)
         points = self.eye + closest_t[visible] * direction
         normals = np.zeros_like(points)
-        for i in np.unique(owner).tolist():
-            index = np.flatnonzero(owner == i)
-            near_surface = points.take(index, 1), direction.take(index, 1)
-            points[:, index], normals[:, index] = self.project_onto_surface(i, *near_surface)
+        for i in np.unique(visible_surface).tolist():
+            index = np.flatnonzero(visible_surface == i)
+            rays = points.take(index, 1), direction.take(index, 1)
+            points[:, index], normals[:, index] = self.project_onto_surface(i, *rays)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
         for light, position, is_lit_by in lights:
-            is_lit_by[visible] = self.is_lit(owner, points, normals, position)
+            is_lit_by[visible] = self.is_lit(visible_surface, points, normals, position)
             to_light, to_eye = _normalise(position - points), -_normalise(direction)
-            for i in np.unique(owner[is_lit_by[visible]]).tolist():
-                index = np.flatnonzero(is_lit_by[visible] & (owner == i))
+            for i in np.unique(visible_surface[is_lit_by[visible]]).tolist():
+                index = np.flatnonzero(is_lit_by[visible] & (visible_surface == i))
                 vectors = (vector.take(index, 1) for vector in (normals, to_light, to_eye))
                 reflected = self.reflected_radiance(i, *vectors)
                 radiance[visible[index]] += reflected * light.intensity
@@ -450,16 +451,16 @@ class _PlainTracer:
         Returns
         -------
         closest_t : (n,) array
-            The closest intersection is at eye + closest_t direction; infinity if there is none.
+            The closest intersection is at eye + closest_t direction; infinite if there is none.
         surface : (n,) int array
-            Index of the surface that is intersected there, or -1.
+            Index of the surface intersected there, or -1.
         """
         ray_count, length = direction.shape[1], _norm(direction)
         closest_t, surface = self.to_numbers(np.full(ray_count, np.inf)), np.full(ray_count, -1)
-        surfaces = [*enumerate(self.is_eye_inside)]
-        for i, is_inside in reversed(surfaces) if self.last_wins else surfaces:
+        numbered = [*enumerate(self.is_eye_inside)]
+        for i, is_eye_inside in reversed(numbered) if self.last_wins else numbered:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
-            t = far if is_inside else near
+            t = far if is_eye_inside else near
             is_ahead = (near <= far) & (t * length > self.tolerance)
             is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
             closest_t, surface = np.where(is_closer, t, closest_t), np.where(is_closer, i, surface)
@@ -468,7 +469,7 @@ class _PlainTracer:
     def project_onto_surface(
         self, surface: int, points: Array, direction: Array
     ) -> tuple[Array, Array]:
-        """Move points near a surface exactly onto it, and compute the surface's normals there.
+        """Move points near a surface exactly onto it, and compute the normals there.
 
         Parameters
         ----------
@@ -482,32 +483,32 @@ class _PlainTracer:
         points : (3, n) array
             The points on the surface.
         normals : (3, n) array
-            Unit normals on the side of the eye.
+            Unit normals, which point to the side of the eye.
         """
-        is_inside, shape = self.is_eye_inside[surface], self.shapes[surface]
+        is_eye_inside, shape = self.is_eye_inside[surface], self.shapes[surface]
         if self.is_sphere[surface]:
             center, (radius,) = shape
             outward = (points - center) / radius
-            return center + radius * outward, -outward if is_inside else outward
+            return center + radius * outward, -outward if is_eye_inside else outward
         low, high = shape
         near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
-        # At an edge or a corner, the side along the first axis is visible (or the last).
-        t, visible_t = (far, far.min(axis=0)) if is_inside else (near, near.max(axis=0))
+        # At an edge or a corner, the side along the first (or the last) axis is visible.
+        t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
         is_tied = np.asarray(np.abs(t - visible_t) * _norm(direction) <= self.tolerance)
         axis = 2 - is_tied[::-1].argmax(axis=0) if self.last_wins else is_tied.argmax(axis=0)
         ray = np.arange(direction.shape[1])
         is_forward = direction[axis, ray] > 0
-        points[axis, ray] = np.where(is_forward == is_inside, high[axis, 0], low[axis, 0])
+        points[axis, ray] = np.where(is_forward == is_eye_inside, high[axis, 0], low[axis, 0])
         normals = np.zeros_like(points)
         normals[axis, ray] = self.to_numbers(np.where(is_forward, -1, 1))
         return points, normals
 
-    def is_lit(self, owner: Array, points: Array, normals: Array, light: Array) -> Array:
-        """Test whether a light reaches each of n points on surfaces.
+    def is_lit(self, surface_index: Array, points: Array, normals: Array, light: Array) -> Array:
+        """Test whether a light reaches each of n surface points.
 
         Parameters
         ----------
-        owner : (n,) int array
+        surface_index : (n,) int array
             Index of the surface on which each point lies.
         points, normals : (3, n) arrays
             The points, and the unit normals of the surfaces there.
@@ -521,27 +522,27 @@ class _PlainTracer:
             point to the light.
         """
         is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
-        for i, is_inside in enumerate(self.is_eye_inside):
+        for i, is_eye_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
-            on_surface = points.take(index, 1), normals.take(index, 1)
-            start, min_length = self.start_shadow_rays(*on_surface)
-            is_blocked = self.is_blocking(i, start, light, min_length)
+            candidates = points.take(index, 1), normals.take(index, 1)
+            ray_origin, min_length = self.start_shadow_rays(*candidates)
+            is_blocked = self.is_blocking(i, ray_origin, light, min_length)
             if self.skips_own_object:
-                # A surface around the eye blocks light from outside of it; any other does not
-                # block light from its own points.
-                blocks_own = is_inside and self.signed_distance(i, light)[0] >= 0
-                is_blocked = np.where(owner[index] == i, blocks_own, is_blocked)
+                # A surface around the eye blocks light from outside; any other surface never
+                # shadows its own points.
+                shadows_itself = is_eye_inside and self.signed_distance(i, light)[0] >= 0
+                is_blocked = np.where(surface_index[index] == i, shadows_itself, is_blocked)
             is_lit[index] = ~is_blocked
         return is_lit
 
     def is_blocking(self, surface: int, points: Array, light: Array, min_length: float) -> Array:
         """Test whether a surface blocks the segment from each point to a light.
 
-        The ends of the segment are not tested.
+        Intersections at the ends of the segment do not count.
 
-        If the point or the light is on a sphere, one intersection is known exactly.  The other one
-        follows without a square root: both are at the same distance from the point of the segment
-        that is closest to the sphere's centre.
+        If the point or the light is on a sphere, one intersection is known exactly.  The other
+        follows without a square root: both are equally far from the point of the ray that is
+        closest to the sphere's centre.
 
         Parameters
         ----------
@@ -552,7 +553,7 @@ class _PlainTracer:
         light : (3, 1) array
             Position of the light.
         min_length : float
-            Distance from the point up to which intersections are ignored.
+            Distance from the point within which intersections are ignored.
 
         Returns
         -------
@@ -562,36 +563,36 @@ class _PlainTracer:
         distance = _norm(light - points)
         direction = (light - points) / distance
         direction = self.snap_to_zero(direction, np.abs(direction).max(axis=0))
-
         min_t, max_t = self.to_numbers(min_length) + self.tolerance, distance - self.tolerance
 
         def is_between(t: Array) -> Any:
-            """Test whether the distances t (n,) are strictly between the points and the light."""
+            """Test which distances t (n,) lie strictly between the point and the light."""
             return (t > min_t) & (t < max_t)
 
         near, far = self.intersect(surface, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
         if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface]:
-            # Both intersections are at the same distance from the closest point, at t = closest.
-            closest = _dot(self.shapes[surface][0] - points, direction)
-            if_light_is_on = is_between(2 * closest - distance)
+            # Both intersections are equally far from the closest point, which is at t = middle_t.
+            middle_t = _dot(self.shapes[surface][0] - points, direction)
+            blocks_own_light = is_between(2 * middle_t - distance)
             is_light_on = self.signed_distance(surface, light) == 0
-            is_blocked = np.where(is_light_on, if_light_is_on, is_blocked)
-            # From a point on the sphere, the segment is blocked if it leaves to the other side than
-            # that of the eye, or returns to the sphere.
-            outwards = (closest < -self.tolerance) | is_between(2 * closest)
-            if_point_is_on = outwards if self.is_eye_inside[surface] else closest > self.tolerance
+            is_blocked = np.where(is_light_on, blocks_own_light, is_blocked)
+            # From a point on the sphere, the segment is blocked if it leaves the sphere on the side
+            # opposite the eye, or meets the sphere again.
+            is_outward = (middle_t < -self.tolerance) | is_between(2 * middle_t)
+            is_inward = middle_t > self.tolerance
+            blocks_own_point = is_outward if self.is_eye_inside[surface] else is_inward
             is_point_on = self.signed_distance(surface, points) == 0
-            is_blocked = np.where(is_point_on, if_point_is_on, is_blocked)
+            is_blocked = np.where(is_point_on, blocks_own_point, is_blocked)
         return np.asarray(is_blocked)
 
     def reflected_radiance(
         self, surface: int, normals: Array, to_light: Array, to_eye: Array
     ) -> NDArray[np.float64]:
-        """Compute the radiance that points on a surface reflect under a light of intensity 1.
+        """Compute the radiance that surface points reflect from a light of intensity 1.
 
-        Lambert's term is the diffuse colour times n.l, with the unit normal n and the unit vector l
-        to the light.  The Blinn-Phong term is the specular colour times (n.h)^exponent, with h
+        The Lambert term is the diffuse colour times n.l, with the unit normal n and the unit vector
+        l to the light.  The Blinn-Phong term is the specular colour times (n.h)^exponent, with h
         halfway between l and the vector to the eye.
 
         Parameters
@@ -604,35 +605,36 @@ class _PlainTracer:
         Returns
         -------
         radiance : (n, 3) float array
-            Linear RGB.
+            Reflected linear RGB radiance.
         """
         shader = self.surfaces[surface].shader
         radiance = np.outer(_dot(normals, to_light).astype(float), shader.diffuse)
         if isinstance(shader, Phong) and any(shader.specular):
             cosine = _dot(normals, _normalise(to_light + to_eye))
-            base = np.where(cosine > 0, cosine, self.to_numbers(0))
-            # Decimal cannot raise 0 to the power of 0.
+            clamped_cosine = np.where(cosine > 0, cosine, self.to_numbers(0))
+            # Decimal cannot compute 0 to the power of 0.
             exponent = self.to_numbers(shader.exponent)
-            lobe = base**exponent if exponent else np.ones(base.size)
+            lobe = clamped_cosine**exponent if exponent else np.ones(clamped_cosine.size)
             radiance += np.outer(lobe.astype(float), shader.specular)
         return radiance
 
 
 def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRays:
-    """Trace one camera ray through each of n positions in the picture, testing every object.
+    """Trace a camera ray through each of n positions in the picture, testing every object.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     x, y : (n,) arrays
-        Positions in pixels, to the right of the upper left corner and below it.  The centre of the
+        Positions, in pixels to the right of the upper left corner and below it.  The centre of the
         first pixel is at (0.5, 0.5).
     **methods : str
         `arithmetic` : the number type, a key of `ARITHMETICS`; by default "float64".
-        `sphere_method` : how rays meet spheres, a key of `SPHERE_METHODS`; by default "closest".
-        `shadow_method` : how points are kept from shading themselves, a key of `SHADOW_METHODS`; by
-        default "exact".
+        `sphere_method` : how rays are intersected with spheres, a key of `SPHERE_METHODS`; by
+        default "closest".
+        `shadow_method` : how surfaces are kept from shading their own points, a key of
+        `SHADOW_METHODS`; by default "exact".
         `ties` : which of several equally close surfaces is visible, the "first" in the scene file
         (the default) or the "last".
 
@@ -651,7 +653,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
 
 
 def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Array:
-    """Render a scene with one sample per pixel, by testing every ray against every object.
+    """Render a scene with one sample per pixel, testing every ray against every object.
 
     Parameters
     ----------
@@ -660,12 +662,12 @@ def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Ar
     offset : sequence of two floats
         Shift of all samples from the centres of their pixels, in pixels to the right and down.
     **methods : str
-        The number type and the methods, which are keyword arguments of `trace`.
+        The number type and the methods: keyword arguments of `trace`.
 
     Returns
     -------
     image : (height, width, 3) float array
-        Linear RGB radiance, the top row first.
+        Linear RGB radiance, top row first.
     """
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
     traced = trace(scene, x + offset[0], y + offset[1], **methods)

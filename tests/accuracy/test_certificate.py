@@ -88,7 +88,7 @@ class SampledPoints:
 
     def check(self, analysis: CellAnalysis, result: CellEstimates) -> None:
         """Compare one sample of each cell with the enclosure of its region."""
-        lines, regions, n = result.lines, result.regions, analysis.cells.x.size
+        lines, regions, n = result.strips, result.regions, analysis.cells.x.size
         radiance, x, y = self.sample(analysis, np.arange(n))
         first_line = lines.cell.searchsorted(np.arange(n + 1))
         signs, allowed = np.zeros(n, dtype=int), np.zeros(n)
@@ -221,7 +221,7 @@ def test_a_region_is_doubtful_if_its_centroid_is_in_a_strip() -> None:
     # Strips around x = 0 and x = 0.02; the centroids are at -0.5, 0.01 and 0.51.
     lines = strips_of(np.array([1, 0, 0]), np.array([1, 0, -0.02]))
     lines = lines._replace(half_width=np.array([0.1, 0.001]), jump=np.array([3.0, 5.0]))
-    doubt = certificate._bound_doubt(lines, divide_into_regions(lines, 1), 1)
+    doubt = certificate._bound_doubts(lines, divide_into_regions(lines, 1), 1)
     assert doubt.tolist() == [0, 3, 0]
 
 
