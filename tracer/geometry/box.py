@@ -56,7 +56,7 @@ class Boxes:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Extract a scene's boxes, and precompute what the rays of one camera need of them.
+        """Extract a scene's boxes, and precompute the data for tracing camera rays.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class Boxes:
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, row_y: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the interval of columns that a box covers in a row, for n (box, row) pairs.
+        """Compute the columns that a box covers in a row, for n (box, row) pairs.
 
         Parameters
         ----------
@@ -114,9 +114,9 @@ class Boxes:
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of each interval, in pixels from the left border of the picture.  The interval
-            contains all positions at which a ray in the row meets the box; if there are none,
-            left > right.
+            Ends of the interval of columns, in pixels from the left border of the picture.  The
+            interval contains all positions at which a ray in the row meets the box; if there are
+            none, left > right.
         """
         frame, box_index = self.frame, self.objects.positions(object_index)
         ray_down = frame.ray_down(row_y + height / 2)
@@ -362,7 +362,7 @@ class Boxes:
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's box among all objects of the scene.
+            Index, among all objects of the scene, of the box to test with each capsule.
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         thickness : (n,) float array

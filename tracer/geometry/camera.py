@@ -402,8 +402,8 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         depth_complexity : float
-            In no row of the picture do rays meet more objects than this on average.  Hidden objects
-            are counted, too.
+            Upper bound, for every row, on the mean number of objects that its rays meet.  Hidden
+            objects are counted, too.
         """
         visible, width = self.take(self.in_picture(frame)), frame.width
         covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)

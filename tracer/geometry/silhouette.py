@@ -41,8 +41,8 @@ def silhouette_planes(low: Floats, high: Floats) -> Triple:
         # The first corner is the last one of the mirror image.
         side_i, side_j = side[i], -side[j] if is_mirrored else side[j]
         corner_i = np.where((side_j < 0) | ((side_j == 0) & (side_i < 0)), high[i], low[i])
-        is_top = (side_i > 0) | ((side_i == 0) & (side_j < 0))
-        corner_j = np.where(is_top ^ bool(is_mirrored), high[j], low[j])
+        takes_high_j = (side_i > 0) | ((side_i == 0) & (side_j < 0))
+        corner_j = np.where(takes_high_j ^ bool(is_mirrored), high[j], low[j])
         sign = np.where((side_i != 0) | (side_j != 0), 1 - 2 * is_mirrored, 0)
         plane = 2 * axis + is_mirrored
         normals[i, plane], normals[j, plane] = sign * corner_j, -sign * corner_i

@@ -85,7 +85,7 @@ class Spheres:
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Extract a scene's spheres, and precompute what the rays of one camera need of them.
+        """Extract a scene's spheres, and precompute the data for tracing camera rays.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class Spheres:
     # Intersections with rays from the eye.
 
     def row_extent(self, object_index: Ints, row_y: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the interval of columns that an object covers in a row, for n pairs of them.
+        """Compute the columns that an object covers in a row, for n (object, row) pairs.
 
         Parameters
         ----------
@@ -145,8 +145,8 @@ class Spheres:
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of each interval, in pixels from the left border of the picture.  If no ray in the
-            row meets the object, left > right or both are NaN.
+            Ends of the interval of columns, in pixels from the left border of the picture.  If no
+            ray in the row meets the object, left > right or both are NaN.
         """
         # At the sphere, every ray in the row is within a margin of the ray below or above it on the
         # row's centre line.  So if a ray in the row meets the sphere, the ray on the centre line
@@ -160,8 +160,8 @@ class Spheres:
         ray_down = frame.ray_down(row_y + height / 2)
         discs = self._cut_discs(sphere_index, grown_radius, ray_down)
         ray_ahead, right, ahead, disc_radius2 = discs
-        low, high = _tangent_slopes(right, ahead, disc_radius2, power)
-        return frame.column_of(low * ray_ahead), frame.column_of(high * ray_ahead)
+        low_slope, high_slope = _tangent_slopes(right, ahead, disc_radius2, power)
+        return frame.column_of(low_slope * ray_ahead), frame.column_of(high_slope * ray_ahead)
 
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
@@ -238,7 +238,8 @@ class Spheres:
         length2 = repeat_runs(ray_down * ray_down + depth * depth, ray_count)
         length2 = ray_right * ray_right + length2
         # Cross product and dot product of the ray and the vector (right, ahead) to the disc centre.
-        # In the quadratic equation, A is `length2`, B is the dot product, and C is `power`.
+        # In the quadratic equation, A is `length2`, B is the dot product, and C is `power`: the
+        # squared distance of the eye from the sphere's centre, minus the squared radius.
         cross_product = repeat_runs(right * ray_ahead, ray_count)
         cross_product -= repeat_runs(ahead, ray_count) * ray_right
         sqrt_term = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
@@ -351,11 +352,12 @@ class Spheres:
         side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test whether an object blocks the segment from a hit to a light, for n pairs of them.
+        """Test, for n (object, segment) pairs, whether the object blocks the segment.
 
-        A segment is blocked if it crosses the surface of the object strictly between its own ends.
-        An end within the rounding error of the surface is treated as on the surface.  If a hit is
-        on a sphere, the segment starts on the eye's side of the sphere.
+        Segments lead from hits to lights.  A segment is blocked if it crosses the surface of the
+        object strictly between its own ends.  An end within the rounding error of the surface is
+        treated as on the surface.  If a hit is on a sphere, the segment starts on the eye's side of
+        the sphere.
 
         Parameters
         ----------
@@ -385,12 +387,13 @@ class Spheres:
         # between the ends and inside the sphere.
         projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
         closest_t = projection / length2
-        perpendicular = map3(lambda c, d: c - closest_t * d, to_center, to_light)
+        perpendicular = map3(lambda center, step: center - closest_t * step, to_center, to_light)
         is_line_cut = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
         tolerance = hit_tolerance(self.coordinate_size[sphere_index], hit, self.frame.eye)
         hit_side = side_of_surface(hit_height, tolerance)
+        # If an end is on the surface or inside the sphere, the sides of both ends decide.
         special_index = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
         if special_index.size:
             hit_side, side = hit_side[special_index], side[special_index]
@@ -422,7 +425,7 @@ class Spheres:
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's object among all objects of the scene.
+            Index, among all objects of the scene, of the object to test with each capsule.
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         thickness : (n,) float array
@@ -450,6 +453,7 @@ class Spheres:
         inner_radius2 = np.maximum(radius - thickness, 0) ** 2 - square_error
         starts_outside = start_distance2 > outer_radius2
         ends_outside = end_distance2 > outer_radius2
+        # Whether the sphere's centre lies before the start of the axis, or past its end.
         is_before, is_past_end = projection < 0, projection > length2
         contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
