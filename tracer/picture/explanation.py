@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from tracer.antialias.lattice import CENTERS
 from tracer.arrays import Ints, Vector, take3
-from tracer.picture.lint import indexed_name
+from tracer.picture.lint import name_by_index
 from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, PointLight, Scene, normalize
 from tracer.trace.first_hits import FirstHits
@@ -56,7 +56,7 @@ class SurfaceRef:
         return cls(index, type(surface).__name__, surface.line)
 
     def __str__(self) -> str:
-        return indexed_name(self.kind, self.index, self.line)
+        return name_by_index(self.kind, self.index, self.line)
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Explanation:
         occluders = other_surfaces or ["the surface itself"] * len(light.occluders)
         outcome = f"blocked by {', '.join(occluders)}" if occluders else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
-        light_name = indexed_name("light", light_index, light.line)
+        light_name = name_by_index("light", light_index, light.line)
         yield f"{light_name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
         if not occluders:
             intensity, kd, ks = map(_format_vector, (light.intensity, self.kd, self.ks))

@@ -115,7 +115,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
         yield f"{reason}: the picture is black; {remedy}"
     elif not first_range_warning and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
-        brightest_light = _light_name(scene, intensities.index(max(intensities)))
+        brightest_light = _name_light(scene, intensities.index(max(intensities)))
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
         yield (
             f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
@@ -124,7 +124,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
 
 
 def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
-    """Warn about the first light with intensity 0, and the first light inside a surface.
+    """Yield warnings about the first light with intensity 0 and the first light inside a surface.
 
     A light inside a surface has no effect if the eye is outside that surface.  Such lights are
     searched for only if the scene has at most `_MAX_PAIRS` (light, surface) pairs.
@@ -143,7 +143,7 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     """
     dark_lights = [index for index, light in enumerate(scene.lights) if not any(light.intensity)]
     for light_index in dark_lights[:1]:
-        name = _light_name(scene, light_index)
+        name = _name_light(scene, light_index)
         yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
         return
@@ -159,8 +159,8 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     )
     is_enclosed &= ~prepared.is_eye_inside
     for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
-        light_name = _light_name(scene, light_index)
-        surface_name = _surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
+        light_name = _name_light(scene, light_index)
+        surface_name = _name_surface(scene, np.flatnonzero(is_enclosed[light_index]))
         yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
 
 
@@ -190,7 +190,7 @@ def _explain_black_picture(scene: Scene, prepared: PreparedScene) -> tuple[str, 
         if prepared.bounds.in_picture(prepared.frame).any():
             return "no pixel's centre sees an object", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
-    shader_remedy = f"see the shader of {_surface_name(scene, visible_objects)}"
+    shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"
     has_color = (prepared.diffuse > 0) | (prepared.specular > 0)
     reflects_channel = has_color[:, visible_objects]
     emits_channel = np.array([light.intensity for light in scene.lights]) > 0
@@ -201,7 +201,7 @@ def _explain_black_picture(scene: Scene, prepared: PreparedScene) -> tuple[str, 
     remedy = "see the lights' positions and intensities"
     objects_around_eye = visible_objects[prepared.is_eye_inside[visible_objects]]
     if objects_around_eye.size:
-        surface_name = _surface_name(scene, objects_around_eye)
+        surface_name = _name_surface(scene, objects_around_eye)
         remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
     return "no light reaches anything in view", remedy
 
@@ -229,7 +229,7 @@ def _find_visible_objects(prepared: PreparedScene) -> Ints:
 
 
 def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
-    """Warn about shaders that no surface uses, and exponents that have no effect.
+    """Yield warnings about shaders that no surface uses and exponents that have no effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
     skipped, because the warning names shaders by their lines in the file.
@@ -272,7 +272,7 @@ def _name_shaders(lines: list[int]) -> str:
 
 
 def _aspect_warnings(scene: Scene) -> Iterator[str]:
-    """Warn if the width and height of pixels differ by a factor greater than `_MAX_ASPECT`.
+    """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
 
     The warning suggests a value of `viewWidth`, and a number of columns, each of which would make
     the pixels square.
@@ -287,7 +287,7 @@ def _aspect_warnings(scene: Scene) -> Iterator[str]:
         yield f"{problem}; {remedy} would make them square"
 
 
-def indexed_name(kind: str, index: int, line: int | None) -> str:
+def name_by_index(kind: str, index: int, line: int | None) -> str:
     """Name a light or surface by its index and its line in the file: "light 0 (line 12)".
 
     If `line` is None, because the scene does not come from a file, the name is "light 0".
@@ -295,12 +295,12 @@ def indexed_name(kind: str, index: int, line: int | None) -> str:
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 
-def _light_name(scene: Scene, index: int) -> str:
+def _name_light(scene: Scene, index: int) -> str:
     """Name the light `scene.lights[index]` by its index, and its line in the file if it has one."""
-    return indexed_name("light", index, scene.lights[index].line)
+    return name_by_index("light", index, scene.lights[index].line)
 
 
-def _surface_name(scene: Scene, object_index: Ints) -> str:
+def _name_surface(scene: Scene, object_index: Ints) -> str:
     """Name the first of the given surfaces, in file order, by its index and line.
 
     Parameters
@@ -312,11 +312,11 @@ def _surface_name(scene: Scene, object_index: Ints) -> str:
         least 1.
     """
     surface_index = scene.surfaces.file_index[object_index].min().item()
-    return indexed_name("surface", surface_index, scene.surfaces[surface_index].line)
+    return name_by_index("surface", surface_index, scene.surfaces[surface_index].line)
 
 
 def _color_range_warnings(scene: Scene) -> Iterator[str]:
-    """Warn about each colour that seems to be in the range 0 to 255 instead of 0 to 1.
+    """Yield a warning about each colour that seems to be in the range 0 to 255, not 0 to 1.
 
     Such a colour consists of integers up to 255, the largest of which is at least `_MIN_CODE`.  The
     warning names the light, or the first surface with the colour, and suggests the same colour in
@@ -337,7 +337,7 @@ def _color_range_warnings(scene: Scene) -> Iterator[str]:
     for tag, color, kind, index in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
             element = scene.lights[index] if kind == "light" else surfaces[index]
-            name = indexed_name(kind, index, element.line)
+            name = name_by_index(kind, index, element.line)
             codes = " ".join(map(format_number, color))
             fractions = " ".join(f"{value / 255:.3g}" for value in color)
             yield f"{tag} {codes} of {name} looks like 0 to 255; for 0 to 1, write {fractions}"

@@ -23,7 +23,7 @@ _LARGE_PAGE_BYTES = 1 << 27
 
 
 @cache
-def keep_heap() -> None:
+def keep_freed_memory() -> None:
     """Make the C library glibc keep freed memory, in large pages, for the next arrays.
 
     By default, glibc returns free memory at the end of the heap to the system, and getting it back

@@ -33,7 +33,7 @@ from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
-from tracer.picture.memory import keep_heap
+from tracer.picture.memory import keep_freed_memory
 from tracer.picture.parallel import Distribution, Executor, WorkerPool, count_processors
 from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
@@ -403,7 +403,7 @@ class RenderJob:
         radiance : (rows, columns, 3) float array
             Linear RGB radiance of each pixel in the tile.  If `out` is given, this is `out`.
         """
-        keep_heap()
+        keep_freed_memory()
         rows, columns = rectangle
         tile_shape = rows.stop - rows.start, columns.stop - columns.start
         radiance = np.zeros((*tile_shape, 3)) if out is None else out
