@@ -38,7 +38,7 @@ from reference.measured.measurements import (
     make_command_task,
     time_interleaved,
 )
-from reference.measured.workloads import field_scene, resize_picture
+from reference.measured.workloads import build_field, resize_picture
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import count_processors
 
@@ -115,14 +115,14 @@ def format_section(
     return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(cells)} |" for cells in table)])
 
 
-def _time_tracer_and_mitsuba(scene: Scene, mitsuba_scene: str) -> tuple[Timing, Timing]:
+def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Timing]:
     """Time alternate renderings of a scene by the tracer and by Mitsuba, in this process.
 
     Parameters
     ----------
     scene : Scene
         The scene in the tracer's format.
-    mitsuba_scene : str
+    mitsuba_xml : str
         The same scene in Mitsuba's XML format.  It is loaded before the clock starts.
 
     Returns
@@ -131,7 +131,7 @@ def _time_tracer_and_mitsuba(scene: Scene, mitsuba_scene: str) -> tuple[Timing, 
         Time that each renderer takes for one picture.
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
-    loaded_scene = mi.load_string(mitsuba_scene)
+    loaded_scene = mi.load_string(mitsuba_xml)
     tasks: dict[str, Task] = {"tracer": partial(render, scene)}
     tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
     timings = time_interleaved(tasks, ROUNDS)
@@ -205,15 +205,15 @@ def benchmark_rendering(quick: bool) -> str:
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
         speedups: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in own_scenes()}
-        scenes |= {f"field-{count}": field_scene(count) for count in (1000, 10_000)}
+        scenes |= {f"field-{count}": build_field(count) for count in (1000, 10_000)}
         for name in _SELECTED_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
             exact_scene, stock_scene = str(convert_exact(scene)), str(convert_stock(scene, 1))
-            timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_scene)
-            second_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_scene)
-            over_exact = compute_speedup(timing, exact_timing)
-            speedups.append((over_exact, compute_speedup(second_timing, stock_timing)))
-            cells = timing, exact_timing, stock_timing, *speedups[-1]
+            tracer_timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_scene)
+            second_tracer_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_scene)
+            over_exact = compute_speedup(tracer_timing, exact_timing)
+            speedups.append((over_exact, compute_speedup(second_tracer_timing, stock_timing)))
+            cells = tracer_timing, exact_timing, stock_timing, *speedups[-1]
             rows.append((f"{name} {size[0]}×{size[1]}", *cells))
         mean_speedups = map(geometric_mean, zip(*speedups, strict=True))
         rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *mean_speedups))
@@ -244,10 +244,10 @@ def benchmark_objects(quick: bool) -> str:
     """
     use_variant()
     rows: list[tuple[object, ...]] = []
-    for count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
-        save_scene(field_scene(count), scene_file := build_path("objects.xml"))
+    for object_count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
+        save_scene(build_field(object_count), scene_file := build_path("objects.xml"))
         scene = load_scene(scene_file)
-        mitsuba_scene = str(convert_exact(scene))
+        mitsuba_xml = str(convert_exact(scene))
         tasks: dict[str, Task] = {"parse": partial(ET.parse, scene_file)}
         tasks |= {"load": partial(load_scene, scene_file), "render": partial(render, scene)}
         # Exclude Mitsuba's many objects from garbage collection: they would distort the timings.
@@ -255,7 +255,7 @@ def benchmark_objects(quick: bool) -> str:
         gc.freeze()
         timings = time_interleaved(tasks, ROUNDS)
         gc.unfreeze()
-        rows.append((f"{count:,}", *timings.values(), *_time_mitsuba_once(mitsuba_scene)))
+        rows.append((f"{object_count:,}", *timings.values(), *_time_mitsuba_once(mitsuba_xml)))
     return format_section(
         "Many objects",
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
@@ -268,12 +268,12 @@ def benchmark_objects(quick: bool) -> str:
     )  # fmt: skip
 
 
-def _time_mitsuba_once(mitsuba_scene: str) -> list[Timing]:
+def _time_mitsuba_once(mitsuba_xml: str) -> list[Timing]:
     """Time Mitsuba once as it loads a scene and renders it twice.
 
     Parameters
     ----------
-    mitsuba_scene : str
+    mitsuba_xml : str
         The scene in Mitsuba's XML format.
 
     Returns
@@ -283,7 +283,7 @@ def _time_mitsuba_once(mitsuba_scene: str) -> list[Timing]:
         for the second rendering.
     """
     timestamps = [perf_counter()]
-    scene = mi.load_string(mitsuba_scene)
+    scene = mi.load_string(mitsuba_xml)
     timestamps.append(perf_counter())
     for _ in range(2):
         np.array(mi.render(scene))
@@ -316,7 +316,7 @@ def write_frames_and_commands(
     scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
     scene_files, povray_commands = list[str](), list[list[str]]()
-    mitsuba_files = {"exact": list[str](), "stock": list[str]()}
+    mitsuba_paths = {"exact": list[str](), "stock": list[str]()}
     for frame_index in range(frame_count):
         frame_eye = eye * (1 + frame_index / frame_count)
         frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
@@ -326,7 +326,7 @@ def write_frames_and_commands(
         for flavour, mitsuba_scene in converted.items():
             mitsuba_file = build_path(f"frame-{frame_index}.{flavour}.xml")
             mitsuba_file.write_text(str(mitsuba_scene))
-            mitsuba_files[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
+            mitsuba_paths[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
         picture = build_path(f"frame-{frame_index}.png")
         povray_commands.append(povray.write_scene_and_command(frame_scene, picture))
     tracer_command = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
@@ -341,8 +341,8 @@ def write_frames_and_commands(
         ],
         "pool.map(tracer.to_png), 1 worker": [[*pool_script, "1", *scene_files]],
         "pool.map(tracer.to_png), 2 workers": [[*pool_script, "2", *scene_files]],
-        "Mitsuba exact": [[*mitsuba_script, *mitsuba_files["exact"]]],
-        "Mitsuba stock": [[*mitsuba_script, *mitsuba_files["stock"]]],
+        "Mitsuba exact": [[*mitsuba_script, *mitsuba_paths["exact"]]],
+        "Mitsuba stock": [[*mitsuba_script, *mitsuba_paths["stock"]]],
     }
     return commands | ({"POV-Ray": povray_commands} if povray.is_installed() else {})
 

@@ -93,16 +93,14 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
     for light in scene.lights:
         color = f"{exposure!r} * {_format_vector(light.intensity)}"
         lines.append(f"light_source {{ {_format_vector(light.position)} rgb {color} }}")
-    texture_ids = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
-    lines += [
-        f"#declare {name} = {_convert_shader(shader)}" for shader, name in texture_ids.items()
-    ]
+    textures = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
+    lines += [f"#declare {name} = {_convert_shader(shader)}" for shader, name in textures.items()]
     for surface in scene.surfaces:
         if isinstance(surface, Sphere):
             shape = f"sphere {{ {_format_vector(surface.center)}, {surface.radius!r}"
         else:
             shape = f"box {{ {_format_vector(surface.min_pt)}, {_format_vector(surface.max_pt)}"
-        lines.append(f"{shape} texture {{ {texture_ids[surface.shader]} }} }}\n")
+        lines.append(f"{shape} texture {{ {textures[surface.shader]} }} }}\n")
     return "\n".join(lines)
 
 

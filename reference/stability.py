@@ -40,14 +40,14 @@ _CURVE_SPACING = 1.7
 _GUIDES = {"dotted": ":", "dash-dotted": "-."}
 
 
-def _make_scene(
-    eye: Vector, ahead: Vector, light: Vector, *spheres: Sphere, window: Vector, pixels: int = 24
+def _build_scene(
+    eye: Vector, view_dir: Vector, light: Vector, *spheres: Sphere, window: Vector, pixels: int = 24
 ) -> Scene:
     """Build a scene of spheres under one light.
 
     Parameters
     ----------
-    eye, ahead : vectors (x, y, z)
+    eye, view_dir : vectors (x, y, z)
         Position and viewing direction of the camera.
     light : vector (x, y, z)
         Position of the light.
@@ -64,13 +64,13 @@ def _make_scene(
         The scene.
     """
     distance, width, height = window
-    sizes: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
-    camera = Camera(view_point=eye, view_dir=ahead, **sizes)
+    window_sizes: Any = {"proj_distance": distance, "view_width": width, "view_height": height}
+    camera = Camera(view_point=eye, view_dir=view_dir, **window_sizes)
     size = {"width": pixels, "height": round(pixels * height / width)}
     return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
 
 
-def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scene:
+def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scene:
     """Build a scene in which the camera views a unit sphere from a given distance.
 
     Parameters
@@ -87,21 +87,21 @@ def distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scen
         The scene.
     """
     direction, window = np.array([2, -3, 6]) / 7, (distance, width, height)
-    eye, pixels = distance * direction, round(24 * width)
-    return _make_scene(eye, -direction, (2, 0, 6), Sphere(), window=window, pixels=pixels)
+    eye, light, pixels = distance * direction, (2, 0, 6), round(24 * width)
+    return _build_scene(eye, -direction, light, Sphere(), window=window, pixels=pixels)
 
 
-def silhouette_of_sphere(distance: float) -> Scene:
+def build_silhouette(distance: float) -> Scene:
     """Build a scene in which the camera views a unit sphere's silhouette from a given distance.
 
     The picture extends 2**-20, about a millionth of the radius, to each side of the silhouette.
     The camera rays are exact in float64.
     """
-    window = (distance, 2.0**-19, 2.0**-19)
-    return _make_scene((1, 0, distance), (0, 0, -1), (8, 0, 2), Sphere(), window=window, pixels=64)
+    eye, light, window = (1, 0, distance), (8, 0, 2), (distance, 2.0**-19, 2.0**-19)
+    return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
 
 
-def moved_sphere(offset: float) -> Scene:
+def build_moved_sphere(offset: float) -> Scene:
     """Build a scene of a unit sphere, moved away from the origin by an offset.
 
     The camera, the light and the sphere are all moved by (1, -0.7, 0.4) times the offset.  The eye
@@ -109,24 +109,24 @@ def moved_sphere(offset: float) -> Scene:
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
     center, eye, light = positions + offset * np.array([1, -0.7, 0.4])
-    return _make_scene(eye, (-1, 0, -4), light, Sphere(center=center), window=(4, 1, 1))
+    return _build_scene(eye, (-1, 0, -4), light, Sphere(center=center), window=(4, 1, 1))
 
 
-def ground_sphere(radius: float) -> Scene:
-    """Build a scene whose ground is a sphere of a given radius.  The eye is at height 1."""
+def build_ground(radius: float) -> Scene:
+    """Build a scene whose ground is a sphere of a given radius.  The eye is at a height of 1."""
     sphere = Sphere(center=(0, -radius, 0), radius=radius)
-    return _make_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, window=(1, 0.5, 0.5))
+    return _build_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, window=(1, 0.5, 0.5))
 
 
-def highlight_on_sphere(exponent: float) -> Scene:
+def build_highlight(exponent: float) -> Scene:
     """Build a scene with a highlight that fills the picture, whatever the Phong exponent."""
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
     side = 3 / max(exponent, 36.0) ** 0.5
-    eye, ahead, light, sphere = (3, 0, 4), (-1, 0, -1), (-3, 0, 4), Sphere(shader=shader)
-    return _make_scene(eye, ahead, light, sphere, window=(18**0.5, side, side), pixels=16)
+    eye, light, window = (3, 0, 4), (-3, 0, 4), (18**0.5, side, side)
+    return _build_scene(eye, (-1, 0, -1), light, Sphere(shader=shader), window=window, pixels=16)
 
 
-def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
+def build_ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
     """Build a scene of a ball that touches the ground, which is a large sphere.
 
     Parameters
@@ -148,7 +148,7 @@ def ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> 
     eye, light, ground, ball = scale * np.array(positions) + offset
     spheres = Sphere(center=ground, radius=scale * radius), Sphere(center=ball, radius=scale * 0.5)
     window = (2 * scale, 2 * scale, 1.125 * scale)
-    return _make_scene(eye, (0, 0, -1), light, *spheres, window=window, pixels=128)
+    return _build_scene(eye, (0, 0, -1), light, *spheres, window=window, pixels=128)
 
 
 _FLOAT32 = partial(plain.render, arithmetic="float32")
@@ -207,31 +207,31 @@ class Panel:
 
     Attributes
     ----------
-    title, axis : str
+    title, axis_label : str
         Title of the panel, and label of its horizontal axis.
     positions : (n,) float array
         Positions on the horizontal axis.
-    scene : callable
-        Function that makes the scene for a position.
-    error : callable
+    build_scene : callable
+        Function that builds the scene for a position.
+    measure_error : callable
         Function that computes the error of an image from the image and the exact image.
     methods : tuple of str
         Keys of `METHODS` of the curves to draw, in addition to that of this tracer.
     guides : tuple of str
         Names of the lines to draw at eps x and at eps x^2: see `_GUIDES`.
-    nearby : tuple of float
-        Factors: each point of a curve shows the largest error of the scenes at its position
-        multiplied by each of these.
+    position_factors : tuple of float
+        Factors by which each position is multiplied, to build one scene for each of them.  A point
+        of a curve shows the largest error in these scenes.
     """
 
     title: str
-    axis: str
+    axis_label: str
     positions: NDArray[Any]
-    scene: Callable[[float], Scene]
-    error: Callable[[Floats, Floats], float]
+    build_scene: Callable[[float], Scene]
+    measure_error: Callable[[Floats, Floats], float]
     methods: tuple[str, ...]
     guides: tuple[str, ...] = ()
-    nearby: tuple[float, ...] = (1.0,)
+    position_factors: tuple[float, ...] = (1.0,)
 
 
 _HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
@@ -245,31 +245,31 @@ _NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
 PANELS = (
-    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), distant_sphere,
+    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), build_distant_sphere,
           measure_largest_error, _HITS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), silhouette_of_sphere, measure_wrong_percentage, _HITS),
-    Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17), moved_sphere,
-          measure_largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
+          np.logspace(3, 25, 12, base=2), build_silhouette, measure_wrong_percentage, _HITS),
+    Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17),
+          build_moved_sphere, measure_largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
-          np.logspace(0, 28, 15, base=2), lambda x: ball_on_ground(offset=x),
+          np.logspace(0, 28, 15, base=2), lambda x: build_ball_on_ground(offset=x),
           measure_wrong_percentage, _SHADOWS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          ground_sphere, measure_largest_error, _HITS, ("ε radius",)),
+          build_ground, measure_largest_error, _HITS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
-          np.logspace(1, 27, 14, base=2), lambda x: ball_on_ground(radius=x / 2),
+          np.logspace(1, 27, 14, base=2), lambda x: build_ball_on_ground(radius=x / 2),
           measure_wrong_percentage, _SHADOWS),
-    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), highlight_on_sphere,
+    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), build_highlight,
           measure_largest_error, _SHINY, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
-          np.logspace(-30, 30, 16, base=2), lambda x: ball_on_ground(scale=x),
+          np.logspace(-30, 30, 16, base=2), lambda x: build_ball_on_ground(scale=x),
           measure_wrong_percentage, _SHADOWS),
 )
 # fmt: on
 
 
 def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Floats:
-    """Measure the errors of a rendering method along the horizontal axis of a chart's panel.
+    """Measure a rendering method's errors at positions on the horizontal axis of a chart's panel.
 
     Parameters
     ----------
@@ -278,19 +278,19 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
     method : str
         The rendering method, a key of `METHODS`.
     positions : iterable of n floats
-        Positions on the horizontal axis.  At each of them, one scene is made for each of the
-        factors `panel.nearby`, by which the position is multiplied.
+        Positions on the horizontal axis.  For each position, several scenes are built: one for the
+        product of the position and each factor in `panel.position_factors`.
 
     Returns
     -------
     errors : (n,) float array
-        For each position, the largest error of the method on its scenes.
+        For each position, the largest error in its scenes.
     """
     errors = []
     for position in positions:
-        scenes = [panel.scene(factor * float(position)) for factor in panel.nearby]
+        scenes = [panel.build_scene(factor * float(position)) for factor in panel.position_factors]
         images = [(METHODS[method](scene), _render_exactly(scene)) for scene in scenes]
-        errors.append(max(panel.error(image, exact) for image, exact in images))
+        errors.append(max(panel.measure_error(image, exact) for image, exact in images))
     return np.array(errors)
 
 
@@ -322,9 +322,9 @@ def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
 
 
 EXAMPLES = (
-    ("Acne", ball_on_ground(radius=2.0**14), "t > 0"),
-    ("Lost shadows", ball_on_ground(scale=2.0**-22), "t > 1e-4"),
-    ("A distant sphere in shreds", distant_sphere(2000.0, 4.0, 2.25), "float32, textbook"),
+    ("Acne", build_ball_on_ground(radius=2.0**14), "t > 0"),
+    ("Lost shadows", build_ball_on_ground(scale=2.0**-22), "t > 1e-4"),
+    ("A distant sphere in shreds", build_distant_sphere(2000.0, 4.0, 2.25), "float32, textbook"),
 )
 """Pictures at the top of the chart, each with its title, its scene and the method that fails."""
 
@@ -359,14 +359,12 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
             axes.imshow(to_codes(np.nan_to_num(render_by_method(scene))))
             axes.axis("off")
         axes_pair[0].set_title(f"{title}\n{method}", fontsize=9)
-    panel_axes = panels_subfigure.subplots(len(left_panels), 2)
+    axes_grid = panels_subfigure.subplots(len(left_panels), 2)
     panels_subfigure.subplots_adjust(
         left=0.07, right=0.98, top=0.96, bottom=0.07, hspace=0.8, wspace=0.2
     )
-    legends = panel_axes[len(right_panels) :, 1]
-    columns = zip(
-        ("left", "right"), (left_panels, right_panels), panel_axes.T, legends, strict=True
-    )
+    legends = axes_grid[len(right_panels) :, 1]
+    columns = zip(("left", "right"), (left_panels, right_panels), axes_grid.T, legends, strict=True)
     for side, panels, column_axes, legend_axes in columns:
         methods = dict.fromkeys(method for panel in panels for method in panel.methods)
         styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
@@ -402,15 +400,15 @@ def _draw_panel(
         method: np.array([row[::2] for row in rows if row[1] == method], float).T
         for method in ("this tracer", *panel.methods)
     }
-    is_radiance, x = panel.error is measure_largest_error, curves["this tracer"][0]
-    scene = panel.scene(x[0])
+    is_radiance, x = panel.measure_error is measure_largest_error, curves["this tracer"][0]
+    scene = panel.build_scene(x[0])
     min_percentage = 25 / (scene.width * scene.height)  # a quarter of that of one pixel
     min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance else (min_percentage, 100.0)
     # Errors of zero are drawn at a different height for each curve, so that all are visible.
     height_of_none = {method: min_error / _CURVE_SPACING**k for k, method in enumerate(curves)}
     limits = {"xlim": (x[0], x[-1]), "ylim": (min(height_of_none.values()) / 1.6, 1.6 * max_error)}
     guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
-    label = ";   ".join([panel.axis, *guides])
+    label = ";   ".join([panel.axis_label, *guides])
     axes.set(title=panel.title, xlabel=label, xscale="log", yscale="log", **limits)
     if is_radiance:
         axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")

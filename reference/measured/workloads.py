@@ -17,7 +17,7 @@ _SHADERS = (
 )
 
 
-def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
+def build_crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
     Half of the objects are spheres and half are boxes, lit by two lights.  They cover about the
@@ -56,7 +56,7 @@ def crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     return Scene(camera=camera, width=width, height=height, lights=lights, surfaces=surfaces)
 
 
-def field_scene(count: int) -> Scene:
+def build_field(count: int) -> Scene:
     """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast

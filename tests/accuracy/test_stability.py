@@ -25,7 +25,7 @@ def test_error_grows_with_distance_as_eps_times_its_power(
 ):
     errors = []
     for distance in distances.tolist():
-        scene = stability.distant_sphere(distance)
+        scene = stability.build_distant_sphere(distance)
         image = plain.render(scene, arithmetic=arithmetic, sphere_method=sphere_method)
         exact = plain.render(scene, arithmetic="decimal")
         errors.append(stability.measure_largest_error(image, exact))
@@ -41,10 +41,10 @@ def test_error_grows_with_distance_as_eps_times_its_power(
     ("scene", "method"),
     [
         *(picture[1:] for picture in stability.EXAMPLES),
-        (stability.ball_on_ground(scale=2.0**30), "t > 1e-6"),  # rounding errors are larger
-        (stability.ball_on_ground(scale=2.0**-30), "normal offset 1e-4"),
+        (stability.build_ball_on_ground(scale=2.0**30), "t > 1e-6"),  # rounding errors are larger
+        (stability.build_ball_on_ground(scale=2.0**-30), "normal offset 1e-4"),
         # Near a coordinate plane, 256 ulp are less than the rounding errors of hits.
-        (stability.ball_on_ground(scale=2.0**20), "offset of 256 ulp"),
+        (stability.build_ball_on_ground(scale=2.0**20), "offset of 256 ulp"),
     ],
 )
 def test_usual_methods_fail_where_the_chart_shows_it(scene, method):
@@ -57,7 +57,7 @@ def test_usual_methods_fail_where_the_chart_shows_it(scene, method):
 def test_the_tracer_is_accurate_at_the_end_of_every_axis(panel):
     error = stability.measure_errors(panel, "this tracer", panel.positions[-1:])
     # No decision is wrong.  Radiance has seven correct digits at 1e8, and six at 1e9.
-    assert error <= (2e-7 if panel.error is stability.measure_largest_error else 0.0)
+    assert error <= (2e-7 if panel.measure_error is stability.measure_largest_error else 0.0)
 
 
 def test_errors_of_small_pictures(monkeypatch):
@@ -69,7 +69,7 @@ def test_errors_of_small_pictures(monkeypatch):
         assert stability.measure_largest_error(image, exact) == largest
         assert stability.measure_wrong_percentage(image, exact) == percentage
     # A point of the chart shows the largest error of several scenes at nearby positions.
-    panel = replace(stability.PANELS[0], nearby=(1.0, 3.0, 2.0))
+    panel = replace(stability.PANELS[0], position_factors=(1.0, 3.0, 2.0))
     monkeypatch.setitem(
         stability.METHODS, "dark", lambda s: render(s) * (s.camera.proj_distance < 25)
     )
