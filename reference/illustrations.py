@@ -116,8 +116,8 @@ def draw_packets() -> None:
     """Draw the packets (groups of neighbouring hits) of a picture, each in a random colour."""
     scene, prepared, samples = _load_and_prepare("room", 96)
     hits = find_nearest_hits(prepared, samples)
-    frontlit = np.ones((1, hits.sample.size), dtype=np.bool_)
-    square_level, row_level = build_packet_levels(hits, frontlit, None)
+    faces_light = np.ones((1, hits.sample.size), dtype=np.bool_)
+    square_level, row_level = build_packet_levels(hits, faces_light, None)
     # Sort the hits by row packet, and the row packets by square packet.
     hit_index = join_ranges(row_level.child_start, row_level.child_count)
     row_packet = np.arange(row_level.child_count.size).repeat(row_level.child_count)

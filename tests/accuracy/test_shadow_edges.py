@@ -67,8 +67,8 @@ def test_shadow_in_a_footprint(ground, other, light, expected):
     prepared = PreparedScene(scene)
     hits = find_nearest_hits(prepared, CENTERS.samples(slice(0, 1), slice(0, 1)))
     np.testing.assert_allclose(np.ravel(hits.points(slice(None))), 0, atol=1e-12)
-    frontlit, footprint = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
+    faces_light, footprint = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
     (lights,) = prepared.light_batches
-    is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, frontlit, footprint)
+    is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, footprint)
     assert (is_blocked.item(), edges[0].size > 0) == expected
     assert not is_crowded.any()

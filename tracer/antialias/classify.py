@@ -246,18 +246,20 @@ def _add_lights(
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = compute_light_geometry(hits, lights)
-    frontlit = geometry.n_dot_l > 0
+    faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are divided in any case, so their shadow edges are not needed.
     is_wide = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(is_wide, 0, footprint)
-    is_blocked, edge_triples, is_crowded = find_shadow_edges(hits, lights, frontlit, search_radius)
-    shading.add(geometry, frontlit & ~is_blocked)
+    is_blocked, edge_triples, is_crowded = find_shadow_edges(
+        hits, lights, faces_light, search_radius
+    )
+    shading.add(geometry, faces_light & ~is_blocked)
     terminators = surfaces.find_terminators(
         lights.near_position, geometry.n_dot_l, geometry.length2
     )
     edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, edge_triples), terminators)
     lines, curved_cell = fit_lines(edges, tolerance)
-    highlights = find_narrow_highlights(geometry, frontlit, footprint)
+    highlights = find_narrow_highlights(geometry, faces_light, footprint)
     highlight_cells = [hit_cell[hit_index] for hit_index in highlights]
     incomplete_cell = hit_cell[is_wide | is_crowded]
     unresolved_cell = np.concatenate([incomplete_cell, curved_cell, *highlight_cells])

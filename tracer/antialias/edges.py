@@ -64,7 +64,7 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
         Radius of the visible part around each hit, in the scene's unit of length.
     """
     frame = hits.prepared.frame
-    angle = _compute_half_diagonal(frame, cell_width)
+    angle = _compute_cell_angle(frame, cell_width)
     radius_at_hit, distance = hits.from_eye[2] * angle, hits.distance
     footprint = np.empty(distance.size)
     for group in hits.groups:
@@ -80,7 +80,7 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
     return footprint
 
 
-def _compute_half_diagonal(frame: CameraFrame, cell_width: float) -> float:
+def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
     """Compute the angle that half the diagonal of a square cell subtends at the eye.
 
     Parameters
@@ -156,8 +156,8 @@ def find_silhouette_pixels(
         object_index, row, left, right = spans
         # Find the interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
-        for border in (row, row + 1):
-            border_left, border_right = shape.row_extent(object_index, borders[border], 0.0)
+        for border_index in (row, row + 1):
+            border_left, border_right = shape.row_extent(object_index, borders[border_index], 0.0)
             inner_start = np.maximum(inner_start, border_left)
             inner_stop = np.minimum(inner_stop, border_right)
         covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])
@@ -170,10 +170,10 @@ def find_silhouette_pixels(
         for interval_start, interval_stop in ((start, inner_start), (inner_stop, stop)):
             intervals.append((row, object_index, interval_start, interval_stop))
     fields = (np.concatenate(field) for field in zip(*intervals, strict=True))
-    all_row, all_object_index, *ends = fields
+    interval_row, interval_object, *ends = fields
     start_column, stop_column = (end.clip(*limits).astype(np.intp) for end in ends)
-    interval, column = segment_indices(stop_column - start_column, start_column)
-    return all_row[interval] + rows.start, column, all_object_index[interval]
+    interval_index, column = segment_indices(stop_column - start_column, start_column)
+    return interval_row[interval_index] + rows.start, column, interval_object[interval_index]
 
 
 def evaluate_silhouettes(
@@ -356,25 +356,25 @@ class CellSurfaces(NamedTuple):
         """
         prepared, hit_object = hidden_hits.prepared, hidden_hits.hit_object
         frame, boxes = prepared.frame, prepared.boxes
-        cell_angle = _compute_half_diagonal(frame, self.cell_width)
+        cell_angle = _compute_cell_angle(frame, self.cell_width)
         is_candidate = is_close | prepared.is_eye_inside[hit_object]
         on_box = indices(is_candidate & boxes.objects.contains(hit_object))
-        hit_object, near_index = hit_object[on_box], visible_index[on_box]
+        hit_object, front_index = hit_object[on_box], visible_index[on_box]
         from_eye, distance = take3(hidden_hits.from_eye, on_box), hidden_hits.distance[on_box]
-        visible_distance, footprint = self.hits.distance[near_index], self.footprint[near_index]
+        visible_distance, footprint = self.hits.distance[front_index], self.footprint[front_index]
         box_index = boxes.objects.positions(hit_object)
         is_eye_inside = prepared.is_eye_inside[hit_object]
         for axis in range(3):
-            height = frame.scene_component(from_eye, axis)
+            hit_height = frame.scene_component(from_eye, axis)
             low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
-            is_high = is_eye_inside == (height > 0)
-            face_height = np.where(is_high, high_face, low_face) - frame.eye[axis]
+            is_high_face = is_eye_inside == (hit_height > 0)
+            face_height = np.where(is_high_face, high_face, low_face) - frame.eye[axis]
             # The ray meets the plane of the face at this multiple of the hidden hit.
-            scale = face_height / height
-            cell_radius, cosine = scale * from_eye[2] * cell_angle, np.abs(height) / distance
+            multiple = face_height / hit_height
+            cell_radius, cosine = multiple * from_eye[2] * cell_angle, np.abs(hit_height) / distance
             max_gap = footprint + _compute_footprint_on_face(cell_radius, cosine, cell_angle)
-            is_near = np.abs(scale * distance - visible_distance) <= max_gap
-            yield from self._intersect_planes(axis, near_index, face_height, is_near)
+            is_near = np.abs(multiple * distance - visible_distance) <= max_gap
+            yield from self._intersect_planes(axis, front_index, face_height, is_near)
 
     def find_creases(self) -> Iterator[EdgeValues]:
         """Yield the edges between two visible faces of the same box that may cross cells.

@@ -78,8 +78,8 @@ class Lattice(NamedTuple):
         """
         repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
         candidates = *(cls(1, count) for count in (13, 25, 65)), *repeated_lattices
-        large_enough = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
-        return min(large_enough, key=lambda lattice: lattice.size)
+        sufficient = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
+        return min(sufficient, key=lambda lattice: lattice.size)
 
     @property
     def size(self) -> int:
@@ -90,7 +90,7 @@ class Lattice(NamedTuple):
         """Place the lattice in every pixel of a rectangle of the picture.
 
         The lattice is mirrored in every second row of pixels.  So an edge can be parallel to the
-        lines of the lattice in at most half of the pixels that it crosses.
+        lines of the lattice in only about half of the pixels that it crosses.
 
         Parameters
         ----------
@@ -106,7 +106,8 @@ class Lattice(NamedTuple):
         sample_row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         sample_column = np.arange(self.columns * columns.start, self.columns * columns.stop)
         y, x = (sample_row + 0.5) / self.rows, (sample_column + 0.5) / self.columns
-        return Rows(y, x, self._row_shift(sample_row) / self.columns, (self.columns, self.rows))
+        shift = self._compute_row_shift(sample_row)
+        return Rows(y, x, shift / self.columns, (self.columns, self.rows))
 
     def points(self) -> Points2D:
         """Return the lattice points of a single pixel, row by row.
@@ -143,7 +144,7 @@ class Lattice(NamedTuple):
             row_sum += sample_radiance[:, :, sample_row]
         return np.moveaxis(row_sum.sum(axis=3) / self.size, 0, 2)
 
-    def _row_shift(self, sample_row: Ints) -> Floats:
+    def _compute_row_shift(self, sample_row: Ints) -> Floats:
         """Compute how far each row of sample points is shifted sideways from a regular grid.
 
         Parameters

@@ -154,10 +154,10 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     center_x, center_y = samples.positions(all_pixels)
     pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
     classified = classify(prepared, pixels, samples, all_pixels)
-    smooth = estimate_pixel_means(classified.center, width)
+    estimate = estimate_pixel_means(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classified.is_crowded
-    mean = _compute_cell_means(prepared, classified, smooth, is_refinable)
+    mean = _compute_cell_means(prepared, classified, estimate, is_refinable)
     crowded_index = indices(is_inner & classified.is_crowded)
     lattice = Lattice.at_least(per_side, ratio=1)
     mean[:, crowded_index], _ = _sample_cells(prepared, classified, crowded_index, lattice)
@@ -166,13 +166,13 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
 
 
 def _compute_cell_means(
-    prepared: PreparedScene, classified: Classification, smooth: SmoothMeans, is_refinable: Bools
+    prepared: PreparedScene, classified: Classification, estimate: SmoothMeans, is_refinable: Bools
 ) -> Floats:
     """Compute the mean radiance of cells, and refine those that edges may cross.
 
-    A cell is a pixel, or a square part of a pixel.  Its mean is taken from `smooth` if (1) no edge
-    was found in the cell, and (2) the estimated error is at most the tolerance.  All other cells
-    are sampled on a lattice or divided into quarters (see `_choose_lattices`).
+    A cell is a pixel, or a square part of a pixel.  Its mean is taken from `estimate` if (1) no
+    edge was found in the cell, and (2) the estimated error is at most the tolerance.  All other
+    cells are sampled on a lattice or divided into quarters (see `_choose_lattices`).
 
     Parameters
     ----------
@@ -180,22 +180,22 @@ def _compute_cell_means(
         The scene, prepared for the camera.
     classified : Classification
         The n cells, and the edges that may cross them.
-    smooth : SmoothMeans
+    estimate : SmoothMeans
         Estimated mean radiance of each cell, valid if no edge crosses the cell.
     is_refinable : (n,) bool array
-        False for cells whose mean is taken from `smooth` in any case.
+        False for cells whose mean is taken from `estimate` in any case.
 
     Returns
     -------
     mean : (3, n) float array
         Mean linear RGB radiance of each cell.
     """
-    cells, mean = classified.cells, smooth.radiance.copy()
+    cells, mean = classified.cells, estimate.radiance.copy()
     first_lattice, is_first_for_all, second_lattice = _choose_lattices(cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
     has_lines[classified.lines.cell] = True
     # An unknown error (NaN) makes a cell neither accurate nor inaccurate.
-    is_accurate, is_inaccurate = smooth.error <= cells.tolerance, smooth.error > cells.tolerance
+    is_accurate, is_inaccurate = estimate.error <= cells.tolerance, estimate.error > cells.tolerance
     is_pending = is_refinable & (has_lines | classified.is_unresolved | ~is_accurate)
     if first_lattice is not None:
         has_only_lines = is_pending & has_lines & ~(classified.is_unresolved | is_inaccurate)
@@ -212,7 +212,7 @@ def _compute_cell_means(
         )
         return mean
     for batch_index in index_batches(pending_index, _cells_per_batch(prepared, samples_per_cell=4)):
-        mean[:, batch_index] = _refine_quarters(prepared, classified, smooth.error, batch_index)
+        mean[:, batch_index] = _refine_quarters(prepared, classified, estimate.error, batch_index)
     return mean
 
 
@@ -273,8 +273,8 @@ def _sample_cells(
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
         radiance, sample_id = compute_radiance_and_ids(prepared, samples)
-        for mean_channel, channel in zip(mean, radiance, strict=True):
-            mean_channel[batch] = np.bincount(cell, weight * channel, batch.size)
+        for channel_mean, channel_radiance in zip(mean, radiance, strict=True):
+            channel_mean[batch] = np.bincount(cell, weight * channel_radiance, batch.size)
         missed_edge[batch[cell[find_samples_in_mixed_regions(region, sample_id)]]] = True
     return mean, missed_edge
 
@@ -311,7 +311,7 @@ def _refine_quarters(
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
     classified_quarters = classify(prepared, quarters, samples, order)
     center, quarter_center = classified.center.take(cell_index), classified_quarters.center
-    smooth = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
+    estimate = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
     is_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
     tested_index = indices(is_unresolved & (line_count == 0))
@@ -319,12 +319,12 @@ def _refine_quarters(
     sampled_mean, missed_edge = _sample_cells(
         prepared, classified, cell_index[tested_index], lattice
     )
-    expected_mean = smooth.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
+    expected_mean = estimate.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
     is_confirmed = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
     is_smooth = np.zeros(count, dtype=np.bool_)
     is_smooth[tested_index[is_confirmed]] = True
     is_refinable = ~is_smooth.repeat(4)
-    quarter_mean = _compute_cell_means(prepared, classified_quarters, smooth, is_refinable)
+    quarter_mean = _compute_cell_means(prepared, classified_quarters, estimate, is_refinable)
     mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)
     mean[:, is_smooth] = sampled_mean[:, is_confirmed]
     return mean

@@ -75,7 +75,7 @@ class ShapeHits(NamedTuple):
         return repeat_runs(run_values, self.run_length)
 
     def per_hit(self, values: Floats) -> Floats:
-        """Look up, for each hit, the value that belongs to its tangent plane.
+        """Repeat the values of tangent planes for all hits that share them.
 
         Parameters
         ----------

@@ -304,7 +304,7 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
 
 
 def find_narrow_highlights(
-    geometry: LightGeometry, frontlit: Bools, footprint: Floats
+    geometry: LightGeometry, faces_light: Bools, footprint: Floats
 ) -> Iterator[Ints]:
     """Find hits whose footprint may contain a highlight too narrow for a single sample.
 
@@ -318,7 +318,7 @@ def find_narrow_highlights(
     ----------
     geometry : LightGeometry
         The n hits and the lights.
-    frontlit : (lights, n) bool array
+    faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.  Occluders are ignored: a light that is not
         visible from the hit may still be visible from other points of the footprint.
     footprint : (n,) float array
@@ -337,10 +337,10 @@ def find_narrow_highlights(
     eye_turn = 1 / hits.distance + hits.object_values(prepared.curvature)
     # If the angle a changes by 1, the lobe position sqrt(p / 2) a changes by this much.
     lobe_scale = np.where(is_glossy, np.sqrt(hits.object_values(prepared.exponent) / 2), 0)
-    for light_index, faces_light in enumerate(frontlit):
+    for light_index, hit_faces_light in enumerate(faces_light):
         max_turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index])
         lobe_step = footprint * max_turn * lobe_scale
-        hit_index = indices((lobe_step > _MAX_LOBE_STEP) & faces_light)
+        hit_index = indices((lobe_step > _MAX_LOBE_STEP) & hit_faces_light)
         if hit_index.size:
             strength = geometry.compute_highlight_strength(light_index, hit_index)
             lobe_position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)

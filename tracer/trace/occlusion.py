@@ -124,7 +124,7 @@ class Packets(NamedTuple):
 
 
 def _find_occluders(
-    hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats | None = None
+    hits: Hits, lights: Lights, faces_light: Bools, footprint: Floats | None = None
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
     """Find the (light, hit, object) triples that need an exact shadow test.
 
@@ -138,7 +138,7 @@ def _find_occluders(
         The n hits that may be in shadow.
     lights : Lights
         The lights that cast the shadows.
-    frontlit : (lights, n) bool array
+    faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.  Most other pairs are skipped.
     footprint : (n,) float array, optional
         If given, also find the objects that block a segment to the light from any surface point
@@ -155,9 +155,9 @@ def _find_occluders(
         Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow, with
         all points within `footprint` of them.  Later batches exclude these pairs.
     """
-    if lights.grid is None or not frontlit.any():
+    if lights.grid is None or not faces_light.any():
         return
-    levels = build_packet_levels(hits, frontlit, footprint)
+    levels = build_packet_levels(hits, faces_light, footprint)
     for shape, triples in _query_grid(lights.grid, levels[0], hits.prepared.shapes):
         shaded_pairs = np.zeros((2, 0), dtype=np.intp)
         for packets in levels:
@@ -316,11 +316,11 @@ class _EdgeSet:
         self._keys = [keys[~is_run_crowded.repeat(edge_count)]]
 
 
-def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
+def is_occluded(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     """Test whether an object blocks the straight segment between each hit and each light.
 
     The object on which the hit lies is not tested.  It blocks the light only if the surface faces
-    away from the light, where `frontlit` is False.
+    away from the light, where `faces_light` is False.
 
     Parameters
     ----------
@@ -328,16 +328,16 @@ def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
         The n hits that may be in shadow.
     lights : Lights
         The lights that cast the shadows.
-    frontlit : (lights, n) bool array
+    faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
 
     Returns
     -------
     is_blocked : (lights, n) bool array
-        Whether an object blocks the segment; meaningless where `frontlit` is False.
+        Whether an object blocks the segment; meaningless where `faces_light` is False.
     """
-    is_blocked = np.zeros(frontlit.shape, dtype=np.bool_)
-    for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit):
+    is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
+    for shape, triples, shaded_pairs in _find_occluders(hits, lights, faces_light):
         light_index, hit_index, _ = triples[:, _test_segments(hits, lights, shape, triples)]
         put_2d(is_blocked, light_index, hit_index, True)
         put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
@@ -345,7 +345,7 @@ def is_occluded(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
 
 
 def find_shadow_edges(
-    hits: Hits, lights: Lights, frontlit: Bools, footprint: Floats
+    hits: Hits, lights: Lights, faces_light: Bools, footprint: Floats
 ) -> tuple[Bools, Ints, Bools]:
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
@@ -359,7 +359,7 @@ def find_shadow_edges(
         The n hits that may be in shadow.
     lights : Lights
         The lights that cast the shadows.
-    frontlit : (lights, n) bool array
+    faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array
         Radius of each footprint, in the scene's unit of length.
@@ -368,7 +368,7 @@ def find_shadow_edges(
     -------
     is_blocked : (lights, n) bool array
         Whether an object other than the hit's own blocks the segment from the hit to the light;
-        meaningless where `frontlit` is False.
+        meaningless where `faces_light` is False.
     edge_triples : (3, m) int array
         The visible edges, sorted by light, then by hit, then by occluder.  Row 0 contains light
         indices, row 1 hit indices, and row 2 occluder indices.  If a hit has more than
@@ -376,15 +376,15 @@ def find_shadow_edges(
     is_crowded : (n,) bool array
         Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of one light.
     """
-    is_blocked, in_umbra = np.zeros((2, *frontlit.shape), dtype=np.bool_)
-    edge_set = _EdgeSet((*frontlit.shape, hits.prepared.position_error.size))
-    for shape, triples, shaded_pairs in _find_occluders(hits, lights, frontlit, footprint):
+    is_blocked, in_umbra = np.zeros((2, *faces_light.shape), dtype=np.bool_)
+    edge_set = _EdgeSet((*faces_light.shape, hits.prepared.position_error.size))
+    for shape, triples, shaded_pairs in _find_occluders(hits, lights, faces_light, footprint):
         results = _test_footprints(hits, lights, shape, triples, footprint)
         triples, blocks, covers, has_edge = results
         put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
         put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
         put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
-        edge_set.add(triples[:, has_edge & take_2d(frontlit, triples[0], triples[1])])
+        edge_set.add(triples[:, has_edge & take_2d(faces_light, triples[0], triples[1])])
     edge_triples = edge_set.distinct()
     is_visible = ~take_2d(in_umbra, edge_triples[0], edge_triples[1])
     is_crowded = np.any(edge_set.is_crowded & ~in_umbra, axis=0)
@@ -483,7 +483,7 @@ def _test_segments(
     return shape.occludes(object_index, hit_position, light_position, light_side, growth)
 
 
-def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -> list[Packets]:
+def build_packet_levels(hits: Hits, faces_light: Bools, footprint: Floats | None) -> list[Packets]:
     """Group hits into row packets and, if objects are large, row packets into square packets.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
@@ -493,7 +493,7 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
     ----------
     hits : Hits
         The n hits to group.
-    frontlit : (lights, n) bool array
+    faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array or None
         If given, bounding spheres contain all points within this distance of each hit.
@@ -505,15 +505,15 @@ def build_packet_levels(hits: Hits, frontlit: Bools, footprint: Floats | None) -
     """
     packet_width = hits.prepared.packet_width * hits.samples.density  # in samples
     max_row_hits = int(min(max(packet_width, 1), _MAX_ROW_HITS))
-    row_packets = _build_row_packets(hits, frontlit, footprint, max_row_hits)
-    side = int(min(packet_width, _MAX_SQUARE_SIDE))
-    if side < _MIN_SQUARE_SIDE:
+    row_packets = _build_row_packets(hits, faces_light, footprint, max_row_hits)
+    square_side = int(min(packet_width, _MAX_SQUARE_SIDE))
+    if square_side < _MIN_SQUARE_SIDE:
         return [row_packets]
-    return [*_build_square_packets(hits, row_packets, side / hits.samples.density)]
+    return [*_build_square_packets(hits, row_packets, square_side / hits.samples.density)]
 
 
 def _build_row_packets(
-    hits: Hits, frontlit: Bools, footprint: Floats | None, max_hits: int
+    hits: Hits, faces_light: Bools, footprint: Floats | None, max_hits: int
 ) -> Packets:
     """Divide runs of hits into row packets of at most `max_hits` hits.
 
@@ -524,7 +524,7 @@ def _build_row_packets(
     ----------
     hits : Hits
         The n hits to divide.
-    frontlit : (lights, n) bool array
+    faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
     footprint : (n,) float array or None
         If given, bounding spheres contain all points within this distance of each hit.
@@ -543,7 +543,7 @@ def _build_row_packets(
     first_hit = hits.run_start[run_index] + first_in_run
     hit_count = np.minimum(run_size[run_index] - first_in_run, max_hits)
     object_index = hits.run_object[run_index]
-    is_lit = np.logical_or.reduceat(frontlit, first_hit, axis=1)
+    is_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
     center, radius = _compute_bounding_spheres(hits, first_hit)
     radius += hits.prepared.position_error[object_index]
     if footprint is not None:
@@ -584,14 +584,14 @@ def _build_square_packets(
     # One integer encodes the object, and the row and the column of the square.
     square_key = row_packets.object_index
     for position in hits.samples.positions(hits.sample.take(first_hit)):
-        square = (position / square_width).astype(np.intp)
-        square -= square.min()
-        square_key = square_key * (square.max() + 1) + square
+        square_number = (position / square_width).astype(np.intp)
+        square_number -= square_number.min()
+        square_key = square_key * (square_number.max() + 1) + square_number
     order = square_key.argsort(kind="stable")
-    layer = hits.prepared.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
+    depth_layer = hits.prepared.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
-    start, count = run_lengths(square_key[order], layer[order])
-    return _merge_row_packets(row_packets, start, count), row_packets
+    first_child, child_count = run_lengths(square_key[order], depth_layer[order])
+    return _merge_row_packets(row_packets, first_child, child_count), row_packets
 
 
 def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floats]:
@@ -631,7 +631,7 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 
-def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packets:
+def _merge_row_packets(row_packets: Packets, first_child: Ints, child_count: Ints) -> Packets:
     """Merge consecutive row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
@@ -642,8 +642,8 @@ def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packet
     ----------
     row_packets : Packets
         All row packets, sorted so that those of one square packet are consecutive.
-    start, count : (m,) int arrays
-        Square packet i contains the row packets start[i] to start[i] + count[i] - 1.
+    first_child, child_count : (m,) int arrays
+        Index of the first row packet, and number of row packets, in each square packet.
 
     Returns
     -------
@@ -651,12 +651,13 @@ def _merge_row_packets(row_packets: Packets, start: Ints, count: Ints) -> Packet
         The m square packets.
     """
     low_corner, high_corner = (
-        extremum.reduceat(row_packets.center, start, axis=1)
+        extremum.reduceat(row_packets.center, first_child, axis=1)
         for extremum in (np.minimum, np.maximum)
     )
     center = 0.5 * (low_corner + high_corner)
-    center_offset = row_packets.center - center.repeat(count, axis=1)
+    center_offset = row_packets.center - center.repeat(child_count, axis=1)
     needed_radius = np.sqrt((center_offset * center_offset).sum(axis=0)) + row_packets.radius
-    radius = np.maximum.reduceat(needed_radius, start)
-    is_lit = np.logical_or.reduceat(row_packets.is_lit, start, axis=1)
-    return Packets(row_packets.object_index[start], start, count, center, radius, is_lit)
+    radius = np.maximum.reduceat(needed_radius, first_child)
+    is_lit = np.logical_or.reduceat(row_packets.is_lit, first_child, axis=1)
+    object_index = row_packets.object_index[first_child]
+    return Packets(object_index, first_child, child_count, center, radius, is_lit)

@@ -39,7 +39,7 @@ def compute_radiance(
 
 
 def compute_radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance at each sample, and an id of the visible face and the lights on it.
+    """Compute the radiance and an id at each sample.
 
     Parameters
     ----------

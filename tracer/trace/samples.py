@@ -37,7 +37,7 @@ def find_object_spans(
     height: float = 0.0,
     pad: float = 0.0,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Compute which part of each row of the picture is covered by each object of one shape.
+    """Compute the part of each picture row that each object of one shape covers.
 
     The part of one row that one object covers is called a span.  Other objects may hide it.
 
