@@ -376,9 +376,8 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     light = diffuse_scene.lights[0]
     white_light = replace(light, intensity=(1.0, 1.0, 1.0))
     document = convert_stock(replace(diffuse_scene, lights=(white_light,)), 1)
-    plugin_by_type = {element.get("type"): element for element in document.root.iter()}
-    types = "direct", "multijitter", "point"
-    integrator, sampler, emitter = (plugin_by_type[name] for name in types)
+    plugins = {element.get("type"): element for element in document.root.iter()}
+    integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
     document.root.remove(integrator)
     document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")

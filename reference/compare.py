@@ -87,7 +87,7 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
         The options.  In addition, `is_class` is True if the first argument is a folder, and
         `folder` is that folder, or otherwise the picture's folder.
     hand_ins : list of HandIn
-        Each picture to compare, or missing, with its reference.
+        The pictures to compare and those that are missing, each with its reference.
 
     Raises
     ------
@@ -118,8 +118,7 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     options.folder = submission if options.is_class else submission.parent
     picture_paths = list_hand_ins(submission) if options.is_class else [submission]
     if submission.suffix.lower() == ".xml" or (not picture_paths and [*submission.glob("*.xml")]):
-        problem = "a hand-in is a picture; give it first, then the scene"
-        report_error(printable(f"{submission}: {problem}"))
+        report_error(printable(f"{submission}: a hand-in is a picture; put it before the scene"))
     if not picture_paths:
         report_error(printable(f"{submission}: contains no pictures"))
     if options.is_class and options.output and not is_folder(options.output):

@@ -23,7 +23,8 @@ GAMMA = 2.2
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
 _SSIM_WINDOW = 7
-# A large picture is compared in bands of rows, which have about this number of pixels each.
+# Large pictures are compared in bands of rows, of at most about this number of pixels each.  The
+# comparison of a band takes about 100 bytes of memory per pixel.
 _PIXELS_PER_BAND = 500_000
 # Pixels that differ by more than this, in linear light, are counted.
 _COUNTED_DIFFERENCE = 1e-3
@@ -50,8 +51,8 @@ def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
     linear_light : float array of the same shape
         Linear light from 0 to 1.
     """
-    light_of_code: Floats = (np.arange(256) / 255) ** GAMMA
-    return np.asarray(light_of_code[codes])
+    light_by_code: Floats = (np.arange(256) / 255) ** GAMMA
+    return np.asarray(light_by_code[codes])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +70,7 @@ class Figures:
         Maximum, 99.9th percentile and median of the pixels' differences.
     rmse : float
         Root mean square of the differences of all channels.
-    over : int
+    over_count : int
         Number of pixels that differ by more than 1e-3.
     """
 
@@ -78,22 +79,24 @@ class Figures:
     p999: float
     rmse: float
     median: float
-    over: int
+    over_count: int
 
     def __str__(self) -> str:
         """Format all measures as one line of text."""
         return (
             f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e}, 99.9% {self.p999:.1e},"
-            f" median {self.median:.1e}, RMSE {self.rmse:.1e}, pixels over 1e-3: {self.over}"
+            f" median {self.median:.1e}, RMSE {self.rmse:.1e}, pixels over 1e-3: {self.over_count}"
         )
 
 
-def measure_differences(first: Floats, second: Floats, mask: Bools | None = None) -> Figures:
+def measure_differences(
+    first_image: Floats, second_image: Floats, mask: Bools | None = None
+) -> Figures:
     """Measure how much two pictures differ in linear radiance.
 
     Parameters
     ----------
-    first, second : (height, width, 3) float arrays
+    first_image, second_image : (height, width, 3) float arrays
         The two pictures, in linear radiance.
     mask : (height, width) bool array, optional
         True for pixels to exclude from every measure except the structural similarity.
@@ -109,18 +112,19 @@ def measure_differences(first: Floats, second: Floats, mask: Bools | None = None
     ValueError
         If the shapes differ, a value is not finite, or every pixel is masked.
     """
-    if first.shape != second.shape:
-        raise ValueError(f"the pictures' shapes differ: {first.shape} and {second.shape}")
-    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+    shape, images = first_image.shape, (first_image, second_image)
+    if shape != second_image.shape:
+        raise ValueError(f"the pictures' shapes differ: {shape} and {second_image.shape}")
+    if not all(np.isfinite(image).all() for image in images):
         raise ValueError("a picture contains values that are not finite")
-    is_kept = np.ones(first.shape[:2], dtype=np.bool_) if mask is None else ~mask
+    is_kept = np.ones(shape[:2], dtype=np.bool_) if mask is None else ~mask
     if not is_kept.any():
         raise ValueError("every pixel is masked")
-    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in first.shape[:2]] + [(0, 0)]
-    encoded = [picture.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for picture in (first, second)]
-    encoded = [np.pad(picture, padding, mode="edge") for picture in encoded]
+    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in shape[:2]] + [(0, 0)]
+    encoded = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in images]
+    encoded = [np.pad(image, padding, mode="edge") for image in encoded]
     ssim = structural_similarity(*encoded, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
-    channel_difference = np.abs(first - second)[is_kept]
+    channel_difference = np.abs(first_image - second_image)[is_kept]
     pixel_difference = channel_difference.max(axis=1)
     return Figures(
         ssim=float(ssim),
@@ -128,15 +132,14 @@ def measure_differences(first: Floats, second: Floats, mask: Bools | None = None
         p999=float(np.percentile(pixel_difference, _PERCENTILE)),
         rmse=float(np.sqrt(np.mean(channel_difference**2))),
         median=float(np.median(pixel_difference)),
-        over=int(np.count_nonzero(pixel_difference > _COUNTED_DIFFERENCE)),
+        over_count=int(np.count_nonzero(pixel_difference > _COUNTED_DIFFERENCE)),
     )
 
 
 def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Differences]:
     """Measure how much two gamma-encoded pictures differ in linear light.
 
-    The pictures are compared in bands of rows, because a comparison takes about 100 bytes of memory
-    per pixel.
+    To save memory, the pictures are compared in bands of rows.
 
     Parameters
     ----------
@@ -155,15 +158,15 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
     """
     (height, width, _), window_margin = first.shape, _SSIM_WINDOW - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows at which a window of the structural similarity can begin.
-    window_rows = max(1, height - window_margin)
+    # Number of rows in which a structural-similarity window can begin.
+    window_row_count = max(1, height - window_margin)
     ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
     for band_start in range(0, height, band_height):
-        # Include the rows below the band into which its windows extend.
+        # The rows of the band, and those below it into which the band's windows extend.
         rows = slice(band_start, band_start + band_height + window_margin)
         first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
         figures = measure_differences(first_light, second_light)
-        weight = max(0, min(band_height, window_rows - band_start)) / window_rows
+        weight = max(0, min(band_height, window_row_count - band_start)) / window_row_count
         ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
         channel_difference = (first_light - second_light)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
@@ -218,7 +221,7 @@ def write_comparison(
 
 
 def largest_difference(channel_difference: Floats) -> Differences:
-    """Select the difference of the channel that differs most, for each pixel of two pictures.
+    """Select, for each pixel, the difference in the channel that differs most.
 
     Parameters
     ----------
@@ -228,7 +231,7 @@ def largest_difference(channel_difference: Floats) -> Differences:
     Returns
     -------
     difference : (height, width) float32 array
-        For each pixel, the signed difference that has the largest absolute value.
+        For each pixel, the signed difference with the largest absolute value.
     """
     lowest, highest = channel_difference.min(axis=2), channel_difference.max(axis=2)
     difference: Differences = np.where(highest >= -lowest, highest, lowest).astype(np.float32)
@@ -236,7 +239,7 @@ def largest_difference(channel_difference: Floats) -> Differences:
 
 
 def amplify_difference(difference: Differences) -> tuple[Codes, float]:
-    """Draw the difference between two pictures, amplified to be visible.
+    """Draw the amplified difference between two pictures.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ TEMPLATE = HERE / "page.html"
 _MAX_THUMBNAIL = 96
 
 # Default values of the optional template variables.
-_DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "below": (), "is_folded": False}
+_DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "notes": (), "is_folded": False}
 
 Pair: TypeAlias = dict[str, Any]
 """Template values for a pair of pictures and their difference, from `prepare_pair`."""
@@ -68,8 +68,8 @@ def prepare_pair(
         Further template values.
 
         Required: `name` and `verdict` (str, shown in the heading), `is_good` (bool, whether the
-        verdict is a success), `left` and `right` (str, the names of the pictures), and `figures` (a
-        sequence of (name, value) tuples).
+        verdict is a success), `left_name` and `right_name` (str, the names of the pictures), and
+        `figures` (a sequence of (name, value) tuples).
 
         Optional: `comment` (str), `faults` and `notes` (sequences of paragraphs), `worst_pixel`
         (column and row of a pixel to mark with a ring), and `thumbnail` (bytes of a PNG).
@@ -98,14 +98,14 @@ def render_page(**content: Any) -> str:
     **content
         Values for the page template.
 
-        Required: `title` (str, the heading), `lead` and `verdict` (str, the beginning and the end
-        of the first paragraph), `is_good` (bool, whether the verdict is a success), `overview`
-        (str, the name of the overview table), `head` (a sequence of column titles), `rows` (the
-        table as nested sequences: rows, columns, and one or more `Cell` objects), `pairs` (a
-        sequence of results of `prepare_pair`), and `legend` (str).
+        Required: `title` (str, the heading), `introduction` and `verdict` (str, the beginning and
+        the end of the first paragraph), `is_good` (bool, whether the verdict is a success),
+        `table_name` (str), `column_titles` (a sequence of str), `rows` (the table as nested
+        sequences: rows, columns, and one or more `Cell` objects), `pairs` (a sequence of results of
+        `prepare_pair`), and `legend` (str).
 
         Optional: `source` (str, the origin of the pictures), `faults` (a sequence of paragraphs on
-        failed comparisons), `charts` (a sequence of (title, SVG bytes) tuples), `below` (a sequence
+        failed comparisons), `charts` (a sequence of (title, SVG bytes) tuples), `notes` (a sequence
         of paragraphs below the table), and `is_folded` (bool, whether to hide the pictures of pairs
         with a good verdict until the reader clicks).
 
@@ -121,15 +121,15 @@ def render_page(**content: Any) -> str:
     """
     id_by_png: dict[bytes, str] = {}
 
-    def image_attributes(png: bytes) -> Markup:
-        """Return HTML attributes that contain a PNG, or the id of an earlier image equal to it."""
+    def format_image_attributes(png: bytes) -> Markup:
+        """Format HTML attributes that contain a PNG, or the id of an earlier image equal to it."""
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"
         return Markup('id="{}" src="{}"').format(id_by_png[png], _to_data_url(png))
 
     environment = Environment(autoescape=True, trim_blocks=True, undefined=StrictUndefined)
-    environment.filters |= {"source": image_attributes, "png": _to_data_url}
+    environment.filters |= {"source": format_image_attributes, "png": _to_data_url}
     environment.filters["svg"] = lambda svg: _to_data_url(svg, "svg+xml")
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(_DEFAULT_CONTENT | content)

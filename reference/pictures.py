@@ -38,7 +38,7 @@ class Picture(NamedTuple):
         Red, green and blue of each pixel, as encoded with gamma.
     note : str
         How storing the picture in this format altered it, as a predicate: "is a JPEG, which changes
-        levels: …".  Empty if nothing was altered.
+        levels: …".  Empty if it did not.
     lossy_levels : int
         Number of levels by which the file format may have altered codes.
     save : callable, optional
@@ -111,24 +111,25 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
         If the file is damaged, or if the pixels are not RGB, palette or grey.
     """
     if image.mode.startswith("I"):  # 16-bit grey
-        grey = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
-        return Picture(np.repeat(grey[:, :, None], 3, axis=2))
+        grey_codes = np.round(np.clip(np.asarray(image), 0, 65535) / 257).astype(np.uint8)
+        return Picture(np.repeat(grey_codes[:, :, None], 3, axis=2))
     if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
         raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
-    is_deep = _has_more_than_8_bits(image)  # must precede decoding, which discards the depth
-    rgba = image.convert("RGBA")
-    black = Image.new("RGBA", rgba.size, (0, 0, 0, 255))
-    codes = np.asarray(Image.alpha_composite(black, rgba).convert("RGB"))
+    loses_bits = _has_more_than_8_bits(image)  # must precede decoding, which discards the depth
+    rgba_image = image.convert("RGBA")
+    black_image = Image.new("RGBA", rgba_image.size, (0, 0, 0, 255))
+    codes = np.asarray(Image.alpha_composite(black_image, rgba_image).convert("RGB"))
     if image.format == "JPEG":
-        return Picture(codes, _NOTE_OF_FORMAT.format("JPEG"), 3, _make_jpeg_round_trip(image))
+        note, round_trip = _NOTE_OF_FORMAT.format("JPEG"), _make_jpeg_round_trip(image)
+        return Picture(codes, note, lossy_levels=3, save=round_trip)
     # A lossless WEBP contains a chunk named VP8L.
     if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
-        return Picture(codes, _NOTE_OF_FORMAT.format("WEBP"), 12)
+        return Picture(codes, _NOTE_OF_FORMAT.format("WEBP"), lossy_levels=12)
     if image.mode in ("P", "PA"):
-        return Picture(codes, _NOTE_OF_PALETTE, 12)
-    if is_deep:
-        return Picture(codes, _NOTE_OF_DEPTH, 1)
-    is_opaque = rgba.getchannel("A").getextrema() == (255, 255)
+        return Picture(codes, _NOTE_OF_PALETTE, lossy_levels=12)
+    if loses_bits:
+        return Picture(codes, _NOTE_OF_DEPTH, lossy_levels=1)
+    is_opaque = rgba_image.getchannel("A").getextrema() == (255, 255)
     return Picture(codes, "" if is_opaque else _NOTE_OF_ALPHA)
 
 
@@ -152,7 +153,7 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
 
 
 def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Create a function that compresses a picture as a given JPEG was, and decodes it again.
+    """Create a function that saves and reloads pictures with the compression of a given JPEG.
 
     Parameters
     ----------
@@ -162,14 +163,15 @@ def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
     Returns
     -------
     round_trip : callable
-        Takes codes (h, w, 3), and returns the codes (h, w, 3) of the decoded JPEG.
+        Takes the codes (h, w, 3) of a picture, and returns those of the reloaded picture.
     """
-    tables = image.quantization  # type: ignore[attr-defined]
+    quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
 
     def round_trip(codes: Codes) -> Codes:
+        """Return the codes of a picture after it is saved as a JPEG in memory and reloaded."""
         jpeg_file, picture = io.BytesIO(), Image.fromarray(codes)
-        picture.save(jpeg_file, "JPEG", qtables=tables, subsampling=subsampling)
+        picture.save(jpeg_file, "JPEG", qtables=quantization_tables, subsampling=subsampling)
         return np.asarray(Image.open(jpeg_file))
 
     return round_trip
@@ -198,7 +200,7 @@ def level_difference(first_codes: Codes, second_codes: Codes, channel_axis: int 
     Returns
     -------
     largest_difference : (..., n) uint8 array
-        The difference in each pixel: an array like the inputs, without their channel axis.
+        The differences: an array like the inputs, but without the channel axis.
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)

@@ -80,13 +80,13 @@ def render_report(
     variants = ", ".join(sorted({result.mitsuba.variant for result, _ in results}))
     return render_page(
         title="Pencil tracer and Mitsuba 3, scene by scene",
-        lead=f"{len(results)} scene{'s' * (len(results) != 1)}, sampled at the pixels' centres by"
-        " both renderers and compared in linear light: away from edges they may differ by at most"
-        f" {EXACT.difference:g}.",
+        introduction=f"{len(results)} scene{'s' * (len(results) != 1)}, sampled at the pixels'"
+        " centres by both renderers and compared in linear light: away from edges they may differ"
+        f" by at most {EXACT.difference:g}.",
         verdict="All agree." if all_agree else f"{agreeing_count} agree.",
         is_good=all_agree,
-        overview="All scenes",
-        head=_HEAD,
+        table_name="All scenes",
+        column_titles=_HEAD,
         rows=[_format_overview_row(k, result) for k, (result, _) in enumerate(results)],
         pairs=[_prepare_result(result, comment) for result, comment in results],
         legend=_DIFFERENCE_LEGEND,
@@ -147,15 +147,15 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         name=result.name,
         is_good=agrees,
         verdict=result.verdict,
-        left="tracer",
-        right="Mitsuba",
+        left_name="tracer",
+        right_name="Mitsuba",
         comment=comment,
         faults=[] if agrees else remarks,
         notes=remarks if agrees else [],
         figures=(
             ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
             ("99.9th percentile", f"{metrics.p999:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
-            ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.over),
+            ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.over_count),
             ("edge pixels excluded", result.edges.sum()), ("ties excluded", result.ties.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
             (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
