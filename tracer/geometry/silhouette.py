@@ -30,7 +30,7 @@ def silhouette_planes(low: Floats, high: Floats) -> Triple:
         Components x, y and z of the normals of six planes for each box.  Every direction d from the
         apex to a point of the box satisfies d . normal >= 0.  Planes 2 k and 2 k + 1 belong to
         edges parallel to axis k; their normals are 0 if no such edge is in the silhouette.  The
-        components are copied from corners, so they have no cancellation errors.
+        components are coordinates of corners, up to sign, so they have no cancellation errors.
     """
     # For each axis: 1 if the box lies above the apex, -1 if it lies below, and otherwise 0.
     side = (low > 0).astype(np.int8) - (high < 0)
