@@ -344,11 +344,11 @@ class InverseDepth(NamedTuple):
         linear, quadratic = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             batch = group.interval
-            # Tangent planes, which are replaced by spheres unless the eye is on the sphere.
+            # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
             linear[:, batch] = [group.per_hit(part / -group.eye_height) for part in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.positions(group.repeat_runs(group.run_object))
-                power = spheres.power[sphere_index]  # P: the squared centre minus squared radius
+                power = spheres.power[sphere_index]  # P = C^2 - r^2, with centre C and radius r
                 center = np.array(take3(spheres.from_eye, sphere_index))
                 quadratic[batch] = np.where(power != 0, 1 / power, 0)
                 linear[:, batch] = np.where(power != 0, center / power, linear[:, batch])

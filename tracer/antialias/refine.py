@@ -58,24 +58,24 @@ _MAX_SAMPLED_SIDE = 3
 _MAX_SILHOUETTE_PAIRS = 0.006
 
 
-def is_supersampling_cheaper(prepared: PreparedScene, per_side: int) -> bool:
+def is_supersampling_cheaper(prepared: PreparedScene, samples_per_side: int) -> bool:
     """Estimate whether uniform samples in all pixels cost less than searching for edges.
 
     Parameters
     ----------
     prepared : PreparedScene
         The scene, prepared for the camera.
-    per_side : int
+    samples_per_side : int
         Number of uniform samples along each side of a pixel.
 
     Returns
     -------
     is_cheaper : bool
         True if the mean number of pairs of silhouettes that cross the same pixel is large relative
-        to the number of samples, per_side x per_side.
+        to the number of samples per pixel.
     """
     pairs_per_pixel = prepared.bounds.silhouette_density(prepared.frame)
-    return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * per_side**2
+    return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
 
 
 def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:

@@ -101,7 +101,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Two samples
     have the same id if they hit the same face of the same object, and the same lights are visible
-    from both hits.  So a region that contains different ids is crossed by an edge without a line.
+    from both hits.  So an edge without a line crosses every region that contains different ids.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
         Indices of samples in such regions, at least one for each region.
     """
     reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
-    reference_id[region] = sample_id  # that of any sample in the region
+    reference_id[region] = sample_id  # the id of an arbitrary sample in the region
     return indices(reference_id[region] != sample_id)
 
 

@@ -165,7 +165,7 @@ class Shading:
         self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the light of a batch of lights, and encode in `ids` which of them are visible.
+        """Add the reflection of a batch of lights, and encode in `ids` which lights are visible.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class Shading:
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
         for channel, reflected, glossy, specular in self.reflection_terms():
-            reflected[glossy] += specular  # until here, the diffuse radiance only
+            reflected[glossy] += specular  # it was the diffuse radiance before
             out[channel][self._hits.sample] = reflected
         return out
 

@@ -441,17 +441,17 @@ def _test_footprints(
         Whether the edge of the object's shadow may cross the footprint.
     """
     radius = footprint[triples[1]]
-    blocks_grown = _test_segments(hits, lights, shape, triples, radius)
+    grown_blocks = _test_segments(hits, lights, shape, triples, radius)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
     light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
-    near_index = indices(blocks_grown | (light_distance <= radius))
+    near_index = indices(grown_blocks | (light_distance <= radius))
     near_triples = triples.take(near_index, axis=1)
     radius, light_distance = radius[near_index], light_distance[near_index]
     blocks = _test_segments(hits, lights, shape, near_triples)
     covers = blocks & _test_segments(hits, lights, shape, near_triples, -radius)
     covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON
-    has_edge = ~covers & (blocks_grown[near_index] | (np.abs(light_distance) <= radius))
+    has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= radius))
     return near_triples, blocks, covers, has_edge
 
 

@@ -152,8 +152,8 @@ class Rows(NamedTuple):
     def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
         """Find the samples at which each object of one shape may be visible.
 
-        They are grouped into spans.  A span consists of consecutive samples in one row, for one
-        object.
+        The samples are grouped into spans: consecutive samples in one row at which the same object
+        may be visible.
 
         Parameters
         ----------
