@@ -133,7 +133,7 @@ def draw_packets() -> None:
     _save_figure("packets")
 
 
-def _cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
+def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     """Compute the outlines of a light grid's cells in the octahedral map of directions.
 
     The map unfolds all directions into the square from -1 to 1.  The octants towards positive z
@@ -171,7 +171,7 @@ def draw_light_grid() -> None:
     scene, prepared, _ = _load_and_prepare("many-objects", 320)
     grid = prepared.prepare_lights(slice(1, 2)).grid
     assert grid is not None
-    polygons, object_count = _cell_polygons(grid)
+    polygons, object_count = _compute_cell_polygons(grid)
     _, (image_axes, grid_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 2.6), width_ratios=(1, 1.1))
     _show_picture(image_axes, to_codes(render(scene)) / 255, f"{len(scene.surfaces)} objects")
     cells = PolyCollection([*polygons], array=object_count, cmap="cividis", ec="w", lw=0.2)
@@ -182,21 +182,21 @@ def draw_light_grid() -> None:
     _save_figure("light-grid")
 
 
-def _clip_lines(classified: Classification) -> Iterable[Floats]:
+def _clip_lines(classification: Classification) -> Iterable[Floats]:
     """Clip straight edges to the cells (pixels or parts of pixels) that they cross.
 
     Parameters
     ----------
-    classified : Classification
-        The cells, and for each cell the lines along its edges.
+    classification : Classification
+        The cells, and the lines along the straight edges that cross them.
 
     Yields
     ------
     segment : (2, 2) float array
         The two end points (x, y) of a clipped line, in pixels.
     """
-    cells, sides = classified.cells, np.array([-0.5, 0.5])
-    for cell, a, b, c in zip(*classified.lines, strict=True):
+    cells, sides = classification.cells, np.array([-0.5, 0.5])
+    for cell, a, b, c in zip(*classification.lines, strict=True):
         # The line a x + b y + c = 0 meets each of the four sides of the square at most once.
         crossings = [*zip(sides, -(c + a * sides) / b, strict=True)]
         crossings += [*zip(-(c + b * sides) / a, sides, strict=True)]
@@ -211,23 +211,23 @@ def draw_classes() -> None:
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared, rows, columns)
-    pixel = (row - rows.start) * 28 + column - columns.start
-    cells = Cells(1.0, 4, 1e-3, *samples.positions(every_pixel), pixel, object_index)
-    classified = classify(prepared, cells, samples, every_pixel)
+    pixel_index = (row - rows.start) * 28 + column - columns.start
+    cells = Cells(1.0, 4, 1e-3, *samples.positions(every_pixel), pixel_index, object_index)
+    classification = classify(prepared, cells, samples, every_pixel)
     class_index = np.zeros(every_pixel.size, dtype=np.intp)
-    class_index[classified.lines.cell] = 1
-    class_index[classified.is_unresolved] = 2
+    class_index[classification.lines.cell] = 1
+    class_index[classification.is_unresolved] = 2
     _, (image_axes, class_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
     _show_picture(image_axes, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")
     colors = _CLASS_COLORS[class_index].reshape(20, 28, 3)
     _show_picture(class_axes, colors, "Classes, edges and samples")
-    corner = np.array([columns.start, rows.start])
-    segments = [segment - corner for segment in _clip_lines(classified)]
+    crop_corner = np.array([columns.start, rows.start])
+    segments = [segment - crop_corner for segment in _clip_lines(classification)]
     class_axes.add_collection(LineCollection(segments, colors="k", lw=1))
-    sampled = np.flatnonzero(class_index == 1)
+    sampled_cells = np.flatnonzero(class_index == 1)
     for point in Lattice(1, 25).points():
-        x, y = cells.positions(sampled, np.full(sampled.size, point))
-        class_axes.plot(x - corner[0], y - corner[1], ",", color="#0072b2")
+        x, y = cells.positions(sampled_cells, np.full(sampled_cells.size, point))
+        class_axes.plot(x - crop_corner[0], y - crop_corner[1], ",", color="#0072b2")
     for color, name in zip(_CLASS_COLORS, ("smooth", "straight edges", "other edges"), strict=True):
         class_axes.plot([], [], "s", color=color, markeredgecolor="k", label=name)
     class_axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3)
@@ -239,16 +239,16 @@ def draw_certificate() -> None:
     scene, _, _ = _load_and_prepare("four-spheres", 48)
     picture_class = certificate._Picture
     with patch.object(picture_class, "add", autospec=True, side_effect=picture_class.add) as spy:
-        certified = certificate.certify(scene, 1 / 256)
+        result = certificate.certify(scene, 1 / 256)
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    squares: list[Floats] = []
+    outlines: list[Floats] = []
     for _, cells, cell_index, _ in (call.args for call in spy.call_args_list):
         centers = np.stack([cells.x[cell_index], cells.y[cell_index]], axis=-1)
-        squares += [*(centers[:, None] + cells.width * corners)]
+        outlines += [*(centers[:, None] + cells.width * corners)]
     _, (image_axes, cell_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.7))
-    _show_picture(image_axes, to_codes(certified.image) / 255, "Certified within 1/256")
-    _show_picture(cell_axes, np.ones((scene.height, scene.width, 3)), f"{len(squares):,} cells")
-    cell_axes.add_collection(PolyCollection(squares, fc="#dbeefb", ec="#0072b2", lw=0.3))
+    _show_picture(image_axes, to_codes(result.image) / 255, "Certified within 1/256")
+    _show_picture(cell_axes, np.ones((scene.height, scene.width, 3)), f"{len(outlines):,} cells")
+    cell_axes.add_collection(PolyCollection(outlines, fc="#dbeefb", ec="#0072b2", lw=0.3))
     _save_figure("certificate")
 
 

@@ -102,7 +102,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
     Parameters
     ----------
     pair_index : int
-        Position of the comparison on the page, among all comparisons.  The row links to it.
+        Index of the comparison on the page, to which the row links.
     result : CheckResult
         The comparison.
 
@@ -198,8 +198,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is
-        undecided and none is worse.
+        0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is undecided and
+        none is worse.
 
     Raises
     ------

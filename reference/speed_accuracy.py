@@ -88,14 +88,14 @@ def _render_all_pairs(scene: Scene, samples_per_side: int) -> Floats:
 
 
 def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Make a function to time for each rendering method except POV-Ray.
+    """Make the functions to be timed, one for each rendering method except POV-Ray.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     level : int
-        A method takes 4**level samples per pixel, multiplied by the factor in its key.
+        Level of sampling: a method takes 4**level samples per pixel, times the factor in its key.
 
     Returns
     -------

@@ -57,7 +57,7 @@ class Timing(NamedTuple):
         return middle if self.low == self.high else f"{middle} ({low}–{high})"
 
     def divided_by(self, item_count: int) -> Timing:
-        """Divide the times by the number of items that the task processed: seconds per item."""
+        """Divide the times by the number of items processed, which gives the times per item."""
         return Timing(*(seconds / item_count for seconds in self))
 
 
@@ -77,8 +77,8 @@ def time_interleaved(
     rounds : int
         Minimum number of rounds of each task.
     min_seconds : float
-        Rounds are added until those of a task have taken this time in total, up to five times
-        `rounds`.
+        A task gets more rounds until they have taken this many seconds in total, but at most five
+        times `rounds`.
 
     Returns
     -------
@@ -107,8 +107,8 @@ def time_interleaved(
 def make_command_task(command: Sequence[str]) -> Task:
     """Make a function that runs a command in a new process and discards its output.
 
-    The new process may store compiled Python modules even if PYTHONDONTWRITEBYTECODE is set here,
-    so that only the first run compiles them.
+    If the command runs Python, it stores compiled modules even if PYTHONDONTWRITEBYTECODE is set
+    here, so that only the first run compiles them.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def make_command_task(command: Sequence[str]) -> Task:
 def write_csv(
     path: Path, origin: str, column_titles: Sequence[str], rows: Iterable[Sequence[object]]
 ) -> None:
-    """Write a table as a CSV file, with a comment on its origin in the first line.
+    """Write a table as a CSV file whose first line is a comment on the table's origin.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 
 def describe_origin() -> str:
-    """Describe when, where and with what a measurement is made, as one line of text.
+    """Describe when, where and with which software a measurement is made, in one line.
 
     The line gives the date, the commit, the processor, the system, and the versions of programs.
     """
@@ -188,9 +188,9 @@ def _describe_commit() -> str:
 
     A "+" after the hash means that Python files have changed since the commit.
     """
-    git = f"git -C {shlex.quote(str(HERE))}"
-    exit_status, short_hash = subprocess.getstatusoutput(f"{git} rev-parse --short=7 HEAD")
-    changed_files = subprocess.getoutput(f"{git} status --porcelain -- ':/*.py'")
+    git_command = f"git -C {shlex.quote(str(HERE))}"
+    exit_status, short_hash = subprocess.getstatusoutput(f"{git_command} rev-parse --short=7 HEAD")
+    changed_files = subprocess.getoutput(f"{git_command} status --porcelain -- ':/*.py'")
     return "no commit" if exit_status else f"commit {short_hash}{'+' * bool(changed_files)}"
 
 

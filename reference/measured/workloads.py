@@ -17,15 +17,15 @@ _SHADERS = (
 )
 
 
-def build_crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
+def build_crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
     Half of the objects are spheres and half are boxes, lit by two lights.  They cover about the
-    same part of the picture, whatever their number.  For equal arguments, the scene is the same.
+    same part of the picture, whatever their number.  Equal arguments give equal scenes.
 
     Parameters
     ----------
-    count : int
+    object_count : int
         Number of objects, including the floor.
     width, height : int
         Size of the picture in pixels.
@@ -35,12 +35,12 @@ def build_crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     scene : Scene
         The scene.
     """
-    rng = np.random.default_rng(count)
-    small_count = count - 1
+    rng = np.random.default_rng(object_count)
+    small_count = object_count - 1
     sphere_count = small_count // 2
     box_count = small_count - sphere_count
     center = rng.uniform(-1, 1, (small_count, 3)) * (4.5, 2.4, 2.0)
-    radius = rng.uniform(0.5, 1.5, small_count) * 1.6 / np.sqrt(count)
+    radius = rng.uniform(0.5, 1.5, small_count) * 1.6 / np.sqrt(object_count)
     half_size = radius[sphere_count:, None] * rng.uniform(0.4, 0.8, (box_count, 3))
     window: Any = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
     camera = Camera(view_point=(0, 1, 9), view_dir=(0, -0.1, -1), **window)
@@ -56,15 +56,15 @@ def build_crowd(count: int, *, width: int = 640, height: int = 360) -> Scene:
     return Scene(camera=camera, width=width, height=height, lights=lights, surfaces=surfaces)
 
 
-def build_field(count: int) -> Scene:
+def build_field(object_count: int) -> Scene:
     """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast
-    shadows on each other and on the floor.  For the same `count`, the scene is always the same.
+    shadows on each other and on the floor.  Equal arguments give equal scenes.
 
     Parameters
     ----------
-    count : int
+    object_count : int
         Number of objects, not including the floor.
 
     Returns
@@ -72,10 +72,10 @@ def build_field(count: int) -> Scene:
     scene : Scene
         The scene, with a picture of 640 x 360 pixels.
     """
-    rng = np.random.default_rng(count)
-    mean_radius = (0.5 / count) ** (1 / 3)
-    center = rng.uniform((-8, mean_radius, -8), (8, 3 + mean_radius, 8), (count, 3))
-    radius, sphere_count = mean_radius * rng.uniform(0.6, 1.3, count), count // 2
+    rng = np.random.default_rng(object_count)
+    mean_radius = (0.5 / object_count) ** (1 / 3)
+    center = rng.uniform((-8, mean_radius, -8), (8, 3 + mean_radius, 8), (object_count, 3))
+    radius, sphere_count = mean_radius * rng.uniform(0.6, 1.3, object_count), object_count // 2
     box_center, half_size = center[sphere_count:], radius[sphere_count:, None]
     window: Any = {"view_width": 1, "view_height": 0.5625}
     camera = Camera(view_point=(12, 9, 12), view_dir=(-12, -8.5, -12), **window)
@@ -84,7 +84,7 @@ def build_field(count: int) -> Scene:
         radius=radius[:sphere_count],
         min_pt=np.vstack([box_center - half_size, [(-60, -0.5, -60)]]),
         max_pt=np.vstack([box_center + half_size, [(60, 0, 60)]]),
-        shader_index=np.arange(count + 1) % len(_SHADERS),
+        shader_index=np.arange(object_count + 1) % len(_SHADERS),
         shaders=_SHADERS,
     )
     lights = _make_lights((5, 10, -4), (-7, 13, 8))
