@@ -94,7 +94,7 @@ class Progress:
 
 
 def track(items: Iterable[_Item], total: int, unit: str) -> Iterator[_Item]:
-    """Yield items unchanged, and show a progress bar if they take longer than a second.
+    """Yield items unchanged, and show a progress bar if processing them takes over a second.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class SurfaceRef:
 
     @classmethod
     def from_index(cls, scene: Scene, index: int) -> SurfaceRef:
-        """Create the reference to the surface ``scene.surfaces[index]``."""
+        """Create a reference to the surface ``scene.surfaces[index]``."""
         surface = scene.surfaces[index]
         return cls(index, type(surface).__name__, surface.line)
 

@@ -312,7 +312,7 @@ class WorkerPool:
         # If the system has no thread left, a thread of the pool fails.  This process then does all
         # the work, so the user need not know.
         threading.excepthook = lambda _: None
-        return ProcessPoolExecutor(self.worker_count, context, _begin_worker, (self._initializer,))
+        return ProcessPoolExecutor(self.worker_count, context, _init_worker, (self._initializer,))
 
     def close(self) -> None:
         """Kill the workers, and wait up to `_MAX_END_SECONDS` for their executor to shut down.
@@ -333,7 +333,7 @@ class WorkerPool:
             shutdown_thread.join(_MAX_END_SECONDS)
 
 
-def _begin_worker(initializer: Callable[[], None] | None) -> None:
+def _init_worker(initializer: Callable[[], None] | None) -> None:
     """Make a new worker process ignore SIGINT, and end when its parent process ends.
 
     Each worker calls this function first.  A thread waits for the end of the parent; if the thread

@@ -219,7 +219,7 @@ def render_tiles(
     data : object
         The result of `encode` for one tile (a rectangle of pixels).
     exposure : Exposure
-        Counts of all, lit and clipped pixels in the tile.
+        Counts of all, lit (not black) and clipped (brighter than 1) pixels in the tile.
     """
     worker_count = pool.worker_count if pool else 0
     render_tile = partial(job.render_encoded_tile, encode)
