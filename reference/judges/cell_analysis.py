@@ -61,9 +61,9 @@ class Contributions(NamedTuple):
     light: Ints
     radiance: Enclosures
 
-    def select(self, kept: Bools) -> Contributions:
-        """Copy the contributions that a mask (n,) selects."""
-        return Contributions(self.pair[kept], self.light[kept], self.radiance[kept])
+    def select(self, is_kept: Bools) -> Contributions:
+        """Copy the contributions selected by a mask (n,)."""
+        return Contributions(self.pair[is_kept], self.light[is_kept], self.radiance[is_kept])
 
 
 class _Condition(NamedTuple):
@@ -360,14 +360,14 @@ class CellAnalysis:
         """
         faces, face, cell = self.faces, self.cells.pair_face, self.cells.pair_cell
         sphere_pair = np.flatnonzero(~faces.is_planar[face])
-        # Coefficients of r^2 d^2 - |c x d|^2, and of s.
-        discriminants, root_coef = np.zeros((2, 8, face.size))
+        discriminants = np.zeros((8, face.size))
         rays = self._rays[:, :, cell[sphere_pair]], np.array([faces.frame.max_ray_size])
         center, radius = faces.center[:, face[sphere_pair]], faces.radius[face[sphere_pair]]
         discriminants[:, sphere_pair] = _enclose_cone(center, radius, rays, rays)[0].coef
-        # For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x d|^2).
+        # For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x d|^2), where w is its
+        # `root_coef` and the second factor its discriminant.
         self.squared_root_term = Enclosures(discriminants * faces.root_coef[face] ** 2)
-        self.root_term = Enclosures(root_coef)
+        self.root_term = Enclosures(np.zeros((8, face.size)))
         self._linear_term = self._dot_with_rays(faces.linear_coef[:, face], cell)
         self._max_inverse_distance = self._linear_term.max_abs
         is_outside = np.zeros(face.size, np.bool_)
@@ -376,21 +376,22 @@ class CellAnalysis:
         self.inverse_distance = Enclosures(self._linear_term.coef.copy())
         visible_pair = sphere_pair[~is_outside[sphere_pair]]
         coef = self.squared_root_term[visible_pair].power(0.5).coef
-        rounding = self.inverse_distance.coef[RADIUS, visible_pair]
+        rounding_error = self.inverse_distance.coef[RADIUS, visible_pair]
         # The error bound of s becomes the coefficient of the unknown Z, which s shares with 1 / t.
         # The new error bound covers only rounding errors.
-        coef[UNKNOWN], coef[RADIUS] = coef[RADIUS] + rounding, rounding
-        root_coef[:, visible_pair] = coef
+        coef[UNKNOWN], coef[RADIUS] = coef[RADIUS] + rounding_error, rounding_error
+        self.root_term.coef[:, visible_pair] = coef
         self.inverse_distance.coef[:, visible_pair] += coef
         self.inverse_distance.coef[RADIUS, visible_pair] = 0
-        kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
-        self.cells, new_index = self.cells._replace(covers_cell=covers_cell).select_pairs(kept)
+        is_kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
+        self.cells, new_pair = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
         for i, (pair, light, functions) in enumerate(self._edges):
-            index = np.flatnonzero(kept[pair])
-            self._edges[i] = new_index[pair[index]], light[index], functions[index]
-        self.inverse_distance, self.root_term = self.inverse_distance[kept], self.root_term[kept]
-        self.squared_root_term = self.squared_root_term[kept]
-        self._linear_term = self._linear_term[kept]
+            kept_edge = np.flatnonzero(is_kept[pair])
+            self._edges[i] = new_pair[pair[kept_edge]], light[kept_edge], functions[kept_edge]
+        self.inverse_distance = self.inverse_distance[is_kept]
+        self.root_term = self.root_term[is_kept]
+        self.squared_root_term = self.squared_root_term[is_kept]
+        self._linear_term = self._linear_term[is_kept]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
     def _hit_conditions(self, sphere_pair: Ints, discriminants: Enclosures) -> Iterator[_Condition]:
@@ -613,10 +614,9 @@ class CellAnalysis:
         v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
         v_size = to_center2 * np.sqrt(center2) * w_size + radius2 * np.sqrt(position2) * q_size
         v[RADIUS] = 16 * ROUNDING * v_size
-        squared_s = self.squared_root_term[pair]
-        u += squared_s * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
-        factor_size = to_center2 * center2 + radius2 * position2
-        u.coef[RADIUS] += 16 * ROUNDING * factor_size * squared_s.max_abs
+        s2 = self.squared_root_term[pair]
+        u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
+        u.coef[RADIUS] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
         yield _Condition(triple_index, u, Enclosures(v), is_edge=True)
         products = to_center * center
         b, b_size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)

@@ -1,19 +1,20 @@
-"""Cells of the picture, and lists of what may be visible in each cell and of what may shade it.
+"""Cells of the picture, and lists of the faces that may be visible and of what may shade them.
 
 The problem: the certificate must know every face that may be visible in a small part of the
-picture, and every object that may shade such a face, without testing all against all.  As in
+picture, and every object that may shade such a face, without testing all combinations.  As in
 Warnock's subdivision (A hidden surface algorithm for computer generated halftone pictures, 1969),
-a cell inherits the lists of the cell of which it is a quarter, and drops what no longer matters.
+each cell inherits the lists of the larger cell of which it is a quarter, without the entries that
+no longer matter.
 
 cell
     A square part of the picture.
 pair
     A cell, and a face that may be visible in it.
 settled
-    A light is settled for a pair if it is known to reach all of the face in the cell, in which case
-    its radiance has been added to the pair's, or if it is known to reach nothing of it.
+    A light is settled for a pair if it is known to reach either all or nothing of the face in the
+    cell.  If it reaches all, its contribution has been added to the pair's radiance.
 triple
-    A pair, a light and an object that may shade a part of the face from the light.
+    A pair, a light, and an object that may shade a part of the face from the light.
 
 The tracer's antialiasing divides cells into quarters, too.  This module does not use its code, on
 purpose: a reference that shares code with what it validates would repeat its errors.
@@ -30,8 +31,7 @@ from reference.judges.enclosures import Enclosures
 from reference.judges.faces import Faces
 
 MAX_WIDTH = 8
-"""Maximum width, in pixels, of cells that have triples, and whose pixels may be finished together.
-A power of two."""
+"""Maximum width of cells that have triples and can be finished whole, in pixels; a power of two."""
 
 
 class Cells(NamedTuple):
@@ -51,11 +51,11 @@ class Cells(NamedTuple):
     pair_cell, pair_face : (p,) int arrays
         The cell and the face of each pair.
     covers_cell : (p,) bool array
-        Whether the pair's face covers all of the pair's cell.
+        Whether the pair's face covers all of its cell.
     is_settled : (p, lights) bool array
         Whether the light is settled for the pair.
     radiance : Enclosures
-        Enclosures (8, 3, p) of the radiance that all settled lights together add to the pair.
+        Enclosures (8, 3, p) of each pair's radiance due to all settled lights.
     triples : (3, q) int array
         Row 0 contains indices of pairs, row 1 of lights, and row 2 of the objects that may shade
         the pair's face from the light.
@@ -71,15 +71,15 @@ class Cells(NamedTuple):
     radiance: Enclosures
     triples: Ints
 
-    def select_triples(self, kept: Bools) -> Cells:
-        """Copy all cells and pairs, but only the selected triples.
+    def select_triples(self, is_kept: Bools) -> Cells:
+        """Copy all cells and pairs, with only the selected triples.
 
         A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
         object that may shade the pair's face from the light.
 
         Parameters
         ----------
-        kept : (q,) bool array
+        is_kept : (q,) bool array
             Whether to keep each triple.
 
         Returns
@@ -87,43 +87,43 @@ class Cells(NamedTuple):
         cells : Cells
             All cells and pairs, with the selected triples.
         """
-        return self._replace(triples=self.triples.compress(kept, axis=1))
+        return self._replace(triples=self.triples.compress(is_kept, axis=1))
 
-    def select_pairs(self, kept: Bools) -> tuple[Cells, Ints]:
-        """Copy all cells, but only the selected pairs and their triples.
+    def select_pairs(self, is_kept: Bools) -> tuple[Cells, Ints]:
+        """Copy all cells, with only the selected pairs and their triples.
 
         A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
         object that may shade the pair's face from the light.
 
         Parameters
         ----------
-        kept : (p,) bool array
+        is_kept : (p,) bool array
             Whether to keep each pair.
 
         Returns
         -------
         cells : Cells
             All cells, with the selected pairs and their triples.
-        new_index : (p,) int array
+        new_pair : (p,) int array
             For each old pair, its index among the selected pairs, or -1 if it is not selected.
         """
-        new_index = np.where(kept, kept.cumsum() - 1, -1)
+        new_pair = np.where(is_kept, is_kept.cumsum() - 1, -1)
         pair, light, occluder = self.triples
-        names = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
-        fields: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
-        triples = np.array([new_index[pair], light, occluder])
+        pair_fields = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
+        fields: dict[str, Any] = {name: getattr(self, name)[is_kept] for name in pair_fields}
+        triples = np.array([new_pair[pair], light, occluder])
         cells = self._replace(**fields, triples=triples)
-        return cells.select_triples(cells.triples[0] >= 0), new_index
+        return cells.select_triples(cells.triples[0] >= 0), new_pair
 
-    def select_cells(self, kept: Bools) -> Cells:
-        """Copy the selected cells, with all of their pairs and triples.
+    def select_cells(self, is_kept: Bools) -> Cells:
+        """Copy the selected cells with all their pairs and triples.
 
         A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
         object that may shade the pair's face from the light.
 
         Parameters
         ----------
-        kept : (c,) bool array
+        is_kept : (c,) bool array
             Whether to keep each cell.
 
         Returns
@@ -131,22 +131,22 @@ class Cells(NamedTuple):
         cells : Cells
             The selected cells.
         """
-        new_index = np.where(kept, kept.cumsum() - 1, -1)
-        pair_cell = new_index[self.pair_cell]
-        cells = self._replace(x=self.x[kept], y=self.y[kept], pair_cell=pair_cell)
+        new_cell = np.where(is_kept, is_kept.cumsum() - 1, -1)
+        pair_cell = new_cell[self.pair_cell]
+        cells = self._replace(x=self.x[is_kept], y=self.y[is_kept], pair_cell=pair_cell)
         return cells.select_pairs(pair_cell >= 0)[0]
 
     @property
     def area(self) -> float:
-        """Area of all cells together, in square pixels."""
+        """Total area of all cells, in square pixels."""
         return self.x.size * self.width**2
 
     def split_into_quarters(self, width: int, height: int) -> Cells:
-        """Divide every cell into four quarters, each with copies of the cell's pairs and triples.
+        """Divide each cell into four quarters that inherit its pairs and triples.
 
-        A pair (a cell and a face that may be visible in it) and a triple (a pair, a light and an
-        object that may shade the face from the light) may not matter in every quarter.  They are
-        not tested here.
+        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
+        object that may shade the pair's face from the light.  Whether they still matter in each
+        quarter is not tested.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ class Cells(NamedTuple):
         Returns
         -------
         quarters : Cells
-            The quarters, except those that lie outside the picture.
+            The quarters, without those outside the picture.
         """
         quarter, offset = np.arange(4), self.width / 4
         x = np.add.outer(self.x, (2 * (quarter & 1) - 1) * offset).ravel()
@@ -180,8 +180,8 @@ class Cells(NamedTuple):
 def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     """Cover a picture with a row or a column of square cells.
 
-    The width of the cells is a power of two, in pixels: the smallest that is at least both 16 and
-    the shorter side of the picture.
+    Their width in pixels is the smallest power of two that is at least 16 and at least the shorter
+    side of the picture.
 
     Parameters
     ----------
@@ -193,15 +193,15 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     Returns
     -------
     cells : Cells
-        The cells.  Each is paired with every face that may be visible to the camera.  Lights known
-        to reach no visible point of a face are settled.  There are no triples (of a cell with a
-        face, a light, and an object that may shade the face).
+        The cells, each paired with every face that may be visible to the camera.  Lights known to
+        reach no visible point of a face are settled for it.  There are no triples yet (of a pair, a
+        light, and an object that may shade the pair's face).
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
-    rows, columns = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
-    y, x = (np.indices((rows, columns)).reshape(2, -1) + 0.5) * cell_width
-    visible = np.flatnonzero(faces.may_be_visible)
-    pair_cell, pair_face = np.arange(x.size).repeat(visible.size), np.tile(visible, x.size)
+    row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
+    y, x = (np.indices((row_count, column_count)).reshape(2, -1) + 0.5) * cell_width
+    face = np.flatnonzero(faces.may_be_visible)
+    pair_cell, pair_face = np.arange(x.size).repeat(face.size), np.tile(face, x.size)
     return Cells(
         width=cell_width,
         x=x,

@@ -448,7 +448,7 @@ class _Picture:
             return [cells]
         pixel = self.pixel_index(cells)
         is_below_median = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
-        groups = [cells.select_cells(kept) for kept in (is_below_median, ~is_below_median)]
+        groups = [cells.select_cells(is_kept) for is_kept in (is_below_median, ~is_below_median)]
         return groups if is_below_median.any() else [cells]
 
     def pixel_index(self, cells: Cells) -> Ints:

@@ -4,7 +4,7 @@ An edge of the picture is the zero of an *edge function*, which a quadratic poly
 bound encloses (see `enclosures`).  Two ideas make areas computable:
 
 strip
-    The part of a cell between two parallel lines.  The edge certainly lies inside.
+    The part of a cell between two parallel lines, which certainly contains the edge.
 region
     A convex part of a cell.  The centre lines of all strips in a cell divide it into regions.
     Outside the strips, a region contains no point of an edge.
@@ -27,7 +27,7 @@ from reference.judges.arrays import Floats, Index, Ints, sum_by_index
 from reference.judges.enclosures import CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED, Enclosures, X, Y
 
 MIN_AREA = 1e-12
-"""Minimum area of a region, as a fraction of its cell; smaller ones are mostly rounding errors."""
+"""Minimum area of a region, as a fraction of its cell; smaller areas are mostly rounding error."""
 
 
 class Strips(NamedTuple):
@@ -56,48 +56,49 @@ class Strips(NamedTuple):
     jump: Floats
 
     def take(self, index: Index) -> Strips:
-        """Copy the strips that indices (k,) or a mask (n,) select."""
+        """Copy the strips selected by indices (k,) or a mask (n,)."""
         return self._replace(**{name: values[index] for name, values in self._asdict().items()})
 
     @property
     def area(self) -> Floats:
         """Upper bound (n,) on the fraction of its cell that each strip covers."""
-        steepness = np.maximum(np.abs(self.a), np.abs(self.b))
-        return np.asarray(np.fmin(self.half_width / steepness, 1))
+        max_slope = np.maximum(np.abs(self.a), np.abs(self.b))
+        return np.asarray(np.fmin(self.half_width / max_slope, 1))
 
 
-def _point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
-    """Take a step of Newton's method from a cell's centre to the zero of each polynomial.
+def _find_point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
+    """Take one Newton step from the cell's centre towards a zero of each polynomial.
 
-    The step is shortened so that it ends in the cell.  Any point is valid, but the closer it is to
+    The step is shortened if it would leave the cell.  Any point is valid, but the closer it is to
     the zero, the narrower is the strip that `enclose_in_strips` computes from it.
 
     Parameters
     ----------
     coef : (8, n) float array
-        Coefficients of polynomials in X and Y, which run from -1 to 1 in the cell, in the order of
-        `Enclosures.coef`.
+        Coefficients of polynomials in X and Y, which run from -1 to 1 in the cell.  Rows 0 to 2
+        contain the coefficients of 1, X and Y, which are the only ones used.
 
     Returns
     -------
     x, y : (n,) float arrays
-        The points, from -1 to 1.  The centre if a polynomial has no gradient there.
+        The points, from -1 to 1, or the centre if the polynomial has no gradient there.
     """
-    constant, x, y = coef[:X_SQUARED]
-    max_step = 1 / np.maximum(np.abs(x), np.abs(y))
-    step = np.clip(-constant / (x**2 + y**2), -max_step, max_step)
+    value, slope_x, slope_y = coef[:X_SQUARED]
+    max_step = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
+    step = np.clip(-value / (slope_x**2 + slope_y**2), -max_step, max_step)
     step = np.nan_to_num(step, posinf=0, neginf=0)
-    return step * x, step * y
+    return step * slope_x, step * slope_y
 
 
 def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips:
-    """Enclose the zeros of edge functions in strips between two parallel lines.
+    """Enclose the zeros of each edge function in a strip between two parallel lines.
 
-    The picture may have an edge where an edge function is zero.  At a point near the zero
-    (`_point_near_zero`), let n be the coordinate along the gradient, whose length is the slope g,
-    and t the coordinate perpendicular to it.  Let f_tt, f_tn and f_nn be the second derivatives.
-    Without its error bound, the function equals v + g n (1 + e) + f_tt t^2 / 2, where v is its
-    value at that point.  Here |e| is at most k, a bound on |f_tn t + f_nn n / 2| / g in the cell.
+    The picture may have an edge where an edge function is zero.  At a point (x, y) near the zero,
+    let g be the length of the gradient (a, b), and p and q its direction.  Let n be the coordinate
+    along the gradient, and t the coordinate perpendicular to it.  Let f_tt, f_tn and f_nn be the
+    second derivatives.  Apart from its error bound, the function equals
+    v + g n (1 + e) + f_tt t^2 / 2, where v is its value at the point.  Here |e| is at most k, a
+    bound on |f_tn t + f_nn n / 2| / g in the cell.
 
     Let T be the maximum of |t|.  Then f_tt t^2 / 2 differs from f_tt T^2 / 6 by at most
     |f_tt| T^2 / 3.  Let d be this difference plus the error bound, and w = v + f_tt T^2 / 6.  Then
@@ -115,50 +116,51 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     Returns
     -------
     strips : Strips
-        Strips that contain all zeros, sorted by cell.  An edge function that certainly has no zero
-        in its cell gets no strip.
+        Strips that contain all zeros, sorted by cell.  An edge function without a zero in its cell
+        may get no strip.
     """
     coef = functions.coef
-    constant, x_squared, x_times_y, y_squared = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
-    x, y = _point_near_zero(coef)
-    value = constant + coef[X] * x + coef[Y] * y
-    value = value + x_squared * x * x + x_times_y * x * y + y_squared * y * y
-    a = coef[X] + 2 * x_squared * x + x_times_y * y
-    b = coef[Y] + x_times_y * x + 2 * y_squared * y
-    slope = np.hypot(a, b)
-    p, q = a / slope, b / slope  # n is along (p, q), t along (-q, p)
-    f_tt = 2 * (x_squared * q * q - x_times_y * p * q + y_squared * p * p)
-    f_tn = 2 * (y_squared - x_squared) * p * q + x_times_y * (p * p - q * q)
-    f_nn = 2 * (x_squared * p * p + x_times_y * p * q + y_squared * q * q)
+    coef_1, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
+    x, y = _find_point_near_zero(coef)
+    v = coef_1 + coef[X] * x + coef[Y] * y
+    v = v + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
+    a = coef[X] + 2 * coef_xx * x + coef_xy * y
+    b = coef[Y] + coef_xy * x + 2 * coef_yy * y
+    g = np.hypot(a, b)
+    p, q = a / g, b / g  # n is along (p, q), t along (-q, p)
+    f_tt = 2 * (coef_xx * q * q - coef_xy * p * q + coef_yy * p * p)
+    f_tn = 2 * (coef_yy - coef_xx) * p * q + coef_xy * (p * p - q * q)
+    f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
     max_distance = np.abs(p) + np.abs(q)
     max_t, max_n = max_distance + np.abs(p * y - q * x), max_distance + np.abs(p * x + q * y)
-    k = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
-    w = value + f_tt * max_t * max_t / 6
+    k = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / g
+    w = v + f_tt * max_t * max_t / 6
     d = np.abs(f_tt) * max_t * max_t / 3 + functions.radius
     half_width = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
     line = np.array([a, b, w - a * x - b * y]) * scale
-    # Without a gradient, the strip is the whole cell.
+    # If there is no gradient, the strip is the whole cell.
     is_flat = ~np.isfinite(scale)
     line[:, is_flat] = [[1], [0], [0]]
     half_width = np.where(is_flat, np.inf, half_width * np.abs(scale))
-    index = np.flatnonzero(~(np.abs(line[2]) - half_width >= 1))  # others miss the cell
-    order = index[np.argsort(cell[index], kind="stable")]
+    kept = np.flatnonzero(~(np.abs(line[2]) - half_width >= 1))  # others miss the cell
+    order = kept[np.argsort(cell[kept], kind="stable")]
     a, b, c = line[:, order]
     return Strips(cell[order], a, b, c, half_width[order], jump[order])
 
 
 class Regions(NamedTuple):
-    """Convex regions (n,) of cells between the centre lines of strips, sorted by cell and sign.
+    """Convex regions (n,) into which strips divide cells, sorted by cell and signs.
 
-    A cell has coordinates X and Y from -1 to 1.
+    The borders of the regions are the centre lines of the strips.  A cell has coordinates X and Y
+    from -1 to 1.
 
     Attributes
     ----------
     cell : (n,) int array
         The cell of each region.
     signs : (n,) int array
-        Bit i is set if the region is on the positive side of the i-th line of its cell.
+        Bit i is set if the region is on the positive side of the i-th centre line in its cell.
     area : (n,) float array
         Area of the region, as a fraction of the cell's area.
     mean : (6, n) float array
@@ -171,15 +173,15 @@ class Regions(NamedTuple):
     mean: Floats
 
 
-def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
-    """Divide cells into convex regions by the centre lines of strips.
+def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
+    """Divide cells into convex regions along the centre lines of strips.
 
-    Each cell begins as two triangles.  Line after line, a triangle with corners on both sides is
-    cut into three.  Triangles on the same sides of all lines form a region.
+    Each cell starts as two triangles.  Each line in turn cuts every triangle that it crosses into
+    three.  Triangles on the same sides of all lines form a region.
 
     Parameters
     ----------
-    lines : Strips
+    strips : Strips
         Strips (n,) in the cells 0 to cell_count - 1, sorted by cell.
     cell_count : int
         Number of cells, including those without strips.
@@ -187,26 +189,26 @@ def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
     Returns
     -------
     regions : Regions
-        All regions of all cells.  Regions without area may be missing.
+        All regions of all cells, possibly without those that have no area.
     """
-    first_line = lines.cell.searchsorted(np.arange(cell_count + 1))
-    max_line_count = int(np.diff(first_line).max(initial=0))
+    strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
+    max_strip_count = int(np.diff(strip_start).max(initial=0))
     cell, signs = np.arange(cell_count).repeat(2), np.zeros(2 * cell_count, dtype=np.intp)
-    # Complex numbers x + i y, of three corners of each triangle.
+    # The three corners of each triangle, as complex numbers X + i Y.
     corners = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], cell_count)
-    for bit in range(max_line_count):
-        line = first_line[cell] + bit
-        triangle = np.flatnonzero(line < first_line[cell + 1])
-        corner, line = corners[:, triangle], line[triangle]
-        height = lines.a[line] * corner.real + lines.b[line] * corner.imag + lines.c[line]
+    for bit in range(max_strip_count):
+        strip = strip_start[cell] + bit
+        triangle = np.flatnonzero(strip < strip_start[cell + 1])
+        corner, strip = corners[:, triangle], strip[triangle]
+        height = strips.a[strip] * corner.real + strips.b[strip] * corner.imag + strips.c[strip]
         is_above = height > 0
         above_count = is_above.sum(axis=0)
         signs[triangle[above_count == 3]] |= 1 << bit
         cut = np.flatnonzero((above_count == 1) | (above_count == 2))
-        # Rotate the corners so that the first one is alone on its side.
-        is_alone_above, triangle = above_count[cut] == 1, triangle[cut]
-        alone = np.argmax(is_above[:, cut] == is_alone_above, axis=0)
-        rotated = (alone + np.arange(3)[:, None]) % 3
+        # Rotate the corners so that the first is alone on its side of the line.
+        is_lone_above, triangle = above_count[cut] == 1, triangle[cut]
+        lone_corner = np.argmax(is_above[:, cut] == is_lone_above, axis=0)
+        rotated = (lone_corner + np.arange(3)[:, None]) % 3
         (a, b, c), (height_a, height_b, height_c) = corners[rotated, triangle], height[rotated, cut]
         # The line meets the triangle's sides at p and q.
         p = a + height_a / (height_a - height_b) * (b - a)
@@ -214,21 +216,21 @@ def divide_into_regions(lines: Strips, cell_count: int) -> Regions:
         corners[:, triangle] = a, p, q
         corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
         signs_below = signs[triangle]
-        signs[triangle] = signs_below | is_alone_above << bit
-        signs = np.concatenate([signs, *[signs_below | ~is_alone_above << bit] * 2])
+        signs[triangle] = signs_below | is_lone_above << bit
+        signs = np.concatenate([signs, *[signs_below | ~is_lone_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
-    area, mean = _triangle_moments(corners)
-    key, region = np.unique(cell << max_line_count | signs, return_inverse=True)
+    area, mean = _compute_moments(corners)
+    key, region = np.unique(cell << max_strip_count | signs, return_inverse=True)
     region_area = sum_by_index(region, area, key.size)
     weight = area / np.maximum(region_area, MIN_AREA)[region]
     region_mean = np.array([sum_by_index(region, weight * moment, key.size) for moment in mean])
     region_mean[0] = 1
-    cell, signs = key >> max_line_count, key & ((1 << max_line_count) - 1)
+    cell, signs = key >> max_strip_count, key & ((1 << max_strip_count) - 1)
     return Regions(cell, signs, region_area, region_mean)
 
 
-def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
-    """Compute the areas of triangles, and the means of coordinates and their products over them.
+def _compute_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
+    """Compute the areas of triangles, and the means of 1, X, Y, X^2, X Y and Y^2 over them.
 
     Parameters
     ----------
@@ -240,12 +242,13 @@ def _triangle_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
     area : (n,) float array
         Areas, as fractions of the cell's area of 4.
     mean : (6, n) float array
-        Means of 1, X, Y, X^2, X Y and Y^2 over each triangle.
+        The means over each triangle, in this order.
     """
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
     mean = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
-    # The mean of p q is (the sum of p_i q_i, plus the sum of p_i times the sum of q_i) / 12.
-    for p, q in ((x, x), (x, y), (y, y)):
-        mean.append(((p * q).sum(axis=0) + p.sum(axis=0) * q.sum(axis=0)) / 12)
+    # If a product has the factors p_i and q_i at corner i, its mean is
+    # (the sum of p_i q_i, plus the sum of p_i times the sum of q_i) / 12.
+    for first, second in ((x, x), (x, y), (y, y)):
+        mean.append(((first * second).sum(axis=0) + first.sum(axis=0) * second.sum(axis=0)) / 12)
     return area, np.array(mean)
