@@ -70,8 +70,9 @@ class _Condition(NamedTuple):
     """One condition on each of n cases: it holds where a function u + v s is positive.
 
     A case asks something about one pair (one face in one cell), for example whether the face fills
-    the cell.  A camera ray with direction d meets the face at the distance t, where 1 / t = k.d +
-    s.  Here s is the square-root term, which is 0 for planes.
+    the cell.  A camera ray with direction d meets the face at the distance t, where
+    1 / t = k.d + s.  Here k is a constant vector, and s is the square-root term, which is 0 for
+    planes.
 
     Attributes
     ----------
@@ -104,9 +105,9 @@ def _enclose_cone(
     center, radius : (3, n) and (n,) float arrays
         The vectors c and the radii r.
     sized_q : (3, 3, n) and (n,) float arrays
-        The vectors q, and upper bounds on the absolute values of the terms that were added up to q,
-        from which rounding errors are bounded.  The first axis of q holds the components, the
-        second the coefficients of 1, X and Y.
+        The vectors q, and upper bounds on the absolute values of the terms of q, to which rounding
+        errors are proportional.  The first axis of q holds the components, the second the
+        coefficients of 1, X and Y.
     sized_w : (3, 3, n) and (n,) float arrays
         Vectors w with c x w = c x q, and the same bounds for them.  Each w is q plus a multiple of
         c, chosen so that the rounding error of c x w is small.
@@ -215,8 +216,9 @@ class CellAnalysis:
         """Find u and v such that u + v s is positive where a ray meets a face inside a half-space.
 
         Let n.x + b >= 0 be the half-space.  The ray with direction d meets the face at x = t d,
-        where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.  The point is
-        in the half-space if n.d + b / t >= 0, and n.d + b / t = (n.d + b k.d) + b s.
+        where 1 / t = k.d + s.  Here k is a constant vector, and s is the square-root term, which is
+        0 for planes.  The point is in the half-space if n.d + b / t >= 0, where
+        n.d + b / t = (n.d + b k.d) + b s.
 
         Parameters
         ----------
@@ -224,8 +226,8 @@ class CellAnalysis:
             Indices of pairs.  A pair is one face in one cell.
         half_space : (5, n) float array
             One half-space for each pair.  Rows 0 to 2 contain n, and row 3 contains b.  Row 4
-            contains upper bounds on the terms that were added up to b, which bound its rounding
-            error.
+            contains the sum of the absolute values of the terms of b, to which the rounding error
+            of b is proportional.
 
         Returns
         -------
@@ -243,8 +245,8 @@ class CellAnalysis:
     def _enclose_functions(self, pair: Ints, u: Enclosures, v: Enclosures | Floats) -> Enclosures:
         """Enclose functions u + v s, where s is the square-root term of a face's inverse distance.
 
-        The ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  For
-        planes, s is 0.
+        The ray with direction d meets the face at the distance t, where 1 / t = k.d + s with a
+        constant vector k.  For planes, s is 0.
 
         Parameters
         ----------
@@ -267,12 +269,12 @@ class CellAnalysis:
     def _decide(
         self, pair: Ints, light: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Decide for each case whether all conditions hold everywhere in a cell, or one nowhere.
+        """Decide which cases are true everywhere in their cell, and which are false everywhere.
 
-        Each of n cases concerns one pair (one face in one cell), and has several conditions.  A
-        condition holds where its function u + v s is positive.  Here s is the square-root term of
-        the face's inverse distance: a ray with direction d meets the face at the distance t, where
-        1 / t = k.d + s.
+        Each of n cases concerns one pair (one face in one cell).  It is true where all of its
+        conditions hold.  A condition holds where its function u + v s is positive.  Here s is the
+        square-root term of the face's inverse distance: a ray with direction d meets the face at
+        the distance t, where 1 / t = k.d + s with a constant vector k.
 
         If a case remains undecided, each of its functions that may have both signs in the cell is
         listed as an edge, except where `is_edge` of its condition is False.
@@ -285,16 +287,16 @@ class CellAnalysis:
             For each case, the light whose radiance depends on the decision, or -1 if all radiance
             depends on it.
         is_false : (n,) bool array
-            Changed in place: set to True for each case with a condition that is false everywhere in
-            the cell.  This happens after each item of `conditions`, so that an iterator can skip
-            the cases that are already decided.
+            Changed in place: set to True for each case with a condition that holds nowhere in the
+            cell.  This happens after each item of `conditions`, so that an iterator can skip the
+            cases that are already decided.
         conditions : iterable of _Condition
             Each item holds one condition on some of the cases.
 
         Returns
         -------
         is_true : (n,) bool array
-            Whether all conditions on the case are true everywhere in the cell.
+            Whether all conditions on the case hold everywhere in the cell.
         """
         is_true, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
         possible_edges = []
@@ -303,8 +305,9 @@ class CellAnalysis:
             low, high = functions.bounds()
             is_false[case[high <= 0]] = True
             is_true[case[~(low > 0)]] = False
-            index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
-            possible_edges.append((case[index], functions[index], u[index], v[index]))
+            # Indices of functions that may have both signs.
+            mixed = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
+            possible_edges.append((case[mixed], functions[mixed], u[mixed], v[mixed]))
         for case, functions, u, v in possible_edges:
             index = np.flatnonzero(~is_false[case])
             edge_pair, edge_light = pair[case[index]], light[case[index]]
@@ -315,12 +318,12 @@ class CellAnalysis:
     def _narrow_edge_functions(
         self, pair: Ints, functions: Enclosures, u: Enclosures, v: Enclosures | Floats
     ) -> Enclosures:
-        """Replace edge functions u + v s by u^2 - v^2 s^2 where the latter's enclosure is narrower.
+        """Replace edge functions u + v s with u^2 - v^2 s^2 where the enclosure is then narrower.
 
         The picture may have an edge where such a function is zero.  Here s is the square-root term
         of a face's inverse distance: a ray with direction d meets the face at the distance t, where
-        1 / t = k.d + s.  Near a silhouette, s is steep, so its enclosure is wide.  The second
-        function is zero wherever the first is.
+        1 / t = k.d + s with a constant vector k.  Near a silhouette, s is steep, so its enclosure
+        is wide.  The second function is zero wherever the first is.
 
         Parameters
         ----------
@@ -349,7 +352,8 @@ class CellAnalysis:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
         A pair is one face in one cell.  A camera ray with direction d meets the face at the
-        distance t, where 1 / t = k.d + s.  Here s is the square-root term, which is 0 for planes.
+        distance t, where 1 / t = k.d + s.  Here k is a constant vector, and s is the square-root
+        term, which is 0 for planes.
 
         A pair is removed if its face is outside the cell, or if another face hides it everywhere in
         the cell.  For each remaining pair, the outline of the face is listed as an edge if it may
@@ -474,9 +478,9 @@ class CellAnalysis:
     def _light_height_function(self, pair: Ints, light: Ints) -> tuple[Enclosures, Floats]:
         """Find u and v such that u + v s is positive where a light is in front of a face.
 
-        A ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  Here s is
-        the square-root term, which is 0 for planes.  The function is h / t, where h is the height
-        of the light above the tangent plane at this point.
+        A ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  Here k is a
+        constant vector, and s is the square-root term, which is 0 for planes.  The function equals
+        h / t, where h is the height of the light above the tangent plane at this point.
 
         Parameters
         ----------
@@ -496,7 +500,7 @@ class CellAnalysis:
         return self._half_space_function(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
-        """Settle the lights that are behind a sphere's surface in all of a cell; list terminators.
+        """Settle lights that are behind a sphere's surface, and list terminators as edges.
 
         A terminator is the curve between the lit and the dark side of a sphere.  For each sphere in
         each cell, every unsettled light is examined.  If the light is behind the surface everywhere
@@ -508,8 +512,8 @@ class CellAnalysis:
         pair, light = np.nonzero(~self.cells.is_settled & is_on_sphere[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
         height_function = self._light_height_function(pair, light)
-        is_above_horizon = _Condition(np.arange(pair.size), *height_function, is_edge=True)
-        self._decide(pair, light, is_unlit, [is_above_horizon])
+        is_in_front = _Condition(np.arange(pair.size), *height_function, is_edge=True)
+        self._decide(pair, light, is_unlit, [is_in_front])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
@@ -536,7 +540,7 @@ class CellAnalysis:
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
-        """Settle the lights that objects block in all of a cell, and list shadow edges.
+        """Settle lights that an object blocks throughout a cell, and list shadow edges.
 
         A pair is one face in one cell.  A triple is a pair, a light, and an occluder (an object
         that may shade the face from the light).  If the occluder shades all of the face in the
@@ -546,7 +550,7 @@ class CellAnalysis:
         light is settled for the pair.  For each remaining triple, the shadow edges that may cross
         the cell are listed.
 
-        If the cells have the width `MAX_WIDTH`, the triples are first created.
+        If the cells have the width `MAX_WIDTH`, the triples are created first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -571,11 +575,12 @@ class CellAnalysis:
         2.  It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.
             Inside the cone, this plane is inside the sphere, so it is never an edge.
 
-        The camera ray with direction d meets the face at p = t d, where 1 / t = k.d + s.  Here s is
-        the square-root term, which is 0 for planes.  So (p - L) / t = q - L s with q = d - L k.d.
-        The cross product c x (p - L) equals c x (p - C), in which nothing cancels however distant
-        the light is, and (p - C) / t = w - C s with w = d - C k.d.  Divided by t^2, the first
-        condition is u + v s >= 0 with
+        The camera ray with direction d meets the face at p = t d, where 1 / t = k.d + s.  Here k is
+        a constant vector, and s is the square-root term, which is 0 for planes.  So
+        (p - L) / t = q - L s with q = d - L k.d.  The cross product c x (p - L) equals
+        c x (p - C), in which nothing cancels however distant the light is, and
+        (p - C) / t = w - C s with w = d - C k.d.  Divided by t^2, the first condition is
+        u + v s >= 0 with
 
             u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
             v = 2 ((c x C).(c x w) - r^2 L.q),
@@ -640,8 +645,8 @@ class CellAnalysis:
         Yields
         ------
         condition : _Condition
-            The visible point is in one half-space of the triple's shadow.  Its `case_index` holds
-            the triples that are not skipped.
+            The condition that the visible point is in one of these half-spaces.  Its `case_index`
+            holds the triples that are not skipped.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         for half_spaces, has_edge in zip(
@@ -739,7 +744,7 @@ class CellAnalysis:
         return contributions.select(~is_certain)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that each unsettled light adds to a face where it reaches the face.
+        """Enclose the radiance that each unsettled light adds wherever it reaches a face.
 
         A pair is one face in one cell.  A light is unsettled for a pair unless it is known to reach
         all or nothing of the face in the cell.
@@ -772,9 +777,9 @@ class CellAnalysis:
         squared_direction = self.squared_direction[cell]
         # The dot products q.d, divided by t.
         dot_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
-        inverse_squared = (self.inverse_distance * self.inverse_distance)[pair]
+        inverse_distance2 = (self.inverse_distance * self.inverse_distance)[pair]
         distance2 = squared_direction - dot_over_t * 2.0
-        distance2 += inverse_squared * (light_position * light_position).sum(axis=0)
+        distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
         inverse_length = distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
         light_height = self._enclose_functions(pair, *self._light_height_function(pair, light))
         n_dot_l = (light_height * inverse_length).clamp_to_unit_interval()
@@ -782,7 +787,7 @@ class CellAnalysis:
         radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, object_index])
         # Indices of the combinations whose face is glossy.
         glossy = np.flatnonzero(prepared.is_glossy[object_index])
-        glossy_pair, unique_index = np.unique(pair[glossy], return_inverse=True)
+        glossy_pair, pair_number = np.unique(pair[glossy], return_inverse=True)
         inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
         eye_function = self._light_height_function(glossy_pair, 0 * glossy_pair - 1)
         eye_height = self._enclose_functions(glossy_pair, *eye_function)
@@ -791,7 +796,7 @@ class CellAnalysis:
             inverse_length[glossy] * inverse_direction[cell[glossy]]
         )
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
-        n_dot_h = ((n_dot_l[glossy] + n_dot_v[unique_index]) * inverse_sum).clamp_to_unit_interval()
+        n_dot_h = ((n_dot_l[glossy] + n_dot_v[pair_number]) * inverse_sum).clamp_to_unit_interval()
         glossy_object = object_index[glossy]
         lobe = n_dot_h.power(prepared.exponent[glossy_object], 0.0, 1.0).clamp_to_unit_interval()
         specular = intensity[:, glossy] * prepared.specular[:, glossy_object]

@@ -252,9 +252,10 @@ def _enclose_edges(
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance due to unsettled lights, which bounds the jumps at shadow edges.
+        The radiance due to unsettled lights, which bounds the jumps at shadow edges and
+        terminators.
     max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell, which bounds the jumps at all other edges.
+        Upper bound on the radiance in each cell, which bounds the jumps at other edges.
     is_skipped : (c,) bool array
         Cells whose edges are ignored.
 

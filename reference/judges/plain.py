@@ -425,14 +425,14 @@ class _PlainTracer:
         normals = np.zeros_like(points)
         for i in np.unique(visible_surface).tolist():
             index = np.flatnonzero(visible_surface == i)
-            rays = points.take(index, 1), direction.take(index, 1)
-            points[:, index], normals[:, index] = self.project_onto_surface(i, *rays)
+            hits = points.take(index, 1), direction.take(index, 1)
+            points[:, index], normals[:, index] = self.project_onto_surface(i, *hits)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
-        for light, position, is_lit_by in lights:
-            is_lit_by[visible] = self.is_lit(visible_surface, points, normals, position)
-            to_light, to_eye = _normalise(position - points), -_normalise(direction)
+        for light, light_position, is_lit_by in lights:
+            is_lit_by[visible] = self.is_lit(visible_surface, points, normals, light_position)
+            to_light, to_eye = _normalise(light_position - points), -_normalise(direction)
             for i in np.unique(visible_surface[is_lit_by[visible]]).tolist():
                 index = np.flatnonzero(is_lit_by[visible] & (visible_surface == i))
                 vectors = (vector.take(index, 1) for vector in (normals, to_light, to_eye))
@@ -575,15 +575,15 @@ class _PlainTracer:
             # Both intersections are equally far from the closest point, which is at t = middle_t.
             middle_t = _dot(self.shapes[surface][0] - points, direction)
             blocks_own_light = is_between(2 * middle_t - distance)
-            is_light_on = self.signed_distance(surface, light) == 0
-            is_blocked = np.where(is_light_on, blocks_own_light, is_blocked)
+            is_light_on_sphere = self.signed_distance(surface, light) == 0
+            is_blocked = np.where(is_light_on_sphere, blocks_own_light, is_blocked)
             # From a point on the sphere, the segment is blocked if it leaves the sphere on the side
             # opposite the eye, or meets the sphere again.
             is_outward = (middle_t < -self.tolerance) | is_between(2 * middle_t)
             is_inward = middle_t > self.tolerance
             blocks_own_point = is_outward if self.is_eye_inside[surface] else is_inward
-            is_point_on = self.signed_distance(surface, points) == 0
-            is_blocked = np.where(is_point_on, blocks_own_point, is_blocked)
+            is_point_on_sphere = self.signed_distance(surface, points) == 0
+            is_blocked = np.where(is_point_on_sphere, blocks_own_point, is_blocked)
         return np.asarray(is_blocked)
 
     def reflected_radiance(
