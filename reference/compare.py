@@ -5,9 +5,10 @@
 
 RIGHT is a scene file, which is rendered, a picture, or a folder of these.  A mistake is reported if
 rendering the scene with this mistake reproduces the hand-in.  If no mistake does, the report names
-the nearest one, and where the pictures differ.  If RIGHT is a picture, only some mistakes of the
-camera and of the encoding can be found.  All pictures in a folder and its subfolders are compared
-with the scenes of the same name: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png with NAME.xml.
+the nearest one, and states where the pictures differ.  If RIGHT is a picture, only some mistakes of
+the camera and of the encoding can be found.  All pictures in a folder and its subfolders are
+compared with the scenes of the same name: NAME.png, NAME.xml.png, ID_NAME.png and NAME-ID.png with
+NAME.xml.
 Exit status: 0 if all agree, or are within the tolerances; 1 if some differ or are missing; 2 for
 wrong usage; 3 if some cannot be compared.
 """
