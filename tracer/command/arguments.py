@@ -145,9 +145,8 @@ def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
     Failure
         If the path is relative, and the working folder has been deleted.
     """
-    with errors_as_failure(
-        "the working folder", "found", "change to another", exit_status=exit_status
-    ):
+    where, remedy = "the working folder", "change to another"
+    with errors_as_failure(where, "found", remedy, exit_status=exit_status):
         return os.path.realpath(path)
 
 

@@ -48,7 +48,7 @@ FORMATS: dict[str, tuple[bytes, Callable[..., Any], Callable[..., None]]] = {
 a file, the function that encodes a tile, and the function that writes a file from encoded tiles."""
 
 _BUG = "this is a bug in the tracer; please report it with the scene"
-_SMALLER = "make the image smaller or take fewer samples"
+_SHRINK = "make the image smaller or take fewer samples"
 
 # Seconds that a process needs to read a small scene and to write its picture, without rendering.
 _SECONDS_PER_SCENE = 0.003
@@ -234,7 +234,7 @@ class Batch:
                     self._distribution.submit()
 
         with errors_as_failure(
-            job.scene_path, "rendered", _BUG, memory_remedy=_SMALLER, error_types=(ValueError,)
+            job.scene_path, "rendered", _BUG, memory_remedy=_SHRINK, error_types=(ValueError,)
         ):
             render_job = RenderJob(scene, samples)
             is_large = render_job.seconds >= job.min_shared_seconds
@@ -246,9 +246,7 @@ class Batch:
             elif is_large:
                 raise Failure(job.scene_path, "all processes should share this picture")
             with (
-                errors_as_failure(
-                    job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SMALLER
-                ),
+                errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
                 open(1, "wb", closefd=False)
                 if job.output_path == "-"
                 else atomic_file(job.output_path, magic) as file,

@@ -279,19 +279,17 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     if not quiet:
         scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
         print_line(sys.stderr, f"watching {scenes_text}; press Ctrl-C to end")
-    seen_versions = {job: _file_version(job.scene_path) for job in jobs}
+    old_versions = {job: _file_version(job.scene_path) for job in jobs}
     rendered_versions = dict[Job, object]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
         versions = {job: _file_version(job.scene_path) for job in jobs}
         # An editor may write a file in pieces, so wait until it stops changing.
-        settled_versions = {
-            job: versions[job] for job in jobs if versions[job] == seen_versions[job]
-        }
+        stable_versions = {job: versions[job] for job in jobs if versions[job] == old_versions[job]}
         changed_jobs = [
-            job for job in settled_versions if (job, versions[job]) not in rendered_versions.items()
+            job for job in stable_versions if (job, versions[job]) not in rendered_versions.items()
         ]
-        seen_versions = versions
-        rendered_versions |= settled_versions
+        old_versions = versions
+        rendered_versions |= stable_versions
         if changed_jobs:
             batch.render(changed_jobs)
         sleep(_POLL_SECONDS)
