@@ -352,7 +352,7 @@ def _enclose_regions(
 
 
 def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace samples in cells, to find the face that each one shows and the lights that reach it.
+    """Trace samples in cells to find the face that each one shows and the lights that reach it.
 
     A pair is one face that may be visible in one cell.  A light is settled for a pair if it is
     known to reach all or nothing of the face in the cell.
@@ -470,20 +470,20 @@ class _Picture:
         row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.bound.shape[1] + column)
 
-    def add(self, cells: Cells, index: Ints, radiance: Enclosures) -> None:
+    def add(self, cells: Cells, finished_cell: Ints, radiance: Enclosures) -> None:
         """Add the mean radiance of finished cells to the pixels that they cover.
 
         Parameters
         ----------
         cells : Cells
-            Cells narrower than a pixel, as wide, or wider.
-        index : (n,) int array
+            Cells of any width.
+        finished_cell : (n,) int array
             Indices of the finished cells in `cells`.
         radiance : Enclosures
             Enclosures (8, 3, n) of the radiance in the finished cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        upper_left = self.pixel_index(cells)[index][:, None, None]
+        upper_left = self.pixel_index(cells)[finished_cell][:, None, None]
         row, column = np.divmod(upper_left, self.bound.shape[1])
         down, across = np.indices((pixels_across, pixels_across))
         pixel = row + down, column + across
@@ -505,7 +505,7 @@ class _Picture:
         Parameters
         ----------
         cells : Cells
-            Cells that have not been added to the picture, not even in part.
+            Cells of which no part has been added to the picture yet.
 
         Returns
         -------
@@ -522,13 +522,13 @@ class _Picture:
         cells = analysis.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # cells without pairs are black
-        is_alone = pair_count[cells.pair_cell] == 1
-        fills_cell = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
+        is_only_pair = pair_count[cells.pair_cell] == 1
+        fills_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         error = _SETTLED_ERROR * self.permitted_error
         contributions = analysis.shade(fills_cell | (cells.width <= 1), error)
-        smooth = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
-        is_pending[cells.pair_cell[smooth]] = False
-        self.add(cells, cells.pair_cell[smooth], cells.radiance[smooth])
+        smooth_pair = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
+        is_pending[cells.pair_cell[smooth_pair]] = False
+        self.add(cells, cells.pair_cell[smooth_pair], cells.radiance[smooth_pair])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_accurate = self.is_accurate(cells, estimates.error, is_pending)
@@ -544,11 +544,11 @@ class _Picture:
         A cell is accurate enough if one of these is true:
 
         1.  If all pending cells of its pixel were added now, the pixel's error would be within the
-           limit.
+            limit.
         2.  Its error is at most the average error still permitted in the pending cells of its
             pixel.
         3.  It has the minimum width, or its pixel has at least `_MAX_PENDING_CELLS` cells in
-           `cells`.
+            `cells`.
 
         Parameters
         ----------
@@ -557,7 +557,7 @@ class _Picture:
         error : (c,) float array
             Bound on the error of each cell's mean radiance, in any channel.
         is_pending : (c,) bool array
-            Whether the cell has not been added to the picture.
+            Whether the cell is still missing from the picture.
 
         Returns
         -------

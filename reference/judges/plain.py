@@ -244,7 +244,7 @@ class _PlainTracer:
     def __init__(
         self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to a number type, and choose the methods of tracing it.
+        """Convert a scene to a number type, and choose how to trace it.
 
         Parameters
         ----------
@@ -289,8 +289,8 @@ class _PlainTracer:
         values : array
             Numbers of the tracer's number type.
         scale : array that broadcasts to `values`
-            A decimal value is tiny if its absolute value is at most 1e-50 times this.  No value in
-            float32 or float64 is tiny.
+            A decimal value is tiny if its absolute value is at most 1e-50 times this.  Values in
+            float32 or float64 never count as tiny.
 
         Returns
         -------
@@ -336,7 +336,7 @@ class _PlainTracer:
         Returns
         -------
         direction : (3, n) array
-            Vectors from the eye to the points of the camera's window.
+            Vectors from the eye to the positions on the camera's window.
         """
         to_numbers, camera = self.to_numbers, self.scene.camera
         width, height = self.scene.width, self.scene.height

@@ -94,13 +94,13 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     """Enclose the zeros of each edge function in a strip between two parallel lines.
 
     The picture may have an edge where an edge function is zero.  At a point (x, y) near the zero,
-    let g be the length of the gradient (a, b), and p and q its direction.  Let n be the coordinate
+    let g be the length of the gradient (a, b), and (p, q) its unit vector.  Let n be the coordinate
     along the gradient, and t the coordinate perpendicular to it.  Let f_tt, f_tn and f_nn be the
     second derivatives.  Apart from its error bound, the function equals
     v + g n (1 + e) + f_tt t^2 / 2, where v is its value at the point.  Here |e| is at most k, a
     bound on |f_tn t + f_nn n / 2| / g in the cell.
 
-    Let T be the maximum of |t|.  Then f_tt t^2 / 2 differs from f_tt T^2 / 6 by at most
+    Let T (`max_t`) be the maximum of |t|.  Then f_tt t^2 / 2 differs from f_tt T^2 / 6 by at most
     |f_tt| T^2 / 3.  Let d be this difference plus the error bound, and w = v + f_tt T^2 / 6.  Then
     the function is zero only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
 
@@ -208,8 +208,8 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
         # Rotate the corners so that the first is alone on its side of the line.
         is_lone_above, triangle = above_count[cut] == 1, triangle[cut]
         lone_corner = np.argmax(is_above[:, cut] == is_lone_above, axis=0)
-        rotated = (lone_corner + np.arange(3)[:, None]) % 3
-        (a, b, c), (height_a, height_b, height_c) = corners[rotated, triangle], height[rotated, cut]
+        order = (lone_corner + np.arange(3)[:, None]) % 3
+        (a, b, c), (height_a, height_b, height_c) = corners[order, triangle], height[order, cut]
         # The line meets the triangle's sides at p and q.
         p = a + height_a / (height_a - height_b) * (b - a)
         q = a + height_a / (height_a - height_c) * (c - a)
