@@ -145,7 +145,7 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
 
 def test_tolerances_of_whole_pictures():
     def lines(ssim: float, median: float) -> list[str]:
-        figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over=0)
+        figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over_count=0)
         return check.list_figures_out_of_tolerance(figures)
 
     assert lines(0.99901, 0.99e-6) == []
