@@ -22,7 +22,7 @@ _LEGEND = (
 
 
 def make_pair(
-    result: Result, handin_codes: Codes, reference_codes: Codes, difference: Differences
+    result: Result, submitted_codes: Codes, reference_codes: Codes, difference: Differences
 ) -> Pair:
     """Prepare a hand-in, its reference picture and their difference for an HTML page.
 
@@ -30,7 +30,7 @@ def make_pair(
     ----------
     result : Result
         The result of comparing the two pictures.
-    handin_codes, reference_codes : (h, w, 3) uint8 arrays
+    submitted_codes, reference_codes : (h, w, 3) uint8 arrays
         8-bit codes of the picture that a student handed in, and of the reference picture.
     difference : (h, w) float32 array
         For each pixel, the difference in linear light; positive if the hand-in is brighter.
@@ -42,7 +42,7 @@ def make_pair(
     """
     diagnosis = result.diagnosis
     return prepare_pair(
-        handin_codes,
+        submitted_codes,
         reference_codes,
         *amplify_difference(difference),
         name=str(result.picture),
@@ -50,7 +50,7 @@ def make_pair(
         verdict=result.verdict,
         left_name="hand-in",
         right_name="right",
-        thumbnail=encode_png(handin_codes, as_thumbnail=True),
+        thumbnail=encode_png(submitted_codes, as_thumbnail=True),
         notes=[str(diagnosis)],
         worst_pixel=result.worst if result.differing else None,
         figures=[

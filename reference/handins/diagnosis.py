@@ -20,7 +20,7 @@ import numpy as np
 from reference.handins import symptoms
 from reference.handins.formulas import Array
 from reference.handins.mistakes import OF_PICTURE
-from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Search
+from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Submission
 from reference.pictures import Codes, Picture, level_difference, to_columns, to_picture
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
@@ -233,30 +233,32 @@ class Solution:
             return diagnosis
         codes = self.picture.save(codes) if self.picture.save else codes
         lossy_levels = max(picture.lossy_levels, self.picture.lossy_levels)
-        search = Search(
+        submission = Submission(
             to_columns(codes),
             renderer,
             lossy_levels or _PICTURE_LEVELS * (self.scene is None),
             save and (lambda columns: to_columns(save(to_picture(columns, width)))),
         )
-        if lossy_levels and search.is_wrong.mean() < 0.01:
+        if lossy_levels and submission.is_wrong.mean() < 0.01:
             return _verdict("format", "It is the right picture.")
-        finding = search.find()
+        finding = submission.find_mistakes()
         if finding.causes:
-            numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,}"
+            numbers = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
             remainder = f"That leaves {numbers} pixels that differ."
-            causes = (_fill_in_sentences(cause, search) for cause in finding.causes)
+            causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), after=remainder if finding.unexplained_count else "")
-        if not search.lossy_levels and (keyword_and_sentence := symptoms.find_symptom(search)):
+        if not submission.lossy_levels and (
+            keyword_and_sentence := symptoms.find_symptom(submission)
+        ):
             return _verdict(*keyword_and_sentence)
-        return self._diagnose_unknown(search, finding)
+        return self._diagnose_unknown(submission, finding)
 
-    def _diagnose_unknown(self, search: Search, finding: Finding) -> Diagnosis:
+    def _diagnose_unknown(self, submission: Submission, finding: Finding) -> Diagnosis:
         """Describe a picture that no known mistake explains.
 
         Parameters
         ----------
-        search : Search
+        submission : Submission
             The picture that a student handed in, and its wrong pixels.
         finding : Finding
             The result of the search: no cause, and perhaps a hint (the mistakes with the most
@@ -267,19 +269,19 @@ class Solution:
         Diagnosis
             Of the kind "unknown".  Its sentences describe the hint, and which pixels differ.
         """
-        if not search.clearly_wrong_count:
-            pixels = symptoms.count_pixels(search.wrong_count, "is", "are")
+        if not submission.clearly_wrong_count:
+            pixels = symptoms.count_pixels(submission.wrong_count, "is", "are")
             return _verdict(UNKNOWN, f"{pixels} one level off; no known mistake does this.")
-        mistake_count = len(search.renderer.mistakes)
+        mistake_count = len(submission.renderer.mistakes)
         sentence, after = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
-            nearest = " ".join(_fill_in_sentences(finding.hint, search).values())
-            numbers = f"{finding.unexplained_count:,} of {search.wrong_count:,} pixels"
+            nearest = " ".join(_fill_in_sentences(finding.hint, submission).values())
+            numbers = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
             after = f"The nearest that is known: {nearest} It does not explain {numbers}. "
-        after += self._describe_differences(search, finding.hint)
+        after += self._describe_differences(submission, finding.hint)
         return Diagnosis(({UNKNOWN: sentence},), after=after, hint="+".join(finding.hint))
 
-    def _describe_differences(self, search: Search, hint: Cause) -> str:
+    def _describe_differences(self, submission: Submission, hint: Cause) -> str:
         """Describe in sentences where a picture differs from the reference picture.
 
         The sentences name the surfaces with most of the wrong pixels, the lights that are wrong
@@ -288,13 +290,13 @@ class Solution:
 
         Parameters
         ----------
-        search : Search
+        submission : Submission
             The picture that a student handed in, and the renderer of its scene.
         hint : tuple of str
             Keywords of the mistakes with the most similar picture; may be empty.
         """
-        renderer = search.renderer
-        both_codes = search.handin_codes, renderer.reference_codes
+        renderer = submission.renderer
+        both_codes = submission.codes, renderer.reference_codes
         width, height = renderer.width, renderer.pixel_count // renderer.width
         levels = level_difference(*both_codes)
         is_wrong = levels > 1
@@ -306,25 +308,27 @@ class Solution:
         if not self.scene:
             advice = "With the scene in place of the right picture, more can be said."
             return f"{count}.{worst}. {advice}"
-        count_and_surfaces = f"{count}: {_describe_wrong_surfaces(self.scene, search, is_wrong)}."
+        count_and_surfaces = (
+            f"{count}: {_describe_wrong_surfaces(self.scene, submission, is_wrong)}."
+        )
         on_background = is_wrong & (renderer.surface_index < 0)
         if hint or on_background.sum() > 0.02 * is_wrong.sum():
             return count_and_surfaces
         is_scene_size = (self.scene.width, self.scene.height) == (width, height)
         option = "" if is_scene_size else f" --size {width}x{height}"
         command = f"tracer {self.name}{option} --pixel {x},{y}"
-        lights = _describe_wrong_lights(self.scene, search, is_wrong)
+        lights = _describe_wrong_lights(self.scene, submission, is_wrong)
         return f"{count_and_surfaces}{lights}{worst}; {command} explains it."
 
 
-def _describe_wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> str:
+def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Array) -> str:
     """Name the surfaces that most of the wrong pixels show, with the numbers of these pixels.
 
     Parameters
     ----------
     scene : Scene
         The scene, for the names of its surfaces.
-    search : Search
+    submission : Submission
         The picture that a student handed in, and the renderer of its scene.
     is_wrong : (n,) bool array
         True for pixels that differ from the reference picture by more than one level.
@@ -334,8 +338,8 @@ def _describe_wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> s
     str
         Words such as "12 of 345 on sphere 1 (line 8) (darker), 6 on others".
     """
-    all_surfaces = search.renderer.surface_index
-    change = search.handin_codes.astype(np.int16) - search.renderer.reference_codes
+    all_surfaces = submission.renderer.surface_index
+    change = submission.codes.astype(np.int16) - submission.renderer.reference_codes
     surfaces, counts = np.unique(all_surfaces[is_wrong], return_counts=True)
     order, parts = np.argsort(-counts, kind="stable"), []
     for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
@@ -348,14 +352,14 @@ def _describe_wrong_surfaces(scene: Scene, search: Search, is_wrong: Array) -> s
     return ", ".join(parts)
 
 
-def _describe_wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str:
+def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array) -> str:
     """Return a sentence for each light that is missing, or wrongly present, at many wrong pixels.
 
     Parameters
     ----------
     scene : Scene
         The scene, for the line numbers of its lights.
-    search : Search
+    submission : Submission
         The picture that a student handed in, and the renderer of its scene.
     is_wrong : (n,) bool array
         True for pixels that differ from the reference picture by more than one level.
@@ -367,7 +371,7 @@ def _describe_wrong_lights(scene: Scene, search: Search, is_wrong: Array) -> str
     """
     verbs = "should shine but does not", "should be blocked but shines"
     sentences = ""
-    for verb, is_changed in zip(verbs, symptoms.find_light_changes(search) or (), strict=False):
+    for verb, is_changed in zip(verbs, symptoms.find_light_changes(submission) or (), strict=False):
         for k, count in enumerate((is_changed & is_wrong).sum(axis=1)):
             if count > _MIN_LIGHT_SHARE * is_wrong.sum():
                 line = f" (line {scene.lights[k].line})" if scene.lights[k].line else ""
@@ -415,12 +419,12 @@ def find_worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
     return int(column), int(row)
 
 
-def diagnose_agreement(handin_codes: Codes, reference_codes: Codes) -> Diagnosis | None:
+def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagnosis | None:
     """Return a diagnosis if two pictures agree, except for one level in few pixels.
 
     Parameters
     ----------
-    handin_codes, reference_codes : (h, w, 3) uint8 arrays
+    submitted_codes, reference_codes : (h, w, 3) uint8 arrays
         Codes of the picture that a student handed in, and of the reference picture.
 
     Returns
@@ -428,7 +432,7 @@ def diagnose_agreement(handin_codes: Codes, reference_codes: Codes) -> Diagnosis
     Diagnosis or None
         Of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
-    levels = level_difference(handin_codes, reference_codes, 2)
+    levels = level_difference(submitted_codes, reference_codes, 2)
     count = int(np.count_nonzero(levels))
     if not count:
         return _verdict("identical", "The pictures are identical.")
@@ -458,14 +462,14 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     return _verdict("black", "The picture is black.")
 
 
-def _fill_in_sentences(cause: Cause, search: Search) -> dict[str, str]:
+def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
     """Map each mistake of a cause to its sentence, with estimated numbers filled in.
 
     Parameters
     ----------
     cause : tuple of str
         Keywords of mistakes that are made together.
-    search : Search
+    submission : Submission
         The search that found the cause.
 
     Returns
@@ -474,12 +478,12 @@ def _fill_in_sentences(cause: Cause, search: Search) -> dict[str, str]:
         The sentences by keyword.  Each placeholder such as ``{fitted_gamma}`` is replaced by a
         number that is estimated from the picture that was handed in.
     """
-    formulas = search.renderer.formulas_of(cause)
+    formulas = submission.renderer.replacements_for(cause)
 
     def number_of(placeholder: re.Match[str]) -> str:
-        return f"{search.fitting_cache.get(placeholder[1], formulas):.3g}"
+        return f"{submission.fitting_cache.get_value(placeholder[1], formulas):.3g}"
 
-    mistakes = search.renderer.mistakes
+    mistakes = submission.renderer.mistakes
     return {k: re.sub(r"\{(\w+)\}", number_of, mistakes[k].sentence) for k in cause}
 
 

@@ -31,7 +31,7 @@ def normalize(vectors: Array, axis: int = 0) -> Array:
     vectors : array
         Vectors of any length other than 0.
     axis : int
-        The axis of the array along which the three components lie.
+        Array axis that holds the three components of each vector.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def normalize(vectors: Array, axis: int = 0) -> Array:
 
 
 def dot(first: Array, second: Array) -> Array:
-    """Return the scalar products of vectors.
+    """Compute the dot products of pairs of vectors.
 
     Parameters
     ----------
@@ -51,27 +51,26 @@ def dot(first: Array, second: Array) -> Array:
 
     Returns
     -------
-    (..., n) array
+    products : (..., n) array
     """
     return (first * second).sum(axis=-2)
 
 
-def select_vectors(surface_vectors: Array, surface: Array) -> Array:
-    """Select, for each of n pixels, the vector of the surface that the pixel shows.
+def select_vectors(surface_vectors: Array, surface_index: Array) -> Array:
+    """Look up, for each of n pixels, the vector of the surface that the pixel shows.
 
     Parameters
     ----------
     surface_vectors : (3, surfaces, 1) array
         One vector for each surface of the scene, such as its centre.
-    surface : (n,) int array
+    surface_index : (n,) int array
         Index of the surface that each pixel shows.
 
     Returns
     -------
-    (3, n) array
-        The vector for each pixel.
+    pixel_vectors : (3, n) array
     """
-    return surface_vectors[:, surface, 0]
+    return surface_vectors[:, surface_index, 0]
 
 
 def intersect_spheres(
@@ -86,8 +85,7 @@ def intersect_spheres(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     assume_unit_d : bool
-        If true, compute as if all directions had length 1.  This simulates a mistake if they have
-        other lengths.
+        Whether to treat all directions as unit vectors.  If they are not, this simulates a mistake.
 
     Returns
     -------
@@ -95,22 +93,23 @@ def intersect_spheres(
         The smaller and the larger t at which each ray crosses each sphere; NaN if the ray's line
         misses the sphere.
     """
-    # The ray's line cuts a chord out of the sphere; t is that of its midpoint -+ half its length.
+    # The sphere cuts a chord from the ray's line.  The roots are the t of the chord's midpoint,
+    # minus and plus half the chord's length in t.  Names that end in 2 hold squares.
     to_center = [centers[axis] - o[axis] for axis in range(3)]
     midpoint_t = sum(to_center[axis] * d[axis] for axis in range(3))
     if assume_unit_d:
-        distance2 = sum(to_center[axis] * to_center[axis] for axis in range(3))
-        half_chord = np.sqrt(midpoint_t * midpoint_t - distance2 + radii * radii)
+        center_distance2 = sum(to_center[axis] * to_center[axis] for axis in range(3))
+        half_chord_t = np.sqrt(midpoint_t * midpoint_t - center_distance2 + radii * radii)
     else:
-        length2 = (d * d).sum(axis=0)
-        midpoint_t = midpoint_t / length2
-        offset2 = sum((to_center[axis] - midpoint_t * d[axis]) ** 2 for axis in range(3))
-        half_chord = np.sqrt((radii * radii - offset2) / length2)
-    return np.stack([midpoint_t - half_chord, midpoint_t + half_chord])
+        d_length2 = (d * d).sum(axis=0)
+        midpoint_t = midpoint_t / d_length2
+        line_distance2 = sum((to_center[axis] - midpoint_t * d[axis]) ** 2 for axis in range(3))
+        half_chord_t = np.sqrt((radii * radii - line_distance2) / d_length2)
+    return np.stack([midpoint_t - half_chord_t, midpoint_t + half_chord_t])
 
 
 def intersect_boxes(
-    low: Array, high: Array, o: Array, d: Array, *, sort_slabs: bool = True
+    low: Array, high: Array, o: Array, d: Array, *, sort_crossings: bool = True
 ) -> Array:
     """Intersect each of n rays o + t d with each axis-aligned box.
 
@@ -120,9 +119,9 @@ def intersect_boxes(
         Corners of the boxes with the smallest and with the largest coordinates.
     o, d : (3, n) arrays
         Origins and directions of the rays.
-    sort_slabs : bool
-        If true, sort the two t at which a ray crosses each pair of parallel faces.  False simulates
-        a mistake.
+    sort_crossings : bool
+        Whether to sort the two t at which a ray crosses each pair of parallel faces.  False
+        simulates a mistake.
 
     Returns
     -------
@@ -130,57 +129,69 @@ def intersect_boxes(
         The smaller and the larger t at which each ray crosses each box; NaN if the ray's line
         misses the box.
     """
-    near, far = -np.inf, np.inf
+    entry_t, exit_t = -np.inf, np.inf
     for axis in range(3):
-        crossings = (low[axis] - o[axis]) / d[axis], (high[axis] - o[axis]) / d[axis]
-        entry, leave = (np.minimum(*crossings), np.maximum(*crossings)) if sort_slabs else crossings
-        near, far = np.maximum(near, entry), np.minimum(far, leave)
-    return np.where(near <= far, np.stack([near, far]), np.nan)
+        first_t, second_t = (low[axis] - o[axis]) / d[axis], (high[axis] - o[axis]) / d[axis]
+        if sort_crossings:
+            first_t, second_t = np.minimum(first_t, second_t), np.maximum(first_t, second_t)
+        entry_t, exit_t = np.maximum(entry_t, first_t), np.minimum(exit_t, second_t)
+    return np.where(entry_t <= exit_t, np.stack([entry_t, exit_t]), np.nan)
 
 
-def scale_roots(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
-    """Return an intersection function with a mistake: all results are multiplied by a factor.
+def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
+    """Make a faulty intersection function, which multiplies all its results by a factor.
 
     Parameters
     ----------
     intersect : callable
-        Returns the t at which rays o + t d cross surfaces, as an array.
+        The correct function.  It returns an array of the t at which rays o + t d cross surfaces.
     factor : float
-        The factor by which the new function multiplies these t.
+        The factor that simulates the mistake.
+
+    Returns
+    -------
+    callable
+        A function with the same arguments as `intersect`.
     """
     return lambda *arguments: factor * intersect(*arguments)
 
 
-def replace_near_roots(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """Return an intersection function with a mistake: it returns the far intersection twice.
+def make_far_only_intersect(intersect: Callable[..., Array]) -> Callable[..., Array]:
+    """Make a faulty intersection function, which returns the far intersection twice.
 
     Parameters
     ----------
     intersect : callable
-        Returns an array (2, ...) with the smaller and the larger t at which rays o + t d cross
-        surfaces.  The new function returns the larger t in both rows.
+        The correct function.  It returns an array (2, ...) with the smaller and the larger t at
+        which rays o + t d cross surfaces.
+
+    Returns
+    -------
+    callable
+        A function with the same arguments, which returns the larger t in both rows.
     """
     return lambda *arguments: intersect(*arguments)[[1, 1]]
 
 
 def make_intersect(
     is_sphere: Array, centers: Array, radii: Array, low: Array, high: Array, is_present: Array,
-    sphere_function: Callable[..., Array], box_function: Callable[..., Array],
+    intersect_sphere: Callable[..., Array], intersect_box: Callable[..., Array],
 ) -> Callable[[Array, Array], Array]:  # fmt: skip
-    """Return a function that intersects rays o + t d with the spheres and boxes of a scene.
+    """Make a function that intersects rays o + t d with the spheres and boxes of a scene.
 
     Parameters
     ----------
     is_sphere : (surfaces,) bool array
         True for spheres, false for boxes.
     centers, radii : (3, surfaces, 1) and (surfaces, 1) arrays
-        Centres and radii of the spheres; the entries of boxes are not used.
+        Centres and radii of the spheres; the entries of boxes are ignored.
     low, high : (3, surfaces, 1) arrays
-        Opposite corners of the boxes; the entries of spheres are not used.
+        Opposite corners of the boxes; the entries of spheres are ignored.
     is_present : (surfaces,) bool array
-        False for surfaces that no ray hits, because they are missing from the picture.
-    sphere_function, box_function : callable
-        Functions with the arguments and the result of `intersect_spheres` and `intersect_boxes`.
+        False for surfaces that are missing from the picture, so that no ray hits them.
+    intersect_sphere, intersect_box : callable
+        Functions called like `intersect_spheres` and `intersect_boxes`, with results of the same
+        form.
 
     Returns
     -------
@@ -194,16 +205,16 @@ def make_intersect(
 
     def intersect(o: Array, d: Array) -> Array:
         roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
-        spheres = centers[:, sphere_index], radii[sphere_index]
-        roots[:, sphere_index] = sphere_function(*spheres, o, d)
-        roots[:, box_index] = box_function(low[:, box_index], high[:, box_index], o, d)
+        centers_and_radii = centers[:, sphere_index], radii[sphere_index]
+        roots[:, sphere_index] = intersect_sphere(*centers_and_radii, o, d)
+        roots[:, box_index] = intersect_box(low[:, box_index], high[:, box_index], o, d)
         return roots
 
     return intersect
 
 
-def first_positive(roots: Array) -> Array:
-    """Return the t of the closest hit of each ray o + t d on each surface.
+def smallest_positive_root(roots: Array) -> Array:
+    """Return the smallest positive t at which each ray o + t d crosses each surface.
 
     Parameters
     ----------
@@ -214,72 +225,74 @@ def first_positive(roots: Array) -> Array:
     Returns
     -------
     t : (...) array
-        The smallest t that is greater than `_MIN_T`, a tiny positive number; infinity if there is
-        none.
+        The smaller of those roots that exceed `_MIN_T`, a tiny positive number; infinity if neither
+        does.
     """
-    near, far = roots
-    t = np.where(near > _MIN_T, near, far)
+    near_t, far_t = roots
+    t = np.where(near_t > _MIN_T, near_t, far_t)
     return np.where(t > _MIN_T, t, np.inf)
 
 
-def intersect_for_lights(
-    intersect: Callable[[Array, Array], Array], hits: Array, light_vectors: Array
+def intersect_shadow_rays(
+    intersect: Callable[[Array, Array], Array], hits: Array, shadow_directions: Array
 ) -> Array:
-    """Intersect the shadow rays from each hit to each light with all surfaces.
+    """Intersect the shadow rays from n hits to all lights with all surfaces.
 
     Parameters
     ----------
     intersect : callable
-        The function that `make_intersect` returns.
+        A function that `make_intersect` has returned.
     hits : (3, n) array
-        Origins of the shadow rays, on surfaces.
-    light_vectors : (lights, 3, n) array
-        Directions of the shadow rays.
+        Points on surfaces, at which the shadow rays begin.
+    shadow_directions : (lights, 3, n) array
+        Directions of the shadow rays: from each hit to each light.
 
     Returns
     -------
     roots : (lights, 2, surfaces, n) array
-        The smaller and the larger t of each shadow ray and surface; without lights, an empty array.
+        The smaller and the larger t at which each shadow ray crosses each surface; an empty array
+        if there are no lights.
     """
-    roots = [intersect(hits, directions) for directions in light_vectors]
+    roots = [intersect(hits, directions) for directions in shadow_directions]
     return np.array(roots) if roots else np.zeros((0, 2, 1, 1))
 
 
-def find_blocking(
-    shadow_roots: Array, t_min: Array, t_max: Array, is_tested: Array,
-    far_t_min: float | None = None,
+def find_blocking_surfaces(
+    shadow_roots: Array, min_t: Array, max_t: Array, is_tested: Array,
+    min_far_t: float | None = None,
 ) -> Array:  # fmt: skip
-    """Test which surfaces block each light from each hit.
+    """Find the surfaces that block each light from each of n hits.
 
     The shadow ray from a hit to a light is o + t d.  A surface blocks the light if the first t >
-    `t_min` at which the ray crosses the surface is less than `t_max`.
+    `min_t` at which the ray crosses the surface is less than `max_t`.
 
     Parameters
     ----------
     shadow_roots : (lights, 2, surfaces, n) array
         The smaller and the larger t at which each shadow ray crosses each surface.
-    t_min, t_max : (lights, n) arrays
+    min_t, max_t : (lights, n) arrays
         Limits of t for each shadow ray.
     is_tested : (surfaces, n) bool array
-        True for surfaces that are tested as occluders of each hit.
-    far_t_min : float, optional
-        Replaces `t_min` in the test of the larger t.
+        True if the surface can block light from the hit.
+    min_far_t : float, optional
+        The limit that replaces `min_t` where the larger t is tested.
 
     Returns
     -------
     is_blocking : (lights, surfaces, n) bool array
         True if the surface blocks the light from the hit.
     """
-    far_limits = t_min if far_t_min is None else np.full_like(t_min, far_t_min)
-    limits = zip(shadow_roots, t_min, far_limits, t_max, strict=True)
-    is_blocking = [
-        (np.where(near > low, near, np.where(far > far_low, far, np.nan)) < high) & is_tested
-        for (near, far), low, far_low, high in limits
-    ]
+    far_limits = min_t if min_far_t is None else np.full_like(min_t, min_far_t)
+    is_blocking = []
+    for (near_t, far_t), min_near, min_far, limit in zip(
+        shadow_roots, min_t, far_limits, max_t, strict=True
+    ):
+        first_t = np.where(near_t > min_near, near_t, np.where(far_t > min_far, far_t, np.nan))
+        is_blocking.append((first_t < limit) & is_tested)
     return np.array(is_blocking, dtype=bool).reshape(len(shadow_roots), *is_tested.shape)
 
 
-def last_chosen(values: Array, is_chosen: Array) -> Array:
+def value_of_last_chosen(values: Array, is_chosen: Array) -> Array:
     """Return the value of the last chosen surface, in the order of the scene file.
 
     Parameters
@@ -287,12 +300,12 @@ def last_chosen(values: Array, is_chosen: Array) -> Array:
     values : (..., surfaces) array
         One value or vector for each surface, such as its specular colour.
     is_chosen : (surfaces,) bool array
-        True for the surfaces among which the last is searched for.
+        True for the chosen surfaces.
 
     Returns
     -------
-    (..., 1) array
-        The value; zero if no surface is chosen.
+    value : (..., 1) array
+        Zero if no surface is chosen.
     """
     chosen_index = np.flatnonzero(is_chosen)
     return values[..., chosen_index[-1:]] if chosen_index.size else 0 * values[..., :1]
@@ -301,19 +314,19 @@ def last_chosen(values: Array, is_chosen: Array) -> Array:
 def box_normals(
     hits: Array, low: Array, high: Array, axis_shift: int = 0, forced_sign: float | None = None
 ) -> Array:
-    """Compute the unit normals of boxes at hits: outward ones, or wrong ones.
+    """Compute the unit normals of boxes at n hits, correctly or with a simulated mistake.
 
     Parameters
     ----------
     hits : (3, n) array
-        Points on the boxes' faces.
+        Points on the faces of boxes.
     low, high : (3, n) arrays
         Opposite corners of the box at each hit.
     axis_shift : int
-        Number of axes by which each normal is turned, from x to y to z to x.  Any value but 0
+        Number of axes by which to turn each normal, in the order x, y, z, x.  Any value but 0
         simulates a mistake.
     forced_sign : float, optional
-        The sign of all normals, 1 or -1, which simulates a mistake.  By default, normals point
+        Sign to give all normals, 1 or -1, which simulates a mistake.  By default, normals point
         outward.
 
     Returns
@@ -328,7 +341,7 @@ def box_normals(
 
 
 def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
-    """Convert a picture to grey: replace each channel by the weighted mean of all channels.
+    """Convert a picture to grey by replacing each channel with the weighted mean of all channels.
 
     Parameters
     ----------
@@ -340,14 +353,14 @@ def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
     Returns
     -------
     (3, n) array
-        Three equal rows.  A tiny number is added to each mean: without it, rounding could make the
-        mean of three equal integers a little smaller than the integers.
+        Three equal rows.  Each mean is increased by a tiny number, because rounding could otherwise
+        make the mean of three equal integers slightly smaller than the integers.
     """
     return np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
 
 
 def median_where(is_selected: Array, values: Array, default: float) -> float:
-    """Return the median of selected values.
+    """Return the median of the selected values.
 
     Parameters
     ----------
@@ -357,39 +370,43 @@ def median_where(is_selected: Array, values: Array, default: float) -> float:
         One value for each channel of n pixels.
     default : float
         The result if no value is selected.
+
+    Returns
+    -------
+    float
     """
     selected = values[is_selected]
     return float(np.median(selected)) if selected.size else default
 
 
-def commonest_color(is_hit: Array, handin: Array) -> Array:
-    """Return the most frequent colour in the background of a picture that was handed in.
+def commonest_color(is_hit: Array, submitted_codes: Array) -> Array:
+    """Return the most frequent background colour of a submitted picture.
 
     Parameters
     ----------
     is_hit : (n,) bool array
-        True for the n pixels that show a surface, false for those of the background.
-    handin : (3, n) uint8 array
-        Codes (levels from 0 to 255) of the picture.
+        True for pixels that show a surface, false for background pixels.
+    submitted_codes : (3, n) uint8 array
+        Red, green and blue levels of the picture, from 0 to 255.
 
     Returns
     -------
     color : (3, 1) uint8 array
-        The colour as codes; black if there is no background.
+        Black if there is no background.
     """
     if is_hit.all():
         return np.zeros((3, 1), dtype=np.uint8)
-    colors, counts = np.unique(handin[:, ~is_hit], axis=1, return_counts=True)
+    colors, counts = np.unique(submitted_codes[:, ~is_hit], axis=1, return_counts=True)
     return colors[:, [counts.argmax()]]
 
 
 def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
-    """Interpolate the light of a picture linearly at n positions between its pixels' centres.
+    """Interpolate a picture linearly at n positions.
 
     Parameters
     ----------
     picture : (h, w, 3) array
-        Linear light.
+        Linear light at the centre of each pixel.
     x, y : (n,) arrays
         The positions: from -0.5 at the left and lower edges of the picture to 0.5 at the right and
         upper edges.
@@ -397,20 +414,19 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
     Returns
     -------
     light : (3, n) array
-        Red, green and blue light at each position.  Outside the picture, this is the light of the
-        nearest pixel.
+        Linear light at each position; outside the picture, that of the nearest pixel.
     """
     height, width = picture.shape[:2]
-    positions = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
-    channels = np.moveaxis(picture, 2, 0)
-    return np.array([map_coordinates(c, positions, order=1, mode="nearest") for c in channels])
+    row_and_column = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
+    return np.array([map_coordinates(channel, row_and_column, order=1, mode="nearest")
+                     for channel in np.moveaxis(picture, 2, 0)])  # fmt: skip
 
 
-def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
-    """Guess which pixels show a surface, from a reference picture without its scene.
+def shows_surface(picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
+    """Guess which pixels show a surface when the scene of a reference picture is unknown.
 
-    A pixel is assumed to be background if the reference picture is black there, but the hand-in
-    (the picture that a student handed in) is not.
+    A pixel is assumed to show the background if the reference picture is black there but the
+    submitted picture is not.
 
     Parameters
     ----------
@@ -419,22 +435,22 @@ def shows_surface(picture: Array, x: Array, y: Array, handin: Array) -> Array:
     x, y : (n,) arrays
         Positions of the pixels: from -0.5 at the left and lower edges to 0.5 at the right and upper
         edges.
-    handin : (3, n) uint8 array
-        Codes of the hand-in.
+    submitted_codes : (3, n) uint8 array
+        Red, green and blue levels of the submitted picture.
 
     Returns
     -------
     is_hit : (n,) bool array
-        False for the pixels of the background.
+        False for background pixels.
     """
-    return interpolate_light(picture, x, y).any(axis=0) | ~handin.any(axis=0)
+    return interpolate_light(picture, x, y).any(axis=0) | ~submitted_codes.any(axis=0)
 
 
 _OWN: tuple[Callable[..., Any], ...] = (
-    normalize, dot, select_vectors, intersect_spheres, intersect_boxes, scale_roots,
-    replace_near_roots, make_intersect, first_positive, intersect_for_lights, find_blocking,
-    last_chosen, box_normals, mix_channels, commonest_color, median_where, interpolate_light,
-    shows_surface, len, partial,
+    normalize, dot, select_vectors, intersect_spheres, intersect_boxes, make_scaled_intersect,
+    make_far_only_intersect, make_intersect, smallest_positive_root, intersect_shadow_rays,
+    find_blocking_surfaces, value_of_last_chosen, box_normals, mix_channels, commonest_color,
+    median_where, interpolate_light, shows_surface, len, partial,
 )  # fmt: skip
 _NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
     logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
@@ -445,20 +461,21 @@ _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 
 @cache
 def compile_formula(expression: str) -> Callable[..., Any]:
-    """Convert a Python expression to a function whose parameters are the names in the expression.
+    """Compile a Python expression into a function of the variables that it contains.
 
-    The parameters are in alphabetical order.  They exclude the functions of this module and of
-    NumPy that formulas can call.  Equal expressions give the same function object.
+    The parameters of the function are the variables in alphabetical order.  Equal expressions give
+    the same function object.
 
     Parameters
     ----------
     expression : str
-        The expression, such as "dot(n, l)", which becomes a function of `l` and `n`.
+        The expression, such as "dot(n, l)", which becomes a function of `l` and `n`.  It can call
+        the functions in `_FUNCTIONS`, such as `dot`.
 
     Returns
     -------
     callable
-        Takes the values of the parameters, and returns that of the expression.
+        Takes the values of the variables, and returns the value of the expression.
 
     Raises
     ------
@@ -467,24 +484,24 @@ def compile_formula(expression: str) -> Callable[..., Any]:
     """
     nodes = ast.walk(ast.parse(expression, mode="eval"))
     names = {node.id for node in nodes if isinstance(node, ast.Name)}
-    arguments = sorted(names - _FUNCTIONS.keys())
-    function: Callable[..., Any] = eval(f"lambda {', '.join(arguments)}: {expression}", _FUNCTIONS)
+    variables = ", ".join(sorted(names - _FUNCTIONS.keys()))
+    function: Callable[..., Any] = eval(f"lambda {variables}: {expression}", _FUNCTIONS)
     return function
 
 
 @cache
 def parameter_names(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the parameter names, in order, of a function that `compile_formula` returned."""
+    """Return the parameter names, in order, of a function that `compile_formula` has returned."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]
 
 
 def used_names(formulas: Formulas) -> set[str]:
-    """Return the names of all values from which several formulas are computed.
+    """Return the names of all values that the given formulas use.
 
     Parameters
     ----------
     formulas : dict of str to callable
-        The formulas by their names: functions, as `compile_formula` returns them.
+        The formulas by name: functions that `compile_formula` has returned.
     """
     return {name for formula in formulas.values() for name in parameter_names(formula)}

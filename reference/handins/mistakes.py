@@ -111,7 +111,8 @@ def sample_position_formulas(x: float, y: float) -> Formulas:
 
 # Formulas that replace those of a scene if only the reference picture is known.
 OF_PICTURE = parse_formulas(
-    "hit = shows_surface(picture, x, y, handin); radiance = interpolate_light(picture, x, y)"
+    "hit = shows_surface(picture, x, y, submitted_codes);"
+    " radiance = interpolate_light(picture, x, y)"
 )
 
 

@@ -1,6 +1,6 @@
 """Recognise differences that no formula makes: rounding, speckles, JPEG, borders, missing lights.
 
-A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.
+A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
 """
 
 from __future__ import annotations
@@ -13,38 +13,37 @@ from PIL import Image
 
 from reference.handins.formulas import Array
 from reference.handins.mistakes import parse_formulas, sample_position_formulas
-from reference.handins.search import MAX_PIXELS, Search
+from reference.handins.search import MAX_PIXELS, Submission
 from reference.pictures import Codes, level_difference, to_picture
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
 _MAX_LIGHTS = 4
-# Rounding decides at most this part of the pixels: each is rendered so at most this many pixels
-# from its centre, or with shadow rays that start this far from the surface, relative to the
-# distance from the origin.
+# Rounding is assumed to decide at most this share of the pixels.  To test a pixel, its sample is
+# moved by this many pixels, and the origins of its shadow rays are lifted from the surface by these
+# multiples of their distance from the origin of coordinates.
 _MAX_TIES, _TIE_OFFSET, _TIE_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
-# Speckles: the minimum part of the picture that loses light; the maximum number of other wrong
-# pixels, relative to these; and the minimum frequency with which neighbours in a row, and in a
-# column, differ, relative to that of independent pixels.
+# Speckles: the minimum share of the picture that loses light; the maximum number of other wrong
+# pixels, relative to the pixels that lose light; and the minimum frequency with which neighbours in
+# a row or column differ, relative to that of independent pixels.
 _MIN_SPECKLES, _MAX_OTHERS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
-# JPEG: the qualities that are tried, the minimum part of the wrong pixels that it explains, and the
-# maximum size of pictures that are tried, in pixels.
+# JPEG: the qualities to try, the minimum share of the wrong pixels that it must explain, and the
+# maximum size of the pictures in pixels.
 _QUALITIES, _MIN_SAME, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
-# Maximum number of places at which the reference picture is searched for in a larger picture, and
-# maximum part of its pixels that may differ by more than one level there.
+# Maximum number of places at which to look for the reference picture in a larger picture, and
+# maximum share of its pixels that may differ by more than one level there.
 _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 
 
-def find_light_changes(search: Search) -> tuple[Array, Array] | None:
-    """Find the lights that a hand-in lacks, or has too many of, at each wrong pixel.
+def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
+    """Find the lights that are missing, or wrongly present, at each wrong pixel of a submission.
 
-    A hand-in is a picture that a student handed in.  Each wrong pixel is rendered with every set of
-    lights.  Among the sets that give the hand-in's codes within one level, the set closest to that
-    of the reference picture is used.
+    Each wrong pixel is rendered with every set of lights.  Among the sets that give the submitted
+    codes within one level, the set closest to that of the reference picture is used.
 
     Parameters
     ----------
-    search : Search
-        The hand-in, its wrong pixels, and the renderer of its scene.
+    submission : Submission
+        The picture that a student submitted, and the renderer of its scene.
 
     Returns
     -------
@@ -54,14 +53,14 @@ def find_light_changes(search: Search) -> tuple[Array, Array] | None:
     is_extra : (lights, n) bool array
         True if the light should be blocked, but reaches the pixel.
 
-    Both are false at pixels that are right, or that no set of lights explains.  The result is None
-    if no pixel is wrong, if more than `MAX_PIXELS` are, if the scene is unknown, or if it has no
-    light or more than `_MAX_LIGHTS`.
+    Both arrays are false at pixels that are right, or that no set of lights explains.  The result
+    is None if no pixels or more than `MAX_PIXELS` are wrong, if the scene is unknown, or if it has
+    no lights or more than `_MAX_LIGHTS`.
     """
-    renderer, pixels = search.renderer, np.flatnonzero(search.is_wrong)
+    renderer, pixels = submission.renderer, np.flatnonzero(submission.is_wrong)
     if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
         return None
-    is_lit = renderer.evaluate([renderer.base_formulas], pixels, name="lit")[0]
+    is_lit = renderer.evaluate([renderer.base_formulas], pixels, formula="lit")[0]
     light_count = len(is_lit)
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
@@ -70,12 +69,12 @@ def find_light_changes(search: Search) -> tuple[Array, Array] | None:
         parse_formulas(f"lit = array({[*lights]})[:, None] & (distance > 0)")
         for lights in light_sets
     ]
-    codes = renderer.evaluate(formula_sets, pixels, search.handin_codes)
-    # For each set and pixel, the number of lights that differ from the right ones; more than all
-    # lights if the set does not give the hand-in's codes.
+    codes = renderer.evaluate(formula_sets, pixels, submission.codes)
+    # For each set and pixel, the number of lights that differ from the right ones; more than the
+    # number of all lights if the set does not give the submitted codes.
     set_has_light = np.array(light_sets)
     change_count = (is_lit != set_has_light[:, :, None]).sum(axis=1)
-    change_count[level_difference(codes, search.handin_codes[:, pixels]) > 1] = light_count + 1
+    change_count[level_difference(codes, submission.codes[:, pixels]) > 1] = light_count + 1
     has_light = set_has_light[change_count.argmin(axis=0)].T
     has_light = np.where(change_count.min(axis=0) <= light_count, has_light, is_lit)
     is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
@@ -83,29 +82,29 @@ def find_light_changes(search: Search) -> tuple[Array, Array] | None:
     return is_lost, is_extra
 
 
-def is_speckled(search: Search) -> bool:
-    """Test whether surfaces of a hand-in shadow themselves in dots that depend on rounding.
+def is_speckled(submission: Submission) -> bool:
+    """Test whether surfaces have random dark dots, because rounding makes them shadow themselves.
 
-    A hand-in is a picture that a student handed in.  It has such dots if (1) the wrong pixels lack
-    light, and few are wrong in another way; and (2) along rows and along columns, neighbouring
-    pixels of a surface differ nearly as often as if chance decided on each pixel.
+    Surfaces have such dots if (1) nearly all wrong pixels lack light; and (2) along rows and along
+    columns, neighbouring pixels of a surface differ nearly as often as if each pixel were dark by
+    chance.
 
     Parameters
     ----------
-    search : Search
-        The hand-in, its wrong pixels, and the renderer of its scene.
+    submission : Submission
+        The picture that a student submitted, and the renderer of its scene.
     """
-    renderer = search.renderer
-    if renderer.pixel_count > MAX_PIXELS or not (changes := find_light_changes(search)):
+    renderer = submission.renderer
+    if renderer.pixel_count > MAX_PIXELS or not (changes := find_light_changes(submission)):
         return False
     is_lost, is_extra = changes
     is_dark = is_lost.any(axis=0) & ~is_extra.any(axis=0)
     dark_count = is_dark.sum()
-    has_others = search.wrong_count - dark_count > _MAX_OTHERS * dark_count
-    if has_others or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
+    has_other_errors = submission.wrong_count - dark_count > _MAX_OTHERS * dark_count
+    if has_other_errors or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
         return False
     every_pixel, surface = np.arange(renderer.pixel_count), renderer.surface_index
-    is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
+    is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, formula="lit")[0].any(axis=0)
     is_lit &= np.isin(surface, surface[is_dark])
     dark_share = dark_count / is_lit.sum()
     maps = (pixels.reshape(-1, renderer.width) for pixels in (is_lit, is_dark, surface))
@@ -120,20 +119,20 @@ def is_speckled(search: Search) -> bool:
     return True
 
 
-def is_decided_by_rounding(search: Search) -> bool:
-    """Test whether rounding explains all pixels in which a hand-in differs by more than one level.
+def is_decided_by_rounding(submission: Submission) -> bool:
+    """Test whether rounding explains all pixels that differ by more than one level.
 
-    Rounding explains them if (1) they are few; and (2) the codes of each lie between those that the
-    correct tracer gives when the sample in the pixel, or the origin of its shadow rays, is moved a
-    little.
+    Rounding explains these pixels if (1) they are few; and (2) the codes of each lie between those
+    that a correct tracer gives when the sample in the pixel, or the origin of its shadow rays, is
+    moved slightly.
 
     Parameters
     ----------
-    search : Search
-        The hand-in (a picture that a student handed in), and the renderer of its scene.
+    submission : Submission
+        The picture that a student submitted, and the renderer of its scene.
     """
-    renderer = search.renderer
-    pixels = np.flatnonzero(level_difference(renderer.reference_codes, search.handin_codes) > 1)
+    renderer = submission.renderer
+    pixels = np.flatnonzero(level_difference(renderer.reference_codes, submission.codes) > 1)
     if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
         return False
     offsets = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
@@ -144,20 +143,20 @@ def is_decided_by_rounding(search: Search) -> bool:
     ]
     codes = renderer.evaluate(formula_sets, pixels).astype(np.int16)
     low, high = codes.min(axis=0) - 1, codes.max(axis=0) + 1
-    handin_codes = search.handin_codes[:, pixels]
-    return bool(((handin_codes >= low) & (handin_codes <= high)).all())
+    submitted_codes = submission.codes[:, pixels]
+    return bool(((submitted_codes >= low) & (submitted_codes <= high)).all())
 
 
-def is_after_jpeg(handin_codes: Codes, reference_codes: Codes) -> bool:
-    """Test whether a picture is the reference picture after JPEG compression of some quality.
+def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool:
+    """Test whether a submitted picture is the reference picture after JPEG compression.
 
-    Several qualities are tried.  With one of them, the compressed reference picture must agree with
-    the hand-in (the picture that a student handed in) within one level, in most pixels and in most
-    of those in which the hand-in differs from the reference picture.
+    The reference picture is compressed with several qualities.  One of the results must agree with
+    the submitted picture within one level, both in most of all pixels and in most of those in which
+    the submitted picture differs from the original reference picture.
 
     Parameters
     ----------
-    handin_codes, reference_codes : (h, w, 3) uint8 arrays
+    submitted_codes, reference_codes : (h, w, 3) uint8 arrays
         Codes of both pictures.
 
     Returns
@@ -165,70 +164,73 @@ def is_after_jpeg(handin_codes: Codes, reference_codes: Codes) -> bool:
     bool
         False if the pictures are too large to try, or if they agree within one level.
     """
-    is_wrong = level_difference(handin_codes, reference_codes, 2) > 1
+    is_wrong = level_difference(submitted_codes, reference_codes, 2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
         return False
     image = Image.fromarray(reference_codes)
     for quality, subsampling in product(_QUALITIES, (0, 2)):
-        file = io.BytesIO()
-        image.save(file, "JPEG", quality=quality, subsampling=subsampling)
-        agrees = level_difference(np.asarray(Image.open(file)), handin_codes, 2) <= 1
+        jpeg_file = io.BytesIO()
+        image.save(jpeg_file, "JPEG", quality=quality, subsampling=subsampling)
+        agrees = level_difference(np.asarray(Image.open(jpeg_file)), submitted_codes, 2) <= 1
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
     return False
 
 
 def _nearly_agree(first: Codes, second: Codes) -> bool:
-    """Test whether at most one pixel in 200 of two pictures differs by more than one level.
+    """Test whether two pictures differ by more than one level in at most one pixel in 200.
 
     Parameters
     ----------
     first, second : (h, w, 3) uint8 arrays
-        Codes of pictures of equal size.
+        Codes of two pictures of equal size.
     """
     return bool((level_difference(first, second, 2) > 1).mean() <= _MAX_DIFFERENT)
 
 
-def find_reference_within(handin_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
-    """Recognise the reference picture in a picture of another size: enlarged, or with a border.
+def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
+    """Recognise a submitted picture that is the reference picture, enlarged or with a border.
 
     Parameters
     ----------
-    handin_codes : (h, w, 3) uint8 array
-        Codes of the picture that a student handed in.
+    submitted_codes : (h, w, 3) uint8 array
+        Codes of the submitted picture.
     reference_codes : (h', w', 3) uint8 array
         Codes of the reference picture, which has another size.
 
     Returns
     -------
     tuple of 2 str, or None
-        The keyword "enlarged" or "border", and a sentence for the report.  None if the picture does
-        not contain the reference picture.
+        The keyword "enlarged" or "border", and a sentence for the report.  None if the submitted
+        picture does not contain the reference picture.
     """
     height, width = reference_codes.shape[:2]
-    factor = len(handin_codes) // height
-    # The sizes are compared first, because an enlarged picture could exceed the memory.
-    if handin_codes.shape[:2] == (factor * height, factor * width) and _nearly_agree(
-        handin_codes, reference_codes.repeat(factor, axis=0).repeat(factor, axis=1)
+    factor = len(submitted_codes) // height
+    # Compare the sizes first, because an enlarged picture might not fit in memory.
+    if submitted_codes.shape[:2] == (factor * height, factor * width) and _nearly_agree(
+        submitted_codes, reference_codes.repeat(factor, axis=0).repeat(factor, axis=1)
     ):
         return "enlarged", f"It is the right picture, enlarged {factor} times."
-    row_count, column_count = len(handin_codes) - height + 1, handin_codes.shape[1] - width + 1
+    row_count, column_count = (
+        len(submitted_codes) - height + 1,
+        submitted_codes.shape[1] - width + 1,
+    )
     if row_count <= 0 or column_count <= 0:
         return None
-    # Find the places of the upper left corner at which a random choice of pixels agrees.
+    # Find the places of the upper left corner where a random selection of pixels agrees.
     agrees = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
-        window = handin_codes[row : row + row_count, column : column + column_count]
+        window = submitted_codes[row : row + row_count, column : column + column_count]
         agrees &= level_difference(window, reference_codes[row, column], 2) <= 1
     for row, column in np.argwhere(agrees)[:_MAX_PLACES]:
-        crop = handin_codes[row : row + height, column : column + width]
+        crop = submitted_codes[row : row + height, column : column + width]
         if _nearly_agree(crop, reference_codes):
             return "border", "It is the right picture, with a border."
     return None
 
 
-def find_edge_with_all(is_wrong: Array) -> str:
-    """Return the name of the outermost row or column that contains all wrong pixels of a picture.
+def find_edge_with_all_wrong(is_wrong: Array) -> str:
+    """Name the outermost row or column of a picture that contains all wrong pixels.
 
     Parameters
     ----------
@@ -238,21 +240,21 @@ def find_edge_with_all(is_wrong: Array) -> str:
     Returns
     -------
     str
-        "first row", "last row", "first column" or "last column"; empty if none of these contains
-        all wrong pixels, or if no pixel is wrong.
+        "first row", "last row", "first column" or "last column"; empty if none of them contains all
+        wrong pixels, or if no pixel is wrong.
     """
     edges = {"first row": is_wrong[0], "last row": is_wrong[-1],
              "first column": is_wrong[:, 0], "last column": is_wrong[:, -1]}  # fmt: skip
     return next((name for name, edge in edges.items() if edge.sum() == is_wrong.sum() > 0), "")
 
 
-def find_symptom(search: Search) -> tuple[str, str] | None:
-    """Recognise a difference that does not come from a wrong formula, such as rounding or JPEG.
+def find_symptom(submission: Submission) -> tuple[str, str] | None:
+    """Recognise a difference that no wrong formula causes, such as rounding or JPEG compression.
 
     Parameters
     ----------
-    search : Search
-        The hand-in (a picture that a student handed in), and the renderer of its scene.
+    submission : Submission
+        The picture that a student submitted, and the renderer of its scene.
 
     Returns
     -------
@@ -260,22 +262,23 @@ def find_symptom(search: Search) -> tuple[str, str] | None:
         A keyword, such as "single-precision", and a sentence for the report.  None if no such
         difference is recognised.
     """
-    codes, width = (search.handin_codes, search.renderer.reference_codes), search.renderer.width
-    if search.clearly_wrong_count and is_decided_by_rounding(search):
-        sentence = f"{count_pixels(search.clearly_wrong_count)} where rounding decides, as in"
-        return "single-precision", f"{sentence} single precision."
-    if is_speckled(search):
+    renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
+    width, both_codes = renderer.width, (submission.codes, renderer.reference_codes)
+    if wrong_count and is_decided_by_rounding(submission):
+        sentence = f"{count_pixels(wrong_count)} where rounding decides, as in single precision."
+        return "single-precision", sentence
+    if is_speckled(submission):
         sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
         return "shadow-speckles", sentence
-    if is_after_jpeg(*(to_picture(columns, width) for columns in codes)):
+    if is_jpeg_of_reference(*(to_picture(codes, width) for codes in both_codes)):
         return "format", "It is the right picture, after JPEG, which changes levels."
-    if edge := find_edge_with_all((level_difference(*codes) > 1).reshape(-1, width)):
+    if edge := find_edge_with_all_wrong((level_difference(*both_codes) > 1).reshape(-1, width)):
         return "edge", f"It is the right picture, except in the {edge}."
     return None
 
 
 def count_pixels(count: int, singular: str = "differs", plural: str = "differ") -> str:
-    """Return the beginning of a sentence about a number of pixels, such as "12 pixels differ".
+    """Put a number of pixels and a verb into words, as in "12 pixels differ".
 
     Parameters
     ----------
