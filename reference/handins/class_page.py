@@ -1,6 +1,7 @@
 """Show the results of a class on one HTML page: a table by student and scene, and all pictures.
 
-A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.
+A *hand-in*, or submitted picture, is one that a student handed in; the *reference picture* is what
+it should be.
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ _LEGEND = (
 def make_pair(
     result: Result, submitted_codes: Codes, reference_codes: Codes, difference: Differences
 ) -> Pair:
-    """Prepare a hand-in, its reference picture and their difference for an HTML page.
+    """Prepare a submitted picture, its reference picture and their difference for an HTML page.
 
     Parameters
     ----------
     result : Result
         The result of comparing the two pictures.
     submitted_codes, reference_codes : (h, w, 3) uint8 arrays
-        8-bit codes of the picture that a student handed in, and of the reference picture.
+        8-bit codes of the submitted picture and of the reference picture.
     difference : (h, w) float32 array
-        For each pixel, the difference in linear light; positive if the hand-in is brighter.
+        Difference of each pixel in linear light, positive if the submitted picture is brighter.
 
     Returns
     -------
     Pair
-        What the page shows: the three pictures, a thumbnail, the diagnosis and the figures.
+        The contents of the page: the three pictures, a thumbnail, the diagnosis and the metrics.
     """
     diagnosis = result.diagnosis
     return prepare_pair(
@@ -66,26 +67,26 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     """Render an HTML page that shows the results of a class.
 
     The page contains a table by student and scene, the pairs of pictures, the number of pictures
-    with each mistake, and what could not be compared.
+    with each mistake, and the files that could not be compared.
 
     Parameters
     ----------
     results : sequence of Result
-        All results of the class, missing pictures included.
+        All results of the class, including those of missing pictures.
     pairs : dict of str to Pair
-        What the page shows of each picture, by the path of the file that was handed in.
+        The results of `make_pair`, by the path of the submitted picture.
     folder : Path
-        Folder of the class.  The page shows the paths of pictures relative to it.
+        Folder of the class.  The page shows paths relative to this folder.
 
     Returns
     -------
     str
         The page as HTML.
     """
-    pair_index = {path: k for k, path in enumerate(pairs)}
+    pair_index = {path: index for index, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
     right_scenes: dict[str, set[str]] = defaultdict(set)
-    # Paragraphs on hand-ins that could not be compared, or of which the page shows no pictures.
+    # Paragraphs on the files that could not be compared, or whose pictures the page does not show.
     notes = list[str]()
     for result in results:
         path, diagnosis = result.picture or "", result.diagnosis
@@ -99,7 +100,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
             notes.append(f"{path}: {diagnosis}")
         elif result.error and (path or not result.student):
             notes.append(result.error)
-    scenes = sorted({scene for cells_of_scenes in cells.values() for scene in cells_of_scenes})
+    scenes = sorted({scene for cells_by_scene in cells.values() for scene in cells_by_scene})
     rows = [[[Cell(student)], [Cell(f"{len(right_scenes[student])} of {len(scenes)}")],
              *(cells[student].get(scene, []) for scene in scenes)]
             for student in sorted(cells)]  # fmt: skip

@@ -1,9 +1,9 @@
-"""Diagnose hand-ins: name the mistakes that they contain, or state where they differ.
+"""Diagnose submitted pictures: name the mistakes that they contain, or state where they differ.
 
-A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.  A
-*cause* is a tuple of keywords of mistakes that are made together.  A cause is reported only if the
-scene, rendered with these mistakes, gives the hand-in.  Without the scene, a reference picture
-alone shows only some mistakes of the camera and of the encoding.
+A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
+A *cause* is a tuple of keywords of mistakes that are made together.  A cause is reported only if
+the scene, rendered with these mistakes, gives the submitted picture.  Without the scene, only some
+mistakes of the camera and of the encoding can be recognised from the reference picture.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ AGREEING = ("identical", "rounding", "format")
 """Keywords of the diagnoses of right pictures."""
 UNKNOWN = "unknown"
 """Keyword of the diagnosis of a picture that no known mistake explains."""
-# Maximum number of surfaces, and of alternative causes, that a report names.
+# Maximum number of surfaces, and of alternative causes, to name in a report.
 _MAX_NAMED = 3
-# A light is named if it is wrong at more than this part of the wrong pixels.
+# A light is named if it is wrong at more than this share of the wrong pixels.
 _MIN_LIGHT_SHARE = 0.1
-# Light that is read from a picture is off by at most this many levels, as its codes were rounded.
+# Light computed from the rounded codes of a picture is off by at most this many levels.
 _PICTURE_LEVELS = 3
-# How pictures that are turned are turned back, by the keywords of the mistakes.
+# Functions that turn a picture back, by the keyword of the mistake that turned it.
 _TURN_BACK: dict[str, Callable[[Codes], Codes]] = {
     "transposed": lambda codes: codes.swapaxes(0, 1),
     "turned-90": lambda codes: np.rot90(codes, -1),
@@ -44,17 +44,16 @@ _TURN_BACK: dict[str, Callable[[Codes], Codes]] = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The verdict on a picture that a student handed in, or the mistakes that it contains.
+    """The verdict on a submitted picture, or the mistakes that it contains.
 
     Attributes
     ----------
     causes : tuple of dict of str to str
-        The alternative causes, at least one.  Each contains the mistakes that are made together:
-        the key is the keyword of a mistake, and the value is its sentence, as in
-        ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as "identical", is a cause with
-        one keyword, and then the only one.
+        The alternative causes, at least one.  Each maps the keywords of mistakes that are made
+        together to sentences, as in ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as
+        "identical", is a single cause with one keyword.
     before, after : str
-        Sentences that the report contains before and after those of the causes; may be empty.
+        Text of the report before and after the sentences of the causes; may be empty.
     hint : str
         If no cause is known, the keywords of the cause with the most similar picture, joined by
         ``+``; otherwise empty.
@@ -67,7 +66,7 @@ class Diagnosis:
 
     @property
     def kind(self) -> str:
-        """All keywords: those of one cause are joined by ``+``, alternative causes by ``|``."""
+        """All keywords, joined by ``+`` within a cause and by ``|`` between alternative causes."""
         return "|".join("+".join(cause) for cause in self.causes)
 
     @property
@@ -76,10 +75,10 @@ class Diagnosis:
         return " ".join(self.causes[0].values())
 
     def __str__(self) -> str:
-        """Return the report: all sentences, with a few alternative causes in brackets."""
-        first_cause, *others = self.causes
+        """Return the report: all sentences, with a few alternative causes in parentheses."""
+        first_cause, *other_causes = self.causes
         sentences = [" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
-                     for cause in others]  # fmt: skip
+                     for cause in other_causes]  # fmt: skip
         alternatives, note = [*filter(None, sentences)], ""
         if alternatives:
             unnamed_count = len(alternatives) - _MAX_NAMED + 1
@@ -89,13 +88,13 @@ class Diagnosis:
         return " ".join(filter(None, (self.before, self.first, note, self.after)))
 
     def preceded_by(self, sentence: str) -> Diagnosis:
-        """Return a copy whose report begins with another sentence, which may be empty."""
+        """Return a copy whose report begins with the given sentence, which may be empty."""
         return replace(self, before=f"{sentence} {self.before}".strip())
 
     def with_mistake(self, keyword: str, sentence: str) -> Diagnosis:
-        """Return a copy in which each cause begins with one more mistake.
+        """Return a copy with one more mistake at the beginning of each cause.
 
-        If this diagnosis states that the picture is right, the mistake becomes the only cause.
+        If the diagnosis was that the picture is right, the mistake becomes the only cause.
 
         Parameters
         ----------
@@ -106,33 +105,31 @@ class Diagnosis:
         return replace(self, causes=tuple({keyword: sentence} | cause for cause in other_causes))
 
     def most_frequent_first(self, frequency: Counter[str]) -> Diagnosis:
-        """Return a copy whose causes are sorted by frequency, the most frequent first.
+        """Return a copy with the causes sorted by frequency, the most frequent first.
 
         Parameters
         ----------
         frequency : Counter of str
-            The frequency of each cause; the key is the cause's keywords, joined by ``+``.
+            The frequency of each cause; the key consists of the cause's keywords, joined by ``+``.
         """
         causes = sorted(self.causes, key=lambda cause: -frequency["+".join(cause)])
         return replace(self, causes=tuple(causes))
 
 
-def _verdict(keyword: str, sentence: str) -> Diagnosis:
-    """Return a diagnosis with one keyword, such as "identical", and a sentence that explains it."""
+def _make_verdict(keyword: str, sentence: str) -> Diagnosis:
+    """Make a diagnosis of one keyword, such as "identical", and a sentence that explains it."""
     return Diagnosis(({keyword: sentence},))
 
 
 class Solution:
-    """The solution of a task: a scene or a reference picture, with which hand-ins are compared.
-
-    A hand-in is a picture that a student handed in.
+    """A scene or a reference picture with which to compare the pictures that students submit.
 
     Parameters
     ----------
     scene : Scene or Picture
         The scene; or, if there is no scene, the reference picture.
     name : str
-        The scene's file as a user types it on a command line; it appears in reports.
+        The scene's file name as typed on a command line; it appears in reports.
 
     Attributes
     ----------
@@ -148,11 +145,11 @@ class Solution:
         self.name, self.scene = name, scene if isinstance(scene, Scene) else None
         self.picture = Picture(_render_codes(scene)) if isinstance(scene, Scene) else scene
         self.codes: Codes = self.picture.codes
-        # Renderers of two sizes are cached: those of all sizes of a class would fill the memory.
-        self._renderer = lru_cache(maxsize=2)(self._new_renderer)
+        # Cache only two renderers: those for all picture sizes in a class would fill the memory.
+        self._renderer_for_size = lru_cache(maxsize=2)(self._make_renderer)
 
-    def _new_renderer(self, height: int, width: int) -> MistakeRenderer:
-        """Create the renderer of pictures with mistakes for one size.
+    def _make_renderer(self, height: int, width: int) -> MistakeRenderer:
+        """Create the renderer that simulates mistakes in pictures of one size.
 
         Parameters
         ----------
@@ -163,7 +160,7 @@ class Solution:
         Returns
         -------
         MistakeRenderer
-            Renders the scene, or transforms the reference picture, as a tracer with mistakes would.
+            Renders the scene with mistakes; without a scene, alters the reference picture.
         """
         codes = self.codes
         if not self.scene:
@@ -175,50 +172,48 @@ class Solution:
 
     @np.errstate(all="ignore")
     def diagnose(self, picture: Picture) -> Diagnosis:
-        """Find the mistakes with which the scene renders as a picture, or say where they differ.
+        """Find the mistakes that explain a submitted picture, or describe where it is wrong.
 
         Parameters
         ----------
         picture : Picture
-            The picture that a student handed in.  A wrong size is reported as a mistake.  A turned
-            picture is turned back and then diagnosed.
+            The submitted picture.  A wrong size is reported as a mistake.  A turned picture is
+            turned back and then diagnosed.
 
         Returns
         -------
         Diagnosis
             The mistakes; or the verdict that the picture is right, or "unknown".
         """
-        (height, width), (right_height, right_width) = picture.codes.shape[:2], self.codes.shape[:2]
-        if (height, width) == (right_height, right_width):
-            return self._diagnose_at_own_size(picture)
-        right_size = f"{right_width}x{right_height}"
-        size_sentence = f"The picture has {width}x{height} pixels in place of {right_size}."
+        (height, width), reference_size = picture.codes.shape[:2], self.codes.shape[:2]
+        if (height, width) == reference_size:
+            return self._diagnose_at_equal_size(picture)
+        expected_size = f"{reference_size[1]}x{reference_size[0]}"
+        size_sentence = f"The picture has {width}x{height} pixels in place of {expected_size}."
         if diagnosis := diagnose_single_color(picture.codes):
             return diagnosis
-        if keyword_and_sentence := symptoms.find_reference_within(picture.codes, self.codes):
-            return _verdict(*keyword_and_sentence).preceded_by(size_sentence)
-        if (height, width) == (right_width, right_height):
+        if symptom := symptoms.find_reference_within(picture.codes, self.codes):
+            return _make_verdict(*symptom).preceded_by(size_sentence)
+        if (width, height) == reference_size:
             upright = {keyword: np.ascontiguousarray(turn_back(picture.codes))
                        for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
-            turn = min(
-                upright, key=lambda turn: level_difference(upright[turn], self.codes, 2).sum()
-            )
-            diagnosis = self._diagnose_at_own_size(picture._replace(codes=upright[turn]))
+            difference = {k: level_difference(upright[k], self.codes, 2).sum() for k in upright}
+            keyword = min(upright, key=difference.__getitem__)
+            diagnosis = self._diagnose_at_equal_size(picture._replace(codes=upright[keyword]))
             if diagnosis.kind != UNKNOWN:
-                sentence = self._renderer(right_height, right_width).mistakes[turn].sentence
-                return diagnosis.with_mistake(turn, sentence).preceded_by(size_sentence)
+                sentence = self._renderer_for_size(*reference_size).mistakes[keyword].sentence
+                return diagnosis.with_mistake(keyword, sentence).preceded_by(size_sentence)
         if not self.scene:
-            return _verdict("size", size_sentence)
-        return self._diagnose_at_own_size(picture).with_mistake("size", size_sentence)
+            return _make_verdict("size", size_sentence)
+        return self._diagnose_at_equal_size(picture).with_mistake("size", size_sentence)
 
-    def _diagnose_at_own_size(self, picture: Picture) -> Diagnosis:
-        """Diagnose a picture, compared with the reference picture of the same size.
+    def _diagnose_at_equal_size(self, picture: Picture) -> Diagnosis:
+        """Diagnose a submitted picture by comparing it with a reference picture of the same size.
 
         Parameters
         ----------
         picture : Picture
-            The picture that a student handed in.  Without a scene, it has the size of the reference
-            picture.
+            The submitted picture.  Without a scene, it must have the size of the reference picture.
 
         Returns
         -------
@@ -227,7 +222,7 @@ class Solution:
         """
         codes, save = picture.codes, picture.save
         height, width = codes.shape[:2]
-        renderer = self._renderer(height, width)
+        renderer = self._renderer_for_size(height, width)
         reference_codes = to_picture(renderer.reference_codes, width)
         if diagnosis := diagnose_agreement(codes, reference_codes) or diagnose_single_color(codes):
             return diagnosis
@@ -240,17 +235,15 @@ class Solution:
             save and (lambda columns: to_columns(save(to_picture(columns, width)))),
         )
         if lossy_levels and submission.is_wrong.mean() < 0.01:
-            return _verdict("format", "It is the right picture.")
+            return _make_verdict("format", "It is the right picture.")
         finding = submission.find_mistakes()
         if finding.causes:
             numbers = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
             remainder = f"That leaves {numbers} pixels that differ."
             causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), after=remainder if finding.unexplained_count else "")
-        if not submission.lossy_levels and (
-            keyword_and_sentence := symptoms.find_symptom(submission)
-        ):
-            return _verdict(*keyword_and_sentence)
+        if not submission.lossy_levels and (symptom := symptoms.find_symptom(submission)):
+            return _make_verdict(*symptom)
         return self._diagnose_unknown(submission, finding)
 
     def _diagnose_unknown(self, submission: Submission, finding: Finding) -> Diagnosis:
@@ -259,7 +252,7 @@ class Solution:
         Parameters
         ----------
         submission : Submission
-            The picture that a student handed in, and its wrong pixels.
+            The submitted picture, and its wrong pixels.
         finding : Finding
             The result of the search: no cause, and perhaps a hint (the mistakes with the most
             similar picture).
@@ -267,11 +260,11 @@ class Solution:
         Returns
         -------
         Diagnosis
-            Of the kind "unknown".  Its sentences describe the hint, and which pixels differ.
+            A diagnosis of the kind "unknown", which describes the hint and the wrong pixels.
         """
         if not submission.clearly_wrong_count:
             pixels = symptoms.count_pixels(submission.wrong_count, "is", "are")
-            return _verdict(UNKNOWN, f"{pixels} one level off; no known mistake does this.")
+            return _make_verdict(UNKNOWN, f"{pixels} one level off; no known mistake does this.")
         mistake_count = len(submission.renderer.mistakes)
         sentence, after = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
@@ -282,18 +275,23 @@ class Solution:
         return Diagnosis(({UNKNOWN: sentence},), after=after, hint="+".join(finding.hint))
 
     def _describe_differences(self, submission: Submission, hint: Cause) -> str:
-        """Describe in sentences where a picture differs from the reference picture.
+        """Describe in words where a submitted picture differs from the reference picture.
 
-        The sentences name the surfaces with most of the wrong pixels, the lights that are wrong
-        there, and the worst pixel.  If there is a hint, or if outlines differ, the lights and the
-        worst pixel are omitted, because they would mislead.
+        The text names the surfaces with the most wrong pixels, the lights that are wrong at these
+        pixels, and the worst pixel.  If there is a hint, or if outlines differ, lights and pixel
+        are omitted, because they would be misleading.
 
         Parameters
         ----------
         submission : Submission
-            The picture that a student handed in, and the renderer of its scene.
+            The submitted picture, and the renderer of its scene.
         hint : tuple of str
             Keywords of the mistakes with the most similar picture; may be empty.
+
+        Returns
+        -------
+        str
+            The sentences.
         """
         renderer = submission.renderer
         both_codes = submission.codes, renderer.reference_codes
@@ -322,65 +320,66 @@ class Solution:
 
 
 def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Array) -> str:
-    """Name the surfaces that most of the wrong pixels show, with the numbers of these pixels.
+    """List the surfaces that have the most wrong pixels, with their pixel counts.
 
     Parameters
     ----------
     scene : Scene
-        The scene, for the names of its surfaces.
+        The scene, whose surfaces are named.
     submission : Submission
-        The picture that a student handed in, and the renderer of its scene.
+        The submitted picture, and the renderer of its scene.
     is_wrong : (n,) bool array
         True for pixels that differ from the reference picture by more than one level.
 
     Returns
     -------
     str
-        Words such as "12 of 345 on sphere 1 (line 8) (darker), 6 on others".
+        Phrases such as "12 of 345 on sphere 1 (line 8) (darker), 6 on others".
     """
-    all_surfaces = submission.renderer.surface_index
+    surface_index = submission.renderer.surface_index
     change = submission.codes.astype(np.int16) - submission.renderer.reference_codes
-    surfaces, counts = np.unique(all_surfaces[is_wrong], return_counts=True)
-    order, parts = np.argsort(-counts, kind="stable"), []
+    surfaces, counts = np.unique(surface_index[is_wrong], return_counts=True)
+    order, phrases = np.argsort(-counts, kind="stable"), []
     for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
         name = str(SurfaceRef.from_index(scene, int(surface))) if surface >= 0 else "the background"
-        is_here = all_surfaces == surface
-        note = _brightness_note(change[:, is_wrong & is_here])
-        parts.append(f"{count:,} of {is_here.sum():,} on {name}{note}")
+        shows_surface = surface_index == surface
+        note = _brightness_note(change[:, is_wrong & shows_surface])
+        phrases.append(f"{count:,} of {shows_surface.sum():,} on {name}{note}")
     if other_count := counts[order[_MAX_NAMED:]].sum():
-        parts.append(f"{other_count:,} on others")
-    return ", ".join(parts)
+        phrases.append(f"{other_count:,} on others")
+    return ", ".join(phrases)
 
 
 def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array) -> str:
-    """Return a sentence for each light that is missing, or wrongly present, at many wrong pixels.
+    """Describe the lights that are missing, or wrongly present, at many wrong pixels.
 
     Parameters
     ----------
     scene : Scene
-        The scene, for the line numbers of its lights.
+        The scene, whose lights are named with their line numbers in the file.
     submission : Submission
-        The picture that a student handed in, and the renderer of its scene.
+        The submitted picture, and the renderer of its scene.
     is_wrong : (n,) bool array
         True for pixels that differ from the reference picture by more than one level.
 
     Returns
     -------
     str
-        The sentences, each after a space; empty if there are none.
+        One sentence for each such light, with a space before it; empty if there are none.
     """
     verbs = "should shine but does not", "should be blocked but shines"
     sentences = ""
     for verb, is_changed in zip(verbs, symptoms.find_light_changes(submission) or (), strict=False):
-        for k, count in enumerate((is_changed & is_wrong).sum(axis=1)):
+        for light_index, count in enumerate((is_changed & is_wrong).sum(axis=1)):
             if count > _MIN_LIGHT_SHARE * is_wrong.sum():
-                line = f" (line {scene.lights[k].line})" if scene.lights[k].line else ""
-                sentences += f" At {count:,} of these pixels light {k}{line} {verb}."
+                line = scene.lights[light_index].line
+                light = f"light {light_index} (line {line})" if line else f"light {light_index}"
+                sentences += f" At {count:,} of these pixels {light} {verb}."
     return sentences
 
 
 def _render_codes(scene: Scene) -> Codes:
-    """Render a scene as 8-bit codes (h, w, 3), without warnings, such as of non-square pixels."""
+    """Render a scene as 8-bit codes (h, w, 3) without warnings, such as about non-square pixels."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         codes: Codes = to_codes(render(scene))
@@ -388,12 +387,12 @@ def _render_codes(scene: Scene) -> Codes:
 
 
 def _find_visible_surfaces(scene: Scene) -> Array:
-    """Find the surface that each of the n pixels of a scene's picture shows.
+    """Find the surface that is visible in each of the n pixels of a scene's picture.
 
     Returns
     -------
     surface_index : (n,) int32 array
-        Indices of the surfaces, row by row; -1 for the background.
+        Index of the surface in each pixel, row by row; -1 for the background.
     """
     pixel_count = scene.width * scene.height
     batches = np.array_split(np.arange(pixel_count), pixel_count // MAX_PIXELS + 1)
@@ -403,7 +402,7 @@ def _find_visible_surfaces(scene: Scene) -> Array:
 
 
 def find_worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
-    """Find the pixel in which two pictures differ most.
+    """Find the pixel where two pictures differ most.
 
     Parameters
     ----------
@@ -420,30 +419,32 @@ def find_worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
 
 
 def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagnosis | None:
-    """Return a diagnosis if two pictures agree, except for one level in few pixels.
+    """Diagnose a submitted picture that agrees with the reference picture, except for rounding.
+
+    Pictures agree if they differ by at most one level, in few pixels.
 
     Parameters
     ----------
     submitted_codes, reference_codes : (h, w, 3) uint8 arrays
-        Codes of the picture that a student handed in, and of the reference picture.
+        Codes of the two pictures.
 
     Returns
     -------
     Diagnosis or None
-        Of the kind "identical" or "rounding"; None if the pictures do not agree.
+        A diagnosis of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
     levels = level_difference(submitted_codes, reference_codes, 2)
     count = int(np.count_nonzero(levels))
     if not count:
-        return _verdict("identical", "The pictures are identical.")
+        return _make_verdict("identical", "The pictures are identical.")
     if count <= max(10, 0.01 * levels.size) and levels.max() == 1:
         sentence = f"{symptoms.count_pixels(count)} by one level: rounding, nothing to worry about."
-        return _verdict("rounding", sentence)
+        return _make_verdict("rounding", sentence)
     return None
 
 
 def diagnose_single_color(codes: Codes) -> Diagnosis | None:
-    """Return a diagnosis if all pixels of a picture have the same colour.
+    """Diagnose a picture that has the same colour everywhere.
 
     Parameters
     ----------
@@ -453,13 +454,13 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     Returns
     -------
     Diagnosis or None
-        Of the kind "black" or "flat"; None if the picture has several colours.
+        A diagnosis of the kind "black" or "flat"; None if the picture has several colours.
     """
     if np.ptp(codes, axis=(0, 1)).any():
         return None
     if codes.any():
-        return _verdict("flat", "The picture has one colour everywhere.")
-    return _verdict("black", "The picture is black.")
+        return _make_verdict("flat", "The picture has one colour everywhere.")
+    return _make_verdict("black", "The picture is black.")
 
 
 def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
@@ -470,30 +471,31 @@ def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
     cause : tuple of str
         Keywords of mistakes that are made together.
     submission : Submission
-        The search that found the cause.
+        The submitted picture, and the renderer of its scene.
 
     Returns
     -------
     dict of str to str
-        The sentences by keyword.  Each placeholder such as ``{fitted_gamma}`` is replaced by a
-        number that is estimated from the picture that was handed in.
+        The sentences by keyword.  Placeholders such as ``{fitted_gamma}`` are replaced with numbers
+        estimated from the submitted picture.
     """
     formulas = submission.renderer.replacements_for(cause)
 
-    def number_of(placeholder: re.Match[str]) -> str:
+    def format_number(placeholder: re.Match[str]) -> str:
         return f"{submission.fitting_cache.get_value(placeholder[1], formulas):.3g}"
 
     mistakes = submission.renderer.mistakes
-    return {k: re.sub(r"\{(\w+)\}", number_of, mistakes[k].sentence) for k in cause}
+    sentences = {keyword: mistakes[keyword].sentence for keyword in cause}
+    return {k: re.sub(r"\{(\w+)\}", format_number, text) for k, text in sentences.items()}
 
 
 def _brightness_note(change: Array) -> str:
-    """Return a note if nearly all pixels of a region became brighter, or nearly all darker.
+    """Note whether nearly all pixels of a region are too bright, or nearly all too dark.
 
     Parameters
     ----------
     change : (3, n) int array
-        Difference of each channel of the region's n pixels from the reference picture, in levels.
+        Difference from the reference picture, in levels, of each channel of the region's n pixels.
 
     Returns
     -------

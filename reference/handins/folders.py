@@ -1,6 +1,7 @@
 """Find the pictures that students handed in, and match each with its reference picture.
 
-A *reference picture* is what a hand-in is compared with: a picture, or a scene that is rendered.
+A *hand-in* is such a picture; a *reference picture* is the picture, or the scene to render, with
+which it is compared.
 """
 
 from __future__ import annotations
@@ -8,30 +9,31 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
 _ARCHIVES = (".zip", ".rar", ".7z", ".tar", ".tgz", ".gz")
-# The words that systems append to the name of a copy.
+# What operating systems append to the name of a copy.
 _COPY = re.compile(r"[ _-]*(\(\d+\)|copy|kopie)$")
 
 
 class HandIn(NamedTuple):
-    """A picture that a student handed in, or that is missing, with its reference picture.
+    """A picture that a student handed in, or should have, with its reference picture.
 
     Attributes
     ----------
     student, scene : str
-        The names of the student and of the scene.  The student is empty for a scene of which nobody
-        has handed in a picture; the scene is empty if it is unknown.
+        Names of the student and of the scene.  The student is empty if nobody has handed in a
+        picture of the scene; the scene is empty if it is unknown.
     picture : Path or None
-        The file that was handed in; None if it is missing.
+        The file that the student handed in; None if it is missing.
     reference : Path or None
         The reference picture or scene file; None if it is unknown.
     error : str
-        Why the picture cannot be compared, as a predicate such as "is an archive; unpack it first".
-        Empty if it can be compared.
+        Why the picture cannot be compared: words such as "is an archive; unpack it first".  Empty
+        if it can be compared.
     """
 
     student: str
@@ -44,9 +46,8 @@ class HandIn(NamedTuple):
 def list_hand_ins(folder: Path) -> list[Path]:
     """List all pictures and archives in a folder and its subfolders, sorted by path.
 
-    Hidden files and folders, whose names begin with a dot, are skipped, as are the folders
-    `__MACOSX`, which macOS adds to archives, and the comparisons `NAME.compare.png` that an earlier
-    run wrote.
+    Skip (1) hidden files and folders, whose names begin with a dot; (2) `__MACOSX` folders, which
+    macOS adds to archives; and (3) comparisons written by an earlier run (`NAME.compare.png`).
     """
     return sorted(path for path in folder.rglob("*")
                   if _is_file(path, _PICTURES + _ARCHIVES)
@@ -54,7 +55,7 @@ def list_hand_ins(folder: Path) -> list[Path]:
 
 
 def _is_hidden(name: str) -> bool:
-    """Test whether a file or folder is hidden (begins with a dot), or is a `__MACOSX` folder."""
+    """Test whether a name is that of a hidden file or folder, or of a `__MACOSX` folder."""
     return name.startswith(".") or name == "__MACOSX"
 
 
@@ -64,19 +65,24 @@ def _is_file(path: Path, suffixes: tuple[str, ...]) -> bool:
     Parameters
     ----------
     path : Path
-        The path.  Comparisons that an earlier run wrote (`NAME.compare.png`) give False.
+        The path.
     suffixes : tuple of str
         Suffixes in lower case, such as ".png".
+
+    Returns
+    -------
+    bool
+        False for comparisons written by an earlier run (`NAME.compare.png`).
     """
     name = path.name.lower()
     return name.endswith(suffixes) and not name.endswith(".compare.png") and path.is_file()
 
 
 def match_hand_ins(pictures: Sequence[Path], folder: Path, references: Path) -> list[HandIn]:
-    """Match hand-ins with reference pictures, and find the pictures that are missing.
+    """Match the pictures that students handed in with reference pictures, and list missing ones.
 
-    A hand-in of the scene NAME has NAME in its file name as a whole word, in upper or lower case:
-    `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.
+    The file name of a picture of the scene NAME must contain NAME as a whole word, in upper or
+    lower case: `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.
 
     Parameters
     ----------
@@ -85,49 +91,49 @@ def match_hand_ins(pictures: Sequence[Path], folder: Path, references: Path) -> 
     folder : Path
         The folder of the class, with a subfolder for each student; or the one picture.
     references : Path
-        A scene file or a reference picture, or a folder of these.  In a folder with the scene
+        A scene file, a reference picture, or a folder of these.  In a folder with the scene
         `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are ignored, because they were
         computed from the scene.
 
     Returns
     -------
     list of HandIn
-        First, one for each of `pictures`.  The others are added only if `folder` and `references`
-        are folders.  Second, one for each scene that a student has not handed in although another
-        student has.  A student who has handed in nothing is recognised by an empty folder.  Last,
-        one for each scene that nobody has handed in.
+        One for each of `pictures`.  If `folder` and `references` are folders, these are followed by
+        one for each scene that a student, but not every student, has handed in, and for each
+        student who has not; and by one for each scene that nobody has handed in.  An empty
+        subfolder represents a student who has handed in nothing.
     """
     path_of_scene = _find_references(references)
     matched = [_match_hand_in(picture, folder, references, path_of_scene) for picture in pictures]
     if not (folder.is_dir() and references.is_dir()):
         return matched
-    present = {(hand_in.student, hand_in.scene) for hand_in in matched}
-    handed_in = {scene for _, scene in present if scene}
+    found_pairs = {(hand_in.student, hand_in.scene) for hand_in in matched}
+    found_scenes = {scene for _, scene in found_pairs if scene}
     filled_folders = {parent for picture in pictures for parent in picture.parents}
     empty_folders = {path.name for path in folder.iterdir() if path.is_dir()
                      and path not in filled_folders and not _is_hidden(path.name)}  # fmt: skip
-    students = {student for student, _ in present} | empty_folders
+    students = {student for student, _ in found_pairs} | empty_folders
     missing = [HandIn(student, scene, None, path_of_scene[scene], "no picture of this scene")
-               for student in sorted(students) for scene in sorted(handed_in)
-               if (student, scene) not in present]  # fmt: skip
+               for student in sorted(students) for scene in sorted(found_scenes)
+               if (student, scene) not in found_pairs]  # fmt: skip
     unused = [HandIn("", scene, None, path, "nobody has handed in a picture of it")
-              for scene, path in path_of_scene.items() if scene not in handed_in]  # fmt: skip
+              for scene, path in path_of_scene.items() if scene not in found_scenes]  # fmt: skip
     return matched + missing + unused
 
 
 def _find_references(references: Path) -> dict[str, Path]:
-    """List the scenes and reference pictures with which hand-ins are compared.
+    """List the scenes and reference pictures with which to compare the pictures of students.
 
     Parameters
     ----------
     references : Path
-        A scene file or a reference picture, or a folder of these.
+        A scene file, a reference picture, or a folder of these.
 
     Returns
     -------
     dict of str to Path
-        The files by their names, in lower case and without suffixes.  Files that were computed from
-        a scene of the folder are excluded: their names begin with its name and a dot.
+        The files by name, in lower case and without suffixes.  Files computed from a scene in the
+        folder are excluded: their names begin with the name of the scene and a dot.
     """
     if not references.is_dir():
         return {_base_name(references): references}
@@ -141,27 +147,27 @@ def _find_references(references: Path) -> dict[str, Path]:
 def _match_hand_in(
     picture: Path, folder: Path, references: Path, path_of_scene: dict[str, Path]
 ) -> HandIn:
-    """Determine the student and the scene of one hand-in from its path.
+    """Determine which student handed in a picture, and of which scene, from its path.
 
-    The student is the subfolder of the class's folder.  Without a subfolder, the student is what
-    the file name contains in addition to the scene.
+    The student's name is that of the subfolder in the folder of the class.  Without a subfolder, it
+    is the part of the file name that is not the scene's name.
 
     Parameters
     ----------
     picture : Path
-        The file that was handed in.
+        The file that the student handed in.
     folder : Path
         The folder of the class; or `picture`, if it is the only one.
     references : Path
-        The scene or reference picture, or the folder of these, that the user has given.  A single
-        one belongs to every hand-in, regardless of the name.
+        The scene, the reference picture, or the folder of these.  A single scene or reference
+        picture is used for every file name.
     path_of_scene : dict of str to Path
-        The scenes and reference pictures by their names in lower case.
+        The scenes and reference pictures by name in lower case.
 
     Returns
     -------
     HandIn
-        With an error if the file is an archive, or if no scene has its name.
+        Its error is set if the file is an archive, or if no scene matches the file name.
     """
     subfolder = picture.relative_to(folder).parent
     student = str(subfolder) if subfolder.parts else ""
@@ -176,13 +182,13 @@ def _match_hand_in(
         return HandIn(student, scene, picture, path_of_scene[scene])
     error = f"no scene or picture in {references} has this name"
     words = (name, name.rpartition("_")[2])
-    similar = [k for word in words for k in difflib.get_close_matches(word, path_of_scene, 1)]
+    similar = [*chain(*(difflib.get_close_matches(word, path_of_scene, 1) for word in words))]
     error += f"; did you mean {path_of_scene[similar[0]].name}?" if similar else ""
     return HandIn(student or picture.parent.name, "", picture, None, error)
 
 
 def _base_name(path: Path) -> str:
-    """Return the name of a file in lower case, without its suffix and without ".xml" before it.
+    """Return the name of a file in lower case, without its suffix or a preceding ".xml".
 
     `Room.xml.png`, `room.png` and `room.xml` all have the base name "room".
     """

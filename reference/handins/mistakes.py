@@ -18,25 +18,25 @@ _PAGE = Path(__file__).with_name("mistakes.md")
 VARIANTS = ("shadow-own", "shadow-own-lobe")
 """Not mistakes: other ways to write a correct tracer, which render some mistakes differently."""
 BACKGROUND: tuple[str, ...] = ("background",)
-"""The cause (tuple of keywords of mistakes) of a background that is not black."""
+"""The cause (a tuple of keywords of mistakes) of a background that is not black."""
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
-"""Mistakes that show only where radiance exceeds 1, which another mistake may bring about."""
+"""Mistakes that show only where the radiance exceeds 1, perhaps because of another mistake."""
 ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
 """Mistakes that change levels by one."""
 
 
 class Mistake(NamedTuple):
-    """A mistake that a tracer may contain: a row of the table of mistakes.
+    """A mistake that a tracer may contain, as described by a row of the table of mistakes.
 
     Attributes
     ----------
     sentence : str
-        States what is wrong.  A placeholder such as ``{fitted_gamma}`` stands for the value of a
-        formula.
+        A description of the mistake.  A placeholder such as ``{fitted_gamma}`` stands for the value
+        of a formula.
     formulas : dict of str to callable
         The formulas, by name, that replace those of the reference picture.
     concerns_one_object : bool
-        True if the mistake concerns one surface or one light of the scene, such as a missing
+        True if the mistake concerns a single surface or light of the scene; an example is a missing
         surface.
     """
 
@@ -45,8 +45,8 @@ class Mistake(NamedTuple):
     concerns_one_object: bool = False
 
 
-def _table_rows() -> Iterator[list[str]]:
-    """Yield the rows of all tables on the page `mistakes.md`, except for their headings.
+def _read_table_rows() -> Iterator[list[str]]:
+    """Read the rows of all tables on the page `mistakes.md`, without the table headings.
 
     Yields
     ------
@@ -59,18 +59,18 @@ def _table_rows() -> Iterator[list[str]]:
 
 
 REFERENCE_FORMULAS: Formulas = {
-    row[0]: compile_formula(row[1]) for row in _table_rows() if len(row) == 2
+    row[0]: compile_formula(row[1]) for row in _read_table_rows() if len(row) == 2
 }
 """The formulas of the reference picture, in the order of computation."""
 CAMERA = frozenset([*REFERENCE_FORMULAS][: [*REFERENCE_FORMULAS].index("samples")])
 """Names of the camera's formulas."""
 WHOLE_PICTURE_FORMULAS = {k for k in REFERENCE_FORMULAS if k.startswith("fitted_")} | {"brightest"}
 """Names of formulas with one value for the whole picture, computed from all pixels."""
-_MISTAKES = [row for row in _table_rows() if len(row) == 3]
+_MISTAKES = [row for row in _read_table_rows() if len(row) == 3]
 
 
 def parse_formulas(assignments: str) -> Formulas:
-    """Convert the text of several assignments to functions.
+    """Compile each of several assignments into a function.
 
     Parameters
     ----------
@@ -80,20 +80,20 @@ def parse_formulas(assignments: str) -> Formulas:
     Returns
     -------
     dict of str to callable
-        For each name on the left of an assignment, a function that computes the expression on the
-        right.  The function's parameters are the names in the expression.
+        For each assigned name, a function that computes the expression on the right.  The
+        function's parameters are the variables in the expression, in alphabetical order.
 
     Raises
     ------
     SyntaxError
-        If an expression is not Python.
+        If an expression is not valid Python.
     """
-    pairs = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
-    return {name: compile_formula(expression) for name, expression in pairs}
+    assigned = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
+    return {name: compile_formula(expression) for name, expression in assigned}
 
 
 def sample_position_formulas(x: float, y: float) -> Formulas:
-    """Return the formulas that place one sample in each pixel, at a given position in the pixel.
+    """Return the formulas that place one sample at a given position in each pixel.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def sample_position_formulas(x: float, y: float) -> Formulas:
     Returns
     -------
     dict of str to callable
-        The formulas "x" and "y" of the sample's position in the picture.
+        The formulas "x" and "y" for the sample's position in the picture.
     """
     return parse_formulas(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
 
 
-# Formulas that replace those of a scene if only the reference picture is known.
+# Formulas that replace those of a scene when only the reference picture is known.
 OF_PICTURE = parse_formulas(
     "hit = shows_surface(picture, x, y, submitted_codes);"
     " radiance = interpolate_light(picture, x, y)"
@@ -117,11 +117,11 @@ OF_PICTURE = parse_formulas(
 
 
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
-    """List the mistakes that a tracer may make with a scene.
+    """List the mistakes that a tracer may make when it renders a scene.
 
-    A row of the table of mistakes whose sentence contains ``{surface}`` or ``{light}`` becomes one
-    mistake for each surface or light of the scene.  The number of the surface or light, from 0 as
-    in the output of `tracer --pixel`, replaces ``{k}`` in the row's keyword and formulas.
+    In the table of mistakes, a row whose sentence contains ``{surface}`` or ``{light}`` stands for
+    one mistake per surface or light of the scene.  The index of the surface or light, counted from
+    0 as by `tracer --pixel`, replaces ``{k}`` in the row's keyword and formulas.
 
     Parameters
     ----------
@@ -136,13 +136,13 @@ def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     line_notes = [f" (line {light.line})" if light.line else "" for light in scene.lights]
     object_names = {
         "{surface}": [str(SurfaceRef.from_index(scene, k)) for k in range(len(scene.surfaces))],
-        "{light}": [f"Light {k}{note}" for k, note in enumerate(line_notes)],
+        "{light}": [f"Light {index}{note}" for index, note in enumerate(line_notes)],
     }
-    table = {}
+    mistakes = {}
     for keyword, sentence, assignments in _MISTAKES:
         placeholder = next((word for word in object_names if word in sentence), "")
-        for k, name in enumerate(object_names.get(placeholder, [""])):
-            formulas = parse_formulas(assignments.replace("{k}", str(k)))
+        for index, name in enumerate(object_names.get(placeholder, [""])):
+            formulas = parse_formulas(assignments.replace("{k}", str(index)))
             mistake = Mistake(sentence.replace(placeholder, name), formulas, bool(placeholder))
-            table[keyword.replace("{k}", str(k))] = mistake
-    return table
+            mistakes[keyword.replace("{k}", str(index))] = mistake
+    return mistakes

@@ -1,6 +1,6 @@
-"""Format the results of comparing hand-ins as text, JSON and CSV.
+"""Format the results of comparing submitted with reference pictures, as text, JSON and CSV.
 
-A *hand-in* is a picture that a student handed in; the *reference picture* is what it should be.
+A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from tracer.messages import printable
 
 
 class Result(NamedTuple):
-    """The result for one picture that a student handed in, or that is missing.
+    """The result for one submitted or missing picture.
 
     Attributes
     ----------
     student, scene : str
-        The names of the student and of the scene.  The student is empty for a scene of which nobody
-        has handed in a picture.
+        Names of the student and of the scene.  The student is empty if nobody has submitted a
+        picture of the scene.
     picture, right : str or None
-        File of the picture, and of the reference picture or scene; None if it is missing.
+        Files of the submitted picture, and of the reference picture or scene; None if missing.
     agrees : bool
-        True if the picture is right, or within the tolerances that the user has set.
+        True if the picture is right, or within the tolerances set by the user.
     diagnosis : Diagnosis or None
         The mistakes in the picture; None if it could not be compared.
     ssim, rmse, max : float or None
-        Structural similarity (1 for equal pictures), and root mean square and maximum of the
-        difference in linear light; None if the sizes differ.
+        Structural similarity (1 for equal pictures), and the root mean square and the maximum of
+        the difference in linear light; None if the sizes differ.
     differing : int or None
         Number of pixels whose codes differ.
     worst : tuple of 2 ints or None
         Column and row of the pixel that differs most.
     comparison : str or None
-        File that shows both pictures side by side, if it was written.
+        File that shows both pictures side by side, if one was written.
     error : str or None
-        A line that states why the picture could not be compared.
+        One line that states why the picture could not be compared.
     """
 
     student: str
@@ -65,28 +65,28 @@ class Result(NamedTuple):
         return "agrees" if self.agrees else "differs"
 
     def to_row(self) -> dict[str, Any]:
-        """Return the result as a row of the JSON and CSV output.
+        """Convert the result to a row of the JSON and CSV output.
 
         Returns
         -------
         dict of str to object
-            The values by column.  The diagnosis has three columns: "kind" (keywords of the
-            mistakes), "hint" (keywords of the most similar known picture) and "diagnosis"
-            (sentences).  Without a diagnosis, they are None.
+            The values by column name.  The diagnosis takes three columns: "kind" (keywords of the
+            mistakes), "hint" (keywords of the mistakes with the most similar picture) and
+            "diagnosis" (sentences).  Without a diagnosis, they are None.
         """
         diagnosis = self.diagnosis
-        columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
-                   "diagnosis": diagnosis and str(diagnosis)}  # fmt: skip
-        values = [*self._asdict().items()]
-        return dict(values[:5]) | columns | dict(values[6:])
+        new_columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
+                       "diagnosis": diagnosis and str(diagnosis)}  # fmt: skip
+        columns = [*self._asdict().items()]
+        return dict(columns[:5]) | new_columns | dict(columns[6:])
 
-    def format_figures(self) -> str:
-        """Format the figures of the comparison as text.
+    def format_metrics(self) -> str:
+        """Format the metrics of the comparison as text.
 
         Returns
         -------
         str
-            Structural similarity, and root mean square and maximum of the difference.  Empty if the
+            Structural similarity, root mean square error and maximum difference.  Empty if the
             sizes of the pictures differ.
         """
         if self.ssim is None:
@@ -94,36 +94,47 @@ class Result(NamedTuple):
         return f"SSIM {self.ssim:.4f}  RMSE {self.rmse:.2e}  max {self.max:.2e}"
 
     def format_line(self) -> str:
-        """Format the result as one line: verdict, figures, file and diagnosis; or the error."""
-        text = f"{self.format_figures()}  {printable(str(self.picture))}: {self.diagnosis}".lstrip()
-        return f"{self.verdict:8} {self.error or text}"
+        """Format the result as one line: verdict, metrics, file and diagnosis; or the error."""
+        report = f"{self.format_metrics()}  {printable(str(self.picture))}: {self.diagnosis}"
+        return f"{self.verdict:8} {self.error or report.lstrip()}"
 
 
 def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
-    """Order the alternative causes of each picture by their frequency among the student's pictures.
+    """Sort the alternative causes of each picture by their frequency in the student's pictures.
 
-    A cause is a set of mistakes that are made together.  One program renders all pictures of a
-    student, so a cause that explains several of them is more likely than one that explains only
+    A cause is a set of mistakes that are made together.  All pictures of a student come from one
+    program, so a cause that explains several of them is more likely than one that explains only
     one.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        The results of all students.
 
     Returns
     -------
     list of Result
         Copies of the results, in the same order, each with the most frequent cause first.
     """
-    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    frequencies: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
         if result.diagnosis and not result.agrees:
-            counts[result.student].update(result.diagnosis.kind.split("|"))
-    diagnoses = (result.diagnosis and result.diagnosis.most_frequent_first(counts[result.student])
-                 for result in results)  # fmt: skip
-    return [result._replace(diagnosis=d) for result, d in zip(results, diagnoses, strict=True)]
+            frequencies[result.student].update(result.diagnosis.kind.split("|"))
+    return [
+        result._replace(diagnosis=result.diagnosis.most_frequent_first(frequencies[result.student]))
+        if result.diagnosis else result for result in results
+    ]  # fmt: skip
 
 
 def list_mistake_counts(results: Sequence[Result]) -> list[str]:
-    """List the mistakes of a class with their numbers of pictures, the most frequent mistake first.
+    """List how many pictures contain each mistake, the most frequent mistake first.
 
     If a picture has alternative causes, only the first is counted.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        The results of a class.
 
     Returns
     -------
@@ -133,24 +144,24 @@ def list_mistake_counts(results: Sequence[Result]) -> list[str]:
     causes = (
         result.diagnosis.causes[0] for result in results if result.diagnosis and not result.agrees
     )
-    counts = Counter(text for cause in causes for kind, text in cause.items() if kind != UNKNOWN)
-    return [f"{count} × {text}" for text, count in counts.most_common()]
+    counts = Counter(cause[keyword] for cause in causes for keyword in cause if keyword != UNKNOWN)
+    return [f"{count} × {sentence}" for sentence, count in counts.most_common()]
 
 
 def summarize_counts(results: Sequence[Result]) -> str:
-    """Summarise the results of a class in numbers of pictures.
+    """Summarise how many pictures of a class agree, differ or are missing.
 
     Returns
     -------
     str
-        How many pictures agree, differ, cannot be compared and are missing, and of how many scenes
-        nobody has handed in a picture: "3 pictures: 2 agree, 1 differ; 1 are missing".
+        The number of pictures that agree, differ, cannot be compared or are missing, and the number
+        of scenes that nobody has handed in, as in "3 pictures: 2 agree, 1 differ; 1 are missing".
     """
     counts = Counter("nobody" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip
     verbs = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
-    numbers = ", ".join(f"{counts[word]} {verb}" for word, verb in verbs.items() if counts[word])
-    summary = f"{sum(counts[word] for word in verbs)} pictures: {numbers}"
+    clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verbs.items() if counts[verdict]]
+    summary = f"{sum(counts[verdict] for verdict in verbs)} pictures: {', '.join(clauses)}"
     summary += f"; {counts['missing']} are missing" if counts["missing"] else ""
     nobody_note = f"; scenes that nobody has handed in: {counts['nobody']}"
     return summary + (nobody_note if counts["nobody"] else "")
@@ -162,56 +173,61 @@ def format_text(results: Sequence[Result], *, as_list: bool) -> str:
     Parameters
     ----------
     results : sequence of Result
-        At least one.
+        At least one result.
     as_list : bool
-        If True, return a line for each result, and a line with counts.  If False, return the
-        figures, the diagnosis and the comparison picture's file of the first result, each on a
-        line; or its error.
-    """
-    if as_list:
-        return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
-    result = results[0]
-    lines = result.format_figures(), str(result.diagnosis), printable(result.comparison or "")
-    return result.error or "\n".join(filter(None, lines))
-
-
-def format_json(results: Sequence[Result]) -> str:
-    """Format results as a JSON list with one object for each result."""
-    return json.dumps([result.to_row() for result in results], indent=1)
-
-
-def format_csv(results: Sequence[Result]) -> str:
-    """Format results as CSV: a header, and a row for each result.
-
-    The column "worst" contains the worst pixel as ``column,row``, the form of the argument of
-    `tracer --pixel`.  File names come from students, so cells are made safe: control characters are
-    escaped, and a cell that a spreadsheet would run as a formula begins with an apostrophe.
-
-    Parameters
-    ----------
-    results : sequence of Result
-        At least one result, whose columns become the header.
+        Whether to format all results, one per line, with a summary at the end.  If false, only the
+        first result is formatted.
 
     Returns
     -------
     str
-        The lines of the table, without a newline at the end.
+        For a single result, three lines: the metrics, the diagnosis and the file of the comparison
+        picture; or only the error.
     """
-    table = io.StringIO()
-    writer = csv.writer(table, lineterminator="\n")
+    if as_list:
+        return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
+    result = results[0]
+    lines = result.format_metrics(), str(result.diagnosis), printable(result.comparison or "")
+    return result.error or "\n".join(filter(None, lines))
+
+
+def format_json(results: Sequence[Result]) -> str:
+    """Format results as a JSON list with one object per result."""
+    return json.dumps([result.to_row() for result in results], indent=1)
+
+
+def format_csv(results: Sequence[Result]) -> str:
+    """Format results as CSV, with a header and one row per result.
+
+    The column "worst" contains the worst pixel as ``column,row``, as `tracer --pixel` expects it.
+    File names come from students, so cells are made safe: control characters are escaped, and an
+    apostrophe precedes text that a spreadsheet would run as a formula.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        At least one result.
+
+    Returns
+    -------
+    str
+        The table, without a newline at the end.
+    """
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(results[0].to_row())
     for result in results:
-        worst = ",".join(map(str, result.worst)) if result.worst else None
-        values = (result.to_row() | {"worst": worst}).values()
-        writer.writerow([_make_cell_safe(v) if isinstance(v, str) else v for v in values])
-    return table.getvalue().removesuffix("\n")
+        worst_pixel = ",".join(map(str, result.worst)) if result.worst else None
+        cells = (result.to_row() | {"worst": worst_pixel}).values()
+        writer.writerow([_make_cell_safe(c) if isinstance(c, str) else c for c in cells])
+    return buffer.getvalue().removesuffix("\n")
 
 
 def _make_cell_safe(text: str) -> str:
-    """Change the text of a CSV cell so that neither a terminal nor a spreadsheet executes it.
+    """Make the text of a CSV cell safe to show in a terminal or a spreadsheet.
 
-    Control characters are escaped.  An apostrophe precedes a first character with which a
-    spreadsheet formula begins, such as "=".
+    Control characters are escaped, and an apostrophe is put before text that begins like a
+    spreadsheet formula, with a character such as "=".
     """
     text = printable(text)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

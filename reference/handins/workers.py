@@ -1,4 +1,4 @@
-"""Process many jobs in two worker processes: a job that ends its worker costs no other job.
+"""Process many jobs in two worker processes; a job that kills its worker harms no other job.
 
 A single pool of processes would not do: if one of its processes dies, all unfinished jobs fail.
 Each worker is therefore a pool of one process.
@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 # Minimum number of jobs for which starting processes is worth it.
 _MIN_JOBS = 8
-# Number of workers that a job may end before it is given up.
+# Number of workers that a job may kill before it is abandoned.
 _MAX_DEATHS = 2
 
 
@@ -28,43 +28,43 @@ def map_in_workers(
 ) -> Iterator[Result]:
     """Compute the results of jobs in two worker processes.
 
-    One worker begins with the first jobs, the other with the last, because neighbouring jobs may
-    use the same cached data.  If a worker dies, its job is begun once more; if that worker dies,
-    too, the job is given up.  The calling process computes the results itself if there are few
-    jobs, or if no process can be started.  When the results are complete, the calling process
-    kills all its children that `multiprocessing` has started.
+    One worker starts from the first job, the other from the last, because neighbouring jobs may use
+    the same cached data.  If a worker dies, its job is started once more; if that worker dies, too,
+    the job is abandoned.  The calling process does the work itself if there are few jobs, or if no
+    process can be started.  At the end, the calling process kills all its child processes that
+    `multiprocessing` has started.
 
     Parameters
     ----------
     work : callable
-        Computes the result of a job.  It must be picklable, as jobs and results must be.
+        Computes the result of a job.  The function, the jobs and the results must be picklable.
     jobs : sequence
         The arguments of `work`.
     result_if_lost : callable
-        Returns the result of a job that is given up.
+        Returns the result for an abandoned job.
 
     Yields
     ------
     object
-        The result of each job, in the order in which they are computed.
+        The result of each job, in order of completion.
     """
-    # Each job with the number of workers that it has ended.
+    # Each job with the number of workers that it has killed.
     pending = deque((job, 0) for job in jobs)
-    # The future of each running job: the job, that number, its worker, and whence it takes jobs.
+    # For each future: the job, that number, the worker, and the function that takes the next job.
     running: dict[Future[Result], tuple[Job, int, WorkerPool, Callable[[], Any]]] = {}
 
-    def begin_next_job(worker: WorkerPool, take: Callable[[], tuple[Job, int]]) -> None:
-        """Let a worker begin the next job, if there is one and if the worker can be started."""
+    def start_next_job(worker: WorkerPool, take_job: Callable[[], tuple[Job, int]]) -> None:
+        """Start the next job on a worker, if there is a job and the worker can be started."""
         if pending:
-            job, death_count = take()
+            job, death_count = take_job()
             try:
                 running[worker.submit(work, job)] = job, death_count, worker, take
             except Exception:  # no process can be started
                 pending.appendleft((job, death_count))
 
     try:
-        for take in (pending.popleft, pending.pop) if len(jobs) >= _MIN_JOBS else ():
-            begin_next_job(WorkerPool(1), take)
+        for take_job in (pending.popleft, pending.pop) if len(jobs) >= _MIN_JOBS else ():
+            start_next_job(WorkerPool(1), take_job)
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 job, death_count, worker, take = running.pop(future)
@@ -76,7 +76,7 @@ def map_in_workers(
                         yield result_if_lost(job)
                 else:
                     yield future.result()
-                begin_next_job(worker, take)
+                start_next_job(worker, take_job)
     finally:
         for process in active_children():
             process.kill()
