@@ -306,9 +306,8 @@ class Solution:
         if not self.scene:
             advice = "With the scene in place of the right picture, more can be said."
             return f"{count}.{worst}. {advice}"
-        count_and_surfaces = (
-            f"{count}: {_describe_wrong_surfaces(self.scene, submission, is_wrong)}."
-        )
+        surfaces = _describe_wrong_surfaces(self.scene, submission, is_wrong)
+        count_and_surfaces = f"{count}: {surfaces}."
         on_background = is_wrong & (renderer.surface_index < 0)
         if hint or on_background.sum() > 0.02 * is_wrong.sum():
             return count_and_surfaces
@@ -372,9 +371,8 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
     for verb, is_changed in zip(verbs, symptoms.find_light_changes(submission) or (), strict=False):
         for light_index, count in enumerate((is_changed & is_wrong).sum(axis=1)):
             if count > _MIN_LIGHT_SHARE * is_wrong.sum():
-                line = scene.lights[light_index].line
-                light = f"light {light_index} (line {line})" if line else f"light {light_index}"
-                sentences += f" At {count:,} of these pixels {light} {verb}."
+                line_note = f" (line {line})" if (line := scene.lights[light_index].line) else ""
+                sentences += f" At {count:,} of these pixels light {light_index}{line_note} {verb}."
     return sentences
 
 
@@ -479,14 +477,13 @@ def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
         The sentences by keyword.  Placeholders such as ``{fitted_gamma}`` are replaced with numbers
         estimated from the submitted picture.
     """
-    formulas = submission.renderer.replacements_for(cause)
+    formulas = submission.renderer.formulas_for(cause)
 
     def format_number(placeholder: re.Match[str]) -> str:
         return f"{submission.fitting_cache.get_value(placeholder[1], formulas):.3g}"
 
     mistakes = submission.renderer.mistakes
-    sentences = {keyword: mistakes[keyword].sentence for keyword in cause}
-    return {k: re.sub(r"\{(\w+)\}", format_number, text) for k, text in sentences.items()}
+    return {key: re.sub(r"\{(\w+)\}", format_number, mistakes[key].sentence) for key in cause}
 
 
 def _brightness_note(change: Array) -> str:

@@ -285,8 +285,7 @@ def render_with_mistakes(scene: Scene, *keywords: str, formula: str = "codes") -
         raise ValueError(f"{' and '.join(keywords)} change the same formula")
     row, column = np.divmod(np.arange(pixel_count), scene.width)
     size = {"width": scene.width, "height": scene.height}
-    black = np.zeros((3, pixel_count), dtype=np.uint8)
-    pixels = {"i": column, "j": row, "submitted_codes": black}
+    pixels = {"i": column, "j": row, "submitted_codes": np.zeros((3, pixel_count), np.uint8)}
     cache = FormulaCache(make_formula_inputs(scene) | size | pixels)
     values = cache.get_value(formula, replacements)
     return np.nan_to_num(values.T.reshape(scene.height, scene.width, 3))

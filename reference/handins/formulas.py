@@ -283,10 +283,8 @@ def find_blocking_surfaces(
         True if the surface blocks the light from the hit.
     """
     far_limits = min_t if min_far_t is None else np.full_like(min_t, min_far_t)
-    is_blocking = []
-    for (near_t, far_t), min_near, min_far, limit in zip(
-        shadow_roots, min_t, far_limits, max_t, strict=True
-    ):
+    is_blocking, rays = [], zip(shadow_roots, min_t, far_limits, max_t, strict=True)
+    for (near_t, far_t), min_near, min_far, limit in rays:
         first_t = np.where(near_t > min_near, near_t, np.where(far_t > min_far, far_t, np.nan))
         is_blocking.append((first_t < limit) & is_tested)
     return np.array(is_blocking, dtype=bool).reshape(len(shadow_roots), *is_tested.shape)

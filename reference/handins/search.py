@@ -103,8 +103,8 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
     item_index = np.arange(len(stratum), dtype=np.int32)  # int64 would take too much memory
     shuffled_items = np.random.default_rng(1).permutation(item_index)
     items_by_stratum = shuffled_items[np.argsort(stratum[shuffled_items], kind="stable")]
-    size = np.unique(stratum, return_counts=True)[1].astype(np.int32)
-    place_in_stratum = item_index - np.repeat(size.cumsum(dtype=np.int32) - size, size)
+    count = np.unique(stratum, return_counts=True)[1].astype(np.int32)
+    place_in_stratum = item_index - np.repeat(count.cumsum(dtype=np.int32) - count, count)
     return items_by_stratum[np.argsort(place_in_stratum, kind="stable")[:max_count]]
 
 
@@ -154,7 +154,7 @@ class MistakeRenderer:
         first_pixel = self.make_cache(np.array([0]), self._blank_codes)
         self.mistakes = {
             keyword: mistake for keyword, mistake in self.mistakes.items()
-            if (changes := self.replacements_for((keyword,))) and first_pixel.is_computable(changes)
+            if (changes := self.formulas_for((keyword,))) and first_pixel.is_computable(changes)
         }  # fmt: skip
         subset = choose_stratified(surface_index, MAX_PIXELS // 32)
         stratum = surface_index[subset]
@@ -163,7 +163,7 @@ class MistakeRenderer:
                 stratum = 2 * stratum + is_lit
         self.sample = subset[choose_stratified(stratum, len(subset))]
 
-    def replacements_for(self, cause: Cause) -> Formulas:
+    def formulas_for(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate a cause.
 
         Parameters
@@ -177,8 +177,7 @@ class MistakeRenderer:
             The formulas, by name, that replace those of the reference picture.  Empty if two of the
             mistakes replace the same formula and so exclude each other.
         """
-        mistakes = [self.mistakes[keyword] for keyword in cause]
-        return join_formulas([self.base_formulas, *(mistake.formulas for mistake in mistakes)])
+        return join_formulas([self.base_formulas, *(self.mistakes[key].formulas for key in cause)])
 
     def needs_fitting(self, keyword: str) -> bool:
         """Test whether a mistake depends on a number estimated from the submitted picture.
@@ -212,7 +211,7 @@ class MistakeRenderer:
         inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixels]}
         return FormulaCache(self._inputs | inputs, fitting_cache)
 
-    def pixel_batches(self, pixels: Array) -> Iterator[Array]:
+    def split_pixels(self, pixels: Array) -> Iterator[Array]:
         """Divide an array of pixel indices into batches that take little memory to render."""
         size = max(500, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
         return (pixels[start : start + size] for start in range(0, len(pixels), size))
@@ -244,10 +243,9 @@ class MistakeRenderer:
         """
         submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
         caches = (self.make_cache(batch, submitted_codes, fitting_cache)
-                  for batch in self.pixel_batches(pixels))  # fmt: skip
-        values = [
-            [cache.get_value(formula, changes) for changes in formula_sets] for cache in caches
-        ]
+                  for batch in self.split_pixels(pixels))  # fmt: skip
+        values = [[cache.get_value(formula, changes) for changes in formula_sets]
+                  for cache in caches]  # fmt: skip
         return np.concatenate(values, axis=-1)
 
     @cached_property
@@ -255,8 +253,8 @@ class MistakeRenderer:
         """Groups of causes that change the picture in the same way.
 
         Each key is the first cause of a group, and the value is the list of all its causes.  A
-        cause consists of the keyword of one mistake; or of two keywords, of a mistake and of a
-        variant of a correct tracer in which the mistake gives another picture.
+        cause consists of the keyword of a mistake; or of that keyword and the keyword of a variant
+        of a correct tracer in which the mistake gives another picture.
 
         A mistake that shows only together with another one forms a separate group.  Mistakes that
         depend on numbers estimated from a submitted picture are skipped.  In a scene with many
@@ -268,11 +266,11 @@ class MistakeRenderer:
             cause for keyword, mistake in self.mistakes.items() for variant in variants
             if keyword not in mistakes.VARIANTS and not self.needs_fitting(keyword)
             and not (has_many_surfaces and mistake.concerns_one_object)
-            and self.replacements_for(cause := (keyword, *variant))
+            and self.formulas_for(cause := (keyword, *variant))
         ]  # fmt: skip
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
-        pixels = next(self.pixel_batches(self.sample[:_GROUPING_PIXELS]))
-        pictures = self.evaluate([self.replacements_for(cause) for cause in causes], pixels)
+        pixels = next(self.split_pixels(self.sample[:_GROUPING_PIXELS]))
+        pictures = self.evaluate([self.formulas_for(cause) for cause in causes], pixels)
         # Some mistakes show only where another mistake raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
@@ -286,7 +284,7 @@ class MistakeRenderer:
         return {group[0]: group for group in groups.values()}
 
     @cached_property
-    def single_mistakes(self) -> list[Cause]:
+    def single_causes(self) -> list[Cause]:
         """All causes that consist of one mistake, some with a variant of a correct tracer."""
         singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
         return singles + [cause for group in self.groups.values() for cause in group if cause[1:]]
@@ -302,18 +300,14 @@ class MistakeRenderer:
         share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
         pixels = self.sample[: max(40, int(share * _FIRST_PIXELS))]
         # Several samples per pixel would take too long, and rounding is determined at the end.
-        skipped = {k for k in self.mistakes if "samples" in self.mistakes[k].formulas}
+        skipped = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
         skipped |= {*mistakes.ROUNDINGS}
         candidates = [cause for cause in self.groups if skipped.isdisjoint(cause)]
         pairs = {cause: (first, second) for first, second in combinations(candidates, 2)
                  if (cause := self.join_causes(first, second))}  # fmt: skip
         if not pairs:
             return pairs, np.zeros((0, 3, len(pixels)), dtype=np.uint8), pixels
-        return (
-            pairs,
-            self.evaluate([self.replacements_for(cause) for cause in pairs], pixels),
-            pixels,
-        )
+        return pairs, self.evaluate([self.formulas_for(cause) for cause in pairs], pixels), pixels
 
     def join_causes(self, first: Cause, second: Cause) -> Cause:
         """Join two causes into one.
@@ -332,7 +326,7 @@ class MistakeRenderer:
         """
         variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
         cause = (*remove_variants((*first, *second)), *variants)
-        return cause if len(variants) < 2 and self.replacements_for(cause) else ()
+        return cause if len(variants) < 2 and self.formulas_for(cause) else ()
 
 
 class Submission:
@@ -393,13 +387,14 @@ class Submission:
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
         brightest = reference_codes.sum(axis=0, dtype=np.int16).argmax()
-        pixels = np.append(next(renderer.pixel_batches(renderer.sample)), brightest)
+        pixels = np.append(next(renderer.split_pixels(renderer.sample)), brightest)
         self.fitting_cache = renderer.make_cache(pixels, codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
-        """Choose random pixels, half of them wrong (different from the reference picture).
+        """Choose random pixels: half of them wrong, and half of them right.
 
-        If there are too few wrong or too few right pixels, more of the others are chosen.
+        Wrong pixels differ from the reference picture.  If there are too few wrong or too few right
+        pixels, more of the others are chosen.
 
         Parameters
         ----------
@@ -437,13 +432,13 @@ class Submission:
         levels : (causes, k) array
             For each cause and pixel, the largest difference between the channels, in levels.
         """
-        formula_sets = [self.renderer.replacements_for(cause) for cause in causes]
+        formula_sets = [self.renderer.formulas_for(cause) for cause in causes]
         pictures = self.renderer.evaluate(formula_sets, pixels, self.codes, self.fitting_cache)
         if self._save and len(pixels) == self.renderer.pixel_count:
             pictures = np.array([self._save(picture) for picture in pictures])
         return level_difference(pictures, self.codes[:, pixels])
 
-    def _measure_causes(self, causes: Sequence[Cause]) -> None:
+    def _measure(self, causes: Sequence[Cause]) -> None:
         """Count and cache the pixels that each cause leaves unexplained, and those left inexact.
 
         A pixel is unexplained if it differs from the picture of the cause by more than the
@@ -476,7 +471,7 @@ class Submission:
         int
             Number of pixels; in a large picture, it is estimated from a subset of the pixels.
         """
-        self._measure_causes([cause])
+        self._measure([cause])
         return self._counts_by_cause[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
@@ -494,7 +489,7 @@ class Submission:
         int
             Number of pixels; in a large picture, it is estimated from a subset of the pixels.
         """
-        self._measure_causes([cause])
+        self._measure([cause])
         return self._counts_by_cause[cause][1]
 
     def _select_best(self, causes: list[Cause]) -> list[Cause]:
@@ -521,7 +516,7 @@ class Submission:
         while len(causes) > min_causes and pixel_count < len(self._final_pixels):
             causes = self._run_round(causes, pixel_count, max(min_causes, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
-        self._measure_causes(causes[:_MIN_CAUSES])
+        self._measure(causes[:_MIN_CAUSES])
         return sorted(causes[:_MIN_CAUSES], key=self._count_unexplained)
 
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
@@ -570,7 +565,7 @@ class Submission:
             The causes (tuples of keywords of mistakes that are made together); or, if no cause
             explains the picture, a hint: the cause with the most similar picture.
         """
-        singles = self._add_rounding(self._select_best(self.renderer.single_mistakes))
+        singles = self._add_rounding(self._select_best(self.renderer.single_causes))
         pairs = list[Cause]()
         causes = self._select_reportable(singles)
         min_count: float = self._count_unexplained(causes[0]) if causes else np.inf
@@ -593,7 +588,7 @@ class Submission:
         return Finding((), count, remove_variants(hint))
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
-        """Count the pixels that a cause leaves unexplained, exactly and over the full picture."""
+        """Count exactly how many pixels of the full picture a cause leaves unexplained."""
         every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
         levels = self._level_differences([cause], every_pixel)
         return int((levels > self.tolerance).sum())
@@ -625,12 +620,12 @@ class Submission:
         return self._select_best([*similar]) if len(similar) > len(best) else best
 
     def _needs_each_mistake(self, cause: Cause) -> bool:
-        """Test whether each mistake of a pair explains many pixels that the other does not.
+        """Test whether both mistakes of a pair are needed to explain the submitted picture.
 
-        These must be at least `_MIN_RATIO` times the pixels that the pair leaves unexplained.  With
-        a camera mistake, the picture of the pair must also show at least `_MIN_SHOWN_SURFACES`
-        surfaces, or as many as the reference picture shows, because a picture with fewer surfaces
-        may agree by chance.
+        Each mistake must explain at least `_MIN_RATIO` times as many pixels as the pair leaves
+        unexplained.  With a camera mistake, the picture of the pair must also show at least
+        `_MIN_SHOWN_SURFACES` surfaces, or as many as the reference picture shows, because a picture
+        with fewer surfaces may agree by chance.
 
         Parameters
         ----------
@@ -643,26 +638,22 @@ class Submission:
             others = tuple(other for other in cause if other != keyword)
             if self._count_unexplained(others) - pair_count < max(_MIN_RATIO * pair_count, 1):
                 return False
-        renderer = self.renderer
-        if not renderer.surface_count or mistakes.CAMERA.isdisjoint(
-            renderer.replacements_for(keywords)
-        ):
+        renderer, formulas_for = self.renderer, self.renderer.formulas_for
+        if not renderer.surface_count or mistakes.CAMERA.isdisjoint(formulas_for(keywords)):
             return True
-        pixels = next(renderer.pixel_batches(renderer.sample))
-        shown = renderer.evaluate(
-            [renderer.replacements_for(cause)], pixels, formula="shown_surface"
-        )[0]
-        surface_counts = [len(np.unique(surface_index[surface_index >= 0]))
-                          for surface_index in (shown, renderer.surface_index[pixels])]  # fmt: skip
-        return surface_counts[0] >= min(_MIN_SHOWN_SURFACES, surface_counts[1])
+        pixels = next(renderer.split_pixels(renderer.sample))
+        shown = renderer.evaluate([formulas_for(cause)], pixels, formula="shown_surface")[0]
+        surfaces = shown, renderer.surface_index[pixels]
+        shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in surfaces)
+        return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
     def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that are good enough to report.
 
         A cause is good enough if (1) it leaves at most 3 % of the wrong pixels unexplained; (2) no
-        other cause leaves far fewer unexplained; and (3) no other cause leaves far fewer inexact,
-        even by one level.  A cause that depends on a number estimated from the submitted picture,
-        such as a gamma, is selected only if there is no other.
+        other cause leaves far fewer pixels unexplained; and (3) no other cause gives far more
+        pixels exactly.  A cause that depends on a number estimated from the submitted picture, such
+        as a gamma, is selected only if there is no other.
 
         Parameters
         ----------
@@ -705,9 +696,9 @@ class Submission:
         if not self.tolerance or self.lossy_levels:
             return causes
         join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
-        option_lists = [[cause, *filter(None, (join(cause, (keyword,)) for keyword in roundings))]
+        option_lists = [[cause, *filter(None, (join(cause, (rounding,)) for rounding in roundings))]
                         for cause in causes]  # fmt: skip
-        self._measure_causes([option for options in option_lists for option in options])
+        self._measure([option for options in option_lists for option in options])
         chosen_causes = list[Cause]()
         for cause, options in zip(causes, option_lists, strict=True):
             most_exact = min(options, key=self._count_inexact)

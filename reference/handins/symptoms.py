@@ -211,10 +211,8 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
         submitted_codes, reference_codes.repeat(factor, axis=0).repeat(factor, axis=1)
     ):
         return "enlarged", f"It is the right picture, enlarged {factor} times."
-    row_count, column_count = (
-        len(submitted_codes) - height + 1,
-        submitted_codes.shape[1] - width + 1,
-    )
+    row_count = len(submitted_codes) - height + 1
+    column_count = submitted_codes.shape[1] - width + 1
     if row_count <= 0 or column_count <= 0:
         return None
     # Find the places of the upper left corner where a random selection of pixels agrees.

@@ -58,7 +58,7 @@ def map_in_workers(
         if pending:
             job, death_count = take_job()
             try:
-                running[worker.submit(work, job)] = job, death_count, worker, take
+                running[worker.submit(work, job)] = job, death_count, worker, take_job
             except Exception:  # no process can be started
                 pending.appendleft((job, death_count))
 
@@ -67,7 +67,7 @@ def map_in_workers(
             start_next_job(WorkerPool(1), take_job)
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                job, death_count, worker, take = running.pop(future)
+                job, death_count, worker, take_job = running.pop(future)
                 if future.exception():
                     worker, death_count = WorkerPool(1), death_count + 1
                     if death_count < _MAX_DEATHS:
