@@ -181,7 +181,7 @@ def _match_hand_in(
         return HandIn(student, scene, picture, path_of_scene[scene])
     error = f"no scene or picture in {references} has this name"
     words = (name, name.rpartition("_")[2])
-    similar = [match for word in words for match in difflib.get_close_matches(word, path_of_scene, 1)]
+    similar = [near for word in words for near in difflib.get_close_matches(word, path_of_scene, 1)]
     error += f"; did you mean {path_of_scene[similar[0]].name}?" if similar else ""
     return HandIn(student or picture.parent.name, "", picture, None, error)
 

@@ -83,7 +83,7 @@ def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
 
 
 def is_speckled(submission: Submission) -> bool:
-    """Test whether surfaces have random dark dots, because rounding makes them shadow themselves.
+    """Test whether rounding makes surfaces shadow themselves, in random dark dots.
 
     Surfaces have such dots if (1) nearly all wrong pixels lack light; and (2) along rows and along
     columns, neighbouring pixels of a surface differ nearly as often as if each pixel were dark by
