@@ -181,7 +181,7 @@ def format_text(results: Sequence[Result], *, as_list: bool) -> str:
     Returns
     -------
     str
-        For a single result, three lines: the metrics, the diagnosis and the file of the comparison
+        For a single result, up to three lines: metrics, diagnosis and the file of the comparison
         picture; or only the error.
     """
     if as_list:

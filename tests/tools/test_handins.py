@@ -302,7 +302,7 @@ def test_few_sizes_are_kept() -> None:
     for width in (50, 60, 70):
         codes = to_codes(render(replace(scene("two-boxes"), width=width, height=40)))
         assert own.diagnose(Picture(codes)).kind == "size"
-    assert own._renderer.cache_info().currsize == 2
+    assert own._renderer_for_size.cache_info().currsize == 2
 
 
 def test_causes_of_all_scenes_come_first() -> None:
