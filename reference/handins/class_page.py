@@ -91,7 +91,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     for result in results:
         path, diagnosis = result.picture or "", result.diagnosis
         if result.student and result.scene:
-            text = diagnosis.first if diagnosis and not result.agrees else result.verdict
+            text = diagnosis.first_cause_text if diagnosis and not result.agrees else result.verdict
             thumbnail = pairs[path]["thumbnail"] if path in pairs else None
             cell = Cell(text, pair_index.get(path), result.agrees, thumbnail)
             cells[result.student][result.scene].append(cell)

@@ -70,7 +70,7 @@ class Diagnosis:
         return "|".join("+".join(cause) for cause in self.causes)
 
     @property
-    def first(self) -> str:
+    def first_cause_text(self) -> str:
         """The sentences of the first cause, joined by spaces."""
         return " ".join(self.causes[0].values())
 
@@ -85,7 +85,7 @@ class Diagnosis:
             note = " Or: ".join(alternatives[: _MAX_NAMED - 1])
             note += f" Or one of {unnamed_count} more." if unnamed_count > 0 else ""
             note = f"(In this scene one cannot tell it from: {note})"
-        return " ".join(filter(None, (self.before, self.first, note, self.after)))
+        return " ".join(filter(None, (self.before, self.first_cause_text, note, self.after)))
 
     def preceded_by(self, sentence: str) -> Diagnosis:
         """Return a copy whose report begins with the given sentence, which may be empty."""
@@ -399,19 +399,19 @@ def _find_visible_surfaces(scene: Scene) -> Array:
     return np.concatenate([hit.surface.astype(np.int32) for hit in hits])
 
 
-def find_worst_pixel(first: Codes, second: Codes) -> tuple[int, int]:
+def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]:
     """Find the pixel where two pictures differ most.
 
     Parameters
     ----------
-    first, second : (h, w, 3) uint8 arrays
+    first_codes, second_codes : (h, w, 3) uint8 arrays
         Codes of the pictures.
 
     Returns
     -------
     column, row : int
     """
-    levels = level_difference(first, second, 2)
+    levels = level_difference(first_codes, second_codes, 2)
     row, column = np.unravel_index(levels.argmax(), levels.shape)
     return int(column), int(row)
 

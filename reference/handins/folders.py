@@ -97,26 +97,26 @@ def match_hand_ins(pictures: Sequence[Path], folder: Path, references: Path) -> 
     Returns
     -------
     list of HandIn
-        One for each of `pictures`.  If `folder` and `references` are folders, these are followed by
-        one for each scene that a student, but not every student, has handed in, and for each
-        student who has not; and by one for each scene that nobody has handed in.  An empty
-        subfolder represents a student who has handed in nothing.
+        One for each of `pictures`.  If `folder` and `references` are folders, missing pictures
+        follow: for each scene that any student has handed in, one for each student who has not;
+        then one for each scene that nobody has handed in.  An empty subfolder stands for a student
+        who has handed in nothing.
     """
-    path_of_scene = _find_references(references)
-    matched = [_match_hand_in(picture, folder, references, path_of_scene) for picture in pictures]
+    path_by_scene = _find_references(references)
+    matched = [_match_hand_in(picture, folder, references, path_by_scene) for picture in pictures]
     if not (folder.is_dir() and references.is_dir()):
         return matched
-    found_pairs = {(hand_in.student, hand_in.scene) for hand_in in matched}
-    found_scenes = {scene for _, scene in found_pairs if scene}
+    students_and_scenes = {(hand_in.student, hand_in.scene) for hand_in in matched}
+    found_scenes = {scene for _, scene in students_and_scenes if scene}
     filled_folders = {parent for picture in pictures for parent in picture.parents}
     empty_folders = {path.name for path in folder.iterdir() if path.is_dir()
                      and path not in filled_folders and not _is_hidden(path.name)}  # fmt: skip
-    students = {student for student, _ in found_pairs} | empty_folders
-    missing = [HandIn(student, scene, None, path_of_scene[scene], "no picture of this scene")
+    students = {student for student, _ in students_and_scenes} | empty_folders
+    missing = [HandIn(student, scene, None, path_by_scene[scene], "no picture of this scene")
                for student in sorted(students) for scene in sorted(found_scenes)
-               if (student, scene) not in found_pairs]  # fmt: skip
+               if (student, scene) not in students_and_scenes]  # fmt: skip
     unused = [HandIn("", scene, None, path, "nobody has handed in a picture of it")
-              for scene, path in path_of_scene.items() if scene not in found_scenes]  # fmt: skip
+              for scene, path in path_by_scene.items() if scene not in found_scenes]  # fmt: skip
     return matched + missing + unused
 
 
@@ -144,7 +144,7 @@ def _find_references(references: Path) -> dict[str, Path]:
 
 
 def _match_hand_in(
-    picture: Path, folder: Path, references: Path, path_of_scene: dict[str, Path]
+    picture: Path, folder: Path, references: Path, path_by_scene: dict[str, Path]
 ) -> HandIn:
     """Determine which student handed in a picture, and of which scene, from its path.
 
@@ -160,7 +160,7 @@ def _match_hand_in(
     references : Path
         The scene, the reference picture, or the folder of these.  A single scene or reference
         picture is used for every file name.
-    path_of_scene : dict of str to Path
+    path_by_scene : dict of str to Path
         The scenes and reference pictures by name in lower case.
 
     Returns
@@ -173,16 +173,16 @@ def _match_hand_in(
     if _is_file(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
     name = _COPY.sub("", _base_name(picture))
-    scenes = [scene for scene in path_of_scene
+    scenes = [scene for scene in path_by_scene
               if re.search(rf"(?<![^\W_]){re.escape(scene)}(?![^\W_])", name)]  # fmt: skip
     if scenes or not references.is_dir():
-        scene = max(scenes, key=len) if scenes else next(iter(path_of_scene))
+        scene = max(scenes, key=len) if scenes else next(iter(path_by_scene))
         student = student or name.replace(scene, " ", 1).strip(" _-.") or picture.parent.name
-        return HandIn(student, scene, picture, path_of_scene[scene])
+        return HandIn(student, scene, picture, path_by_scene[scene])
     error = f"no scene or picture in {references} has this name"
     words = (name, name.rpartition("_")[2])
-    similar = [near for word in words for near in difflib.get_close_matches(word, path_of_scene, 1)]
-    error += f"; did you mean {path_of_scene[similar[0]].name}?" if similar else ""
+    similar = [near for word in words for near in difflib.get_close_matches(word, path_by_scene, 1)]
+    error += f"; did you mean {path_by_scene[similar[0]].name}?" if similar else ""
     return HandIn(student or picture.parent.name, "", picture, None, error)
 
 
