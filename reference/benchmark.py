@@ -368,10 +368,10 @@ def benchmark_frames(quick: bool) -> str:
     first_timing = timings["tracer, 1 process"]
     return format_section(
         f"{frame_count} frames of {size[0]}×{size[1]}",
-        "Milliseconds per frame: files are read, one sample per pixel is rendered, and PNG files"
-        f" are written, from the shell, on {count_processors()} processors. Starting the"
-        " programs is included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for"
-        " each frame. A speedup is over the first row.",
+        "Milliseconds per frame, from the shell: reading the files, rendering one sample per pixel,"
+        f" and writing PNG files, on {count_processors()} processors. Starting the programs is"
+        " included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for"
+        " each frame. Speedups are relative to the first row.",
         ("renderer", "time per frame", "speedup"),
         [(name, timing, compute_speedup(timing, first_timing)) for name, timing in timings.items()],
     )

@@ -349,7 +349,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
 
 
 def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
-    """Render a scene with one light using Mitsuba's built-in (stock) plugins, without fall-off.
+    """Render a scene with one light, which does not fall off, using Mitsuba's stock plugins.
 
     Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
     To undo the fall-off, Mitsuba also outputs the point that each pixel shows, and the radiance is
@@ -470,11 +470,11 @@ def _examine_exactly(
 ) -> tuple[Bools, Bools, Bools]:
     """Use exact arithmetic to decide which of two pictures is wrong where they differ.
 
-    A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
-    may not distinguish the two.  If surfaces coincide, the tracer must show the one that comes
-    first in the scene file; Mitsuba may show the first or the last.  A pixel that is right in both
-    pictures is a tie.  Pixels are examined in batches, until a batch contains one that is not a
-    tie.
+    A pixel is right if its radiance is exact for the scene, or for a scene so similar that the two
+    may be indistinguishable in float64.  If surfaces coincide, the tracer must show the one that
+    comes first in the scene file; Mitsuba may show the first or the last.  A pixel that is right in
+    both pictures is a tie.  Pixels are examined in batches, until a batch contains one that is not
+    a tie.
 
     Parameters
     ----------
@@ -521,7 +521,7 @@ def _examine_exactly(
 
 
 def _similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene, and variations that float64 arithmetic may not distinguish from it.
+    """Yield a scene, and variations of it that may be indistinguishable in float64.
 
     Two variations shift the samples by 1e-6 of a pixel; two others make all spheres larger or
     smaller by 1e-12 of their radius.

@@ -81,7 +81,7 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
 
 
 def _create_nameless_file(folder: str, part_path: str) -> IO[bytes]:
-    """Create a nameless file, or a file at `part_path` if the system has no nameless files.
+    """Create an unnamed file or, where unnamed files are not supported, one at `part_path`.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def _create_nameless_file(folder: str, part_path: str) -> IO[bytes]:
         If neither kind of file can be created.
     """
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
-        with suppress(OSError):  # some file systems have no nameless files
+        with suppress(OSError):  # some file systems do not support unnamed files
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
     return open(part_path, "xb")
 

@@ -459,7 +459,7 @@ class Submission:
                 cached[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
-        """Count the pixels in which the submitted picture differs from the picture of a cause.
+        """Count the pixels in which the submitted picture differs from what a cause produces.
 
         Parameters
         ----------

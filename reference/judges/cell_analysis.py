@@ -403,8 +403,8 @@ class CellAnalysis:
 
         A pair is one face in one cell.  Pairs whose face is known to cover the cell are skipped.
 
-        Conditions 1 to 4 apply to sides of boxes: the point where the ray meets the plane of the
-        side is on the inner side of each of the side's four edges.  Conditions 5 and 6 apply to
+        Conditions 1 to 4 apply to the faces of boxes: the ray meets the plane of the face at a
+        point inside each of the face's four edges.  Conditions 5 and 6 apply to
         spheres that do not contain the eye: the centre is in front of the eye, and the line that
         contains the ray meets the sphere.
 

@@ -539,14 +539,14 @@ class _Picture:
         return cells.select_cells(is_pending)
 
     def is_accurate(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
-        """Decide which cells are accurate enough to be added without further division.
+        """Decide which cells are added to the picture without further division.
 
-        A cell is accurate enough if one of these is true:
+        A cell is added if one of these is true:
 
         1.  If all pending cells of its pixel were added now, the pixel's error would be within the
             limit.
-        2.  Its error is at most the average error still permitted in the pending cells of its
-            pixel.
+        2.  Its error is at most the error that its pixel may still have, divided by the total area
+            of the pixel's pending cells.
         3.  It has the minimum width, or its pixel has at least `_MAX_PENDING_CELLS` cells in
             `cells`.
 

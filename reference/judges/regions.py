@@ -69,8 +69,8 @@ class Strips(NamedTuple):
 def _find_point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
     """Take one Newton step from the cell's centre towards a zero of each polynomial.
 
-    The step is shortened if it would leave the cell.  Any point is valid, but the closer it is to
-    the zero, the narrower is the strip that `enclose_in_strips` computes from it.
+    The step is shortened if it would leave the cell.  `enclose_in_strips` works with any point, but
+    the closer the point is to the zero, the narrower is the strip.
 
     Parameters
     ----------

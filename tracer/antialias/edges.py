@@ -307,8 +307,8 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the two
-            surfaces.
+            lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets one surface at
+            t1 * ray, and the other at t2 * ray.
         """
         sample = self.hits.sample
         hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
@@ -351,8 +351,8 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the
-            visible surface and the face.
+            lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the visible
+            surface at t1 * ray, and the face at t2 * ray.
         """
         prepared, hit_object = hidden_hits.prepared, hidden_hits.hit_object
         frame, boxes = prepared.frame, prepared.boxes
@@ -388,8 +388,8 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the two
-            faces.
+            lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the planes of the
+            two faces at t1 * ray and t2 * ray.
         """
         prepared, frame = self.hits.prepared, self.hits.prepared.frame
         corners = prepared.boxes.min_pt, prepared.boxes.max_pt
@@ -434,8 +434,8 @@ class CellSurfaces(NamedTuple):
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
-            lower right corner.  It is 1 / t1 - 1 / t2, where t1 * ray and t2 * ray lie on the
-            visible surface and the plane.
+            lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the visible
+            surface at t1 * ray, and the plane at t2 * ray.
         """
         for batch in index_batches(indices(is_near)):
             ray, inverse_t = self.trace_rays(hit_index[batch])

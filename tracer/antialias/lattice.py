@@ -138,7 +138,8 @@ class Lattice(NamedTuple):
             Mean radiance of each pixel.
         """
         sample_radiance = radiance.reshape(3, -1, self.rows, width, self.columns)
-        # Add row by row: the order in which NumPy sums along an axis depends on the width.
+        # Add row by row.  NumPy's order of summation along an axis depends on the width, so the
+        # last digits of a pixel would depend on the rectangle.
         row_sum = sample_radiance[:, :, 0].copy()
         for sample_row in range(1, self.rows):
             row_sum += sample_radiance[:, :, sample_row]

@@ -59,7 +59,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def parse_path(argument: str) -> str:
-    """Check that a command-line argument can be the path of a file: that it is not empty.
+    """Check that a command-line argument, the path of a file, is not empty.
 
     Parameters
     ----------

@@ -105,9 +105,12 @@ def _make_parser() -> CommandParser:
     """Create the command-line parser of ``tracer``, with all options and their help texts."""
     parser = CommandParser(__name__, prog="tracer")
     add_argument = parser.add_argument
-    integer, size_rule = "([1-9][0-9]{0,8})", "width and height in pixels, as 640x360 or 640"
-    parse_size = _make_int_parser(f"{integer}(?:x{integer})?", size_rule)
-    parse_pixel = _make_int_parser("([0-9]{1,9}),([0-9]{1,9})", "column and row, as 160,90")
+    size_pattern = "([1-9][0-9]{0,8})(?:x([1-9][0-9]{0,8}))?"
+    size_rule = "a width, or a width and a height, in pixels (640 or 640x360)"
+    parse_size = _make_int_parser(size_pattern, size_rule)
+    parse_pixel = _make_int_parser(
+        "([0-9]{1,9}),([0-9]{1,9})", "a column and a row (for example 160,90)"
+    )
     add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml", help=_HELP["scenes"])
     add_argument("-o", "--output", type=parse_path, metavar="PATH", help=_HELP["output"])
     add_argument("--format", choices=FORMATS, help=_HELP["format"])
@@ -206,10 +209,14 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
         if os.path.splitext(scene)[1][1:].lower() in FORMATS:
             parser.error(f"{scene}: a picture is not a scene; to write it, use -o {scene}")
     if "-" in scenes and (output is None or watch):
-        parser.error("-: a picture of standard input needs a name, with -o, and no --watch")
+        parser.error(
+            "-: a scene read from standard input needs -o, and cannot be used with --watch"
+        )
     if output == "-":
         if len(scenes) > 1 or watch:
-            parser.error("-o -: standard output takes the picture of one scene, and no --watch")
+            parser.error(
+                "-o -: only one scene can be written to standard output, and not with --watch"
+            )
         if file_format == "exr":
             parser.error("-o -: an EXR file cannot go to standard output")
         if sys.stdout is not None and sys.stdout.isatty():

@@ -172,7 +172,7 @@ def end_on_signals() -> None:
 
 def _end_now(_number: int, _frame: object) -> NoReturn:
     """Handle a signal: remove part files (incomplete output files), and end this process."""
-    # Not by an exception: a KeyboardInterrupt would be lost in a finalizer or after a fork, and
-    # NumPy or a plugin would report it as an error of its own.
+    # A KeyboardInterrupt is not raised, because it would be lost in a finalizer or after a fork,
+    # and NumPy or a plugin might turn it into a different error.
     remove_part_files()
     os._exit(INTERRUPTED)

@@ -78,8 +78,8 @@ class Progress:
         Returns
         -------
         bar : tqdm.tqdm or False
-            The bar; False if tqdm is not installed, or environment variables contain invalid
-            settings for tqdm, because this must not make a command fail.
+            The bar; False if tqdm is not installed, or its environment variables are invalid.
+            Neither should make a command fail.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
@@ -87,7 +87,7 @@ class Progress:
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
             options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
             bar = tqdm(total=self._total, unit=self._unit, **options)
-            # The remaining time follows from all the time so far, and the first update is shown.
+            # Estimate the remaining time from all the time so far, and show the first update.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False

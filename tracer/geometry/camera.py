@@ -380,8 +380,8 @@ class ScreenBounds(NamedTuple):
         def covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
             """Return the smallest slice of the picture's pixels that covers all intervals.
 
-            Interval i extends from starts[i] to stops[i], in pixels, and is enlarged by one pixel
-            at both ends.  The picture has `pixel_count` pixels in this direction.
+            Each interval, from starts[i] to stops[i] in pixels, is first enlarged by one pixel at
+            each end.  Along the axis of the intervals, the picture has `pixel_count` pixels.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))

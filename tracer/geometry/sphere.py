@@ -97,7 +97,7 @@ class Spheres:
         Returns
         -------
         spheres : Spheres
-            All n spheres, with their positions relative to the eye and bounding rectangles.
+            All n spheres, with their bounding rectangles, and their positions relative to the eye.
         """
         center, radius = surfaces.center.T.copy(), surfaces.radius
         from_eye = frame.points_to_camera(surfaces.center)

@@ -24,11 +24,13 @@ _LARGE_PAGE_BYTES = 1 << 27
 
 @cache
 def keep_freed_memory() -> None:
-    """Make the C library glibc keep freed memory, in large pages, for the next arrays.
+    """Make glibc keep freed memory, in large pages, so that later arrays can reuse it.
 
-    By default, glibc returns free memory at the end of the heap to the system, and getting it back
-    takes longer than the arithmetic on it.  The setting applies to this process and to processes
-    forked from it.  A second call has no effect, nor has any call with another C library.
+    By default, glibc, the C library of Linux, returns free memory at the end of the heap to the
+    system.  Asking for it again costs more than the arithmetic itself.
+
+    The setting applies to this process and to processes forked from it.  A
+    second call has no effect, nor has any call with another C library.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt

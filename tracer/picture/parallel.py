@@ -342,7 +342,7 @@ def _init_worker(initializer: Callable[[], None] | None) -> None:
     Parameters
     ----------
     initializer : callable or None
-        Called at the end, without arguments.
+        Called last, without arguments.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

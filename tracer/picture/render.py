@@ -219,7 +219,7 @@ def render_tiles(
     data : object
         The result of `encode` for one tile (a rectangle of pixels).
     exposure : Exposure
-        Counts of all, lit (not black) and clipped (brighter than 1) pixels in the tile.
+        The tile's pixel counts: total, lit (not black) and clipped (brighter than 1).
     """
     worker_count = pool.worker_count if pool else 0
     render_tile = partial(job.render_encoded_tile, encode)
@@ -380,7 +380,7 @@ class RenderJob:
         data : object
             The result of `encode`.
         exposure : Exposure
-            Counts of all, lit (not black) and clipped (brighter than 1) pixels in the tile.
+            The tile's pixel counts: total, lit (not black) and clipped (brighter than 1).
         """
         radiance = self.render_tile(rectangle)
         data = encode(radiance, from_left=rectangle[1].start == 0)

@@ -465,10 +465,9 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """The permutation from the order of the file to that of the arrays: (S + B,) int array.
+        """For each surface, in file order, its index in the arrays: (S + B,) int array.
 
-        Item i is the index of the file's i-th surface in the arrays, which contain S spheres, then
-        B boxes.  This is the inverse permutation of `file_index`.
+        The arrays contain S spheres, then B boxes.  This is the inverse of `file_index`.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)

@@ -139,7 +139,7 @@ class _Reader:
         self.definition_lines = array("i", [1])
 
     def report_at(self, line: int, tag: str, message: str) -> None:
-        """Add an error to the list of errors, at a line of the file.
+        """Record an error in the given line of the file.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class _Reader:
         self.errors.append((line, f"{shortened(tag)}: {message}"))
 
     def report(self, element: Element, message: str) -> None:
-        """Add an error to the list of errors, at the line where an element begins.
+        """Record an error in the line where an element begins.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class _Reader:
         Parameters
         ----------
         element : Element
-            The root, without children.
+            The root element, whose children have not been read yet.
 
         Raises
         ------

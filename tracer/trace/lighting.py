@@ -130,7 +130,8 @@ def _compute_accurate_highlight(
     e = map3(np.subtract, normal, scale3(directions_sum, 1 / np.sqrt(length2)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
-    # If the directions are opposite, the light grazes the surface, and their sum is mere rounding.
+    # If the directions are opposite, both lie in the tangent plane, and their sum is nothing but
+    # rounding error.
     return np.where(length2 > MIN_HALF_LENGTH2, strength, 0.0)
 
 
@@ -236,9 +237,9 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, reflected, glossy, specular in self.reflection_terms():
-            reflected[glossy] += specular  # it was the diffuse radiance before
-            out[channel][self._hits.sample] = reflected
+        for channel, radiance, glossy, specular in self.reflection_terms():
+            radiance[glossy] += specular  # until here, `radiance` was only the diffuse term
+            out[channel][self._hits.sample] = radiance
         return out
 
 

@@ -291,8 +291,8 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's only sample.  Both are the same array, so that y[row] is the
-            vertical position of the span.
+            Index of each span's only sample, returned twice: each scattered sample is a row of its
+            own, so that y[row] is the vertical position of the span.
         count : None
             None means that each span has one sample.
         """

@@ -143,8 +143,9 @@ class _Intersections(NamedTuple):
         """Divide hits into runs, and return the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  Runs of scattered samples also end at the borders of squares of `_RUN_WIDTH`
-        pixels, and at the borders of layers of depth (see `CameraFrame.depth_layer`).
+        object.  Runs of scattered samples also end at the borders of strips that are `_RUN_WIDTH`
+        pixels wide and one pixel high, and at the borders of layers of depth (see
+        `CameraFrame.depth_layer`).
 
         Parameters
         ----------

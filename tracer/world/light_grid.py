@@ -495,8 +495,8 @@ def _choose_cells_per_side(
     """Choose the number of cells along each side of the patches of a light grid.
 
     A patch is a square array of cells, each of which lists objects.  A patch has about as many
-    cells as there are objects, but three numbers are limited: (1) cells in a patch, (2) cells in
-    all patches together, and (3) list items per light, on average.
+    cells as there are objects, subject to limits on (1) the cells in a patch, (2) the cells in all
+    patches together, and (3) the mean number of list items per light.
 
     Parameters
     ----------
@@ -524,8 +524,8 @@ def _fill_lists(
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
     A patch of directions is divided into side x side cells.  Each cell has four lists of entries.
-    An entry goes into one of them, depending on whether the cell is in the first column, and in the
-    first row, of the entry's rectangle: see `_LIST_OF_PLACE`.
+    Which of them contains the entry depends on two things: whether the cell is in the first column
+    of the entry's rectangle, and whether it is in the first row.  See `_LIST_OF_PLACE`.
 
     Parameters
     ----------

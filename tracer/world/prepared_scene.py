@@ -254,12 +254,12 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
         Whether an object with the same geometry comes earlier in the file.  The elements for
         spheres come first, then those for boxes.
     """
-    radius, box_numbers = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
-    # Six numbers describe each object.  For spheres, the last is infinity, which it never is for
-    # boxes, so no sphere equals a box.
-    sphere_numbers = [*surfaces.center.T, radius, radius, radius + np.inf]
-    geometry = np.concatenate([sphere_numbers, box_numbers], axis=1)
-    # Sort by a hash, then by the order of the file: duplicates become neighbours, in this order.
+    radius, box_parameters = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
+    # Six numbers describe each object.  The last is infinite for spheres and finite for boxes,
+    # so no sphere equals a box.
+    sphere_parameters = [*surfaces.center.T, radius, radius, radius + np.inf]
+    geometry = np.concatenate([sphere_parameters, box_parameters], axis=1)
+    # Sort by a hash, then by file order, so that duplicates are adjacent, the earliest first.
     geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
     sorted_index = np.lexsort((surfaces.file_index, geometry_hash))
     is_duplicate = np.empty(sorted_index.size, dtype=np.bool_)
