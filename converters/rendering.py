@@ -73,10 +73,10 @@ def render_mitsuba(
         If the picture needs 2^32 samples or more, or the scene cannot be converted.
     """
     samples_per_side = isqrt((samples or DEFAULT_SAMPLES[flavour]) - 1) + 1
-    sample_count = scene.width * scene.height * samples_per_side**2
-    if sample_count > _MAX_SAMPLES:
+    total_sample_count = scene.width * scene.height * samples_per_side**2
+    if total_sample_count > _MAX_SAMPLES:
         raise ValueError(
-            f"{sample_count} samples are too many: Mitsuba allows at most {_MAX_SAMPLES};"
+            f"{total_sample_count} samples are too many: Mitsuba allows at most {_MAX_SAMPLES};"
             " use fewer per pixel"
         )
     return load_converted(convert(scene, flavour, samples), variant)().image

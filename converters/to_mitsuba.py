@@ -33,7 +33,7 @@ from tracer.command.arguments import (
     CommandParser,
     choose_output_paths,
     make_output_folder,
-    parse_path,
+    nonempty_path,
     parse_positive_int,
 )
 from tracer.command.failure import Failure, describe_cause, errors_as_failure
@@ -204,11 +204,11 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         The command-line parser, to which SCENE.xml, -o and --variant are added.
     """
-    parser.add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=nonempty_path, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
         "--output",
-        type=parse_path,
+        type=nonempty_path,
         metavar="PATH",
         help="the file to write, or a folder if there are several scenes;"
         " a folder that ends in / is created if it is missing",

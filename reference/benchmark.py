@@ -363,9 +363,9 @@ def benchmark_frames(quick: bool) -> str:
     frame_count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     renderer_commands = write_frames_and_commands(frame_count, size)
     tasks = {name: partial(run_commands, commands) for name, commands in renderer_commands.items()}
-    timings = time_interleaved(tasks, ROUNDS)
-    timings = {name: timing.divided_by(frame_count) for name, timing in timings.items()}
-    first_timing = timings["tracer, 1 process"]
+    total_timings = time_interleaved(tasks, ROUNDS)
+    timings = {name: timing.divided_by(frame_count) for name, timing in total_timings.items()}
+    baseline = timings["tracer, 1 process"]
     return format_section(
         f"{frame_count} frames of {size[0]}×{size[1]}",
         "Milliseconds per frame, from the shell: reading the files, rendering one sample per pixel,"
@@ -373,7 +373,7 @@ def benchmark_frames(quick: bool) -> str:
         " included. Mitsuba and POV-Ray use all processors; POV-Ray starts anew for"
         " each frame. Speedups are relative to the first row.",
         ("renderer", "time per frame", "speedup"),
-        [(name, timing, compute_speedup(timing, first_timing)) for name, timing in timings.items()],
+        [(name, timing, compute_speedup(timing, baseline)) for name, timing in timings.items()],
     )
 
 

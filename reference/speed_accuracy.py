@@ -211,7 +211,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
         The scenes, by the titles of their panels.
     """
     sticks = load_scene(SCENES / "sticks-perspective.xml")
-    scenes = [
+    panels = [
         ("one-sphere", load_scene(SCENES / "one-sphere.xml"), 300, 300),
         ("four-spheres", load_scene(SCENES / "four-spheres.xml"), 320, 180),
         ("sticks-perspective", sticks, 320, 180),
@@ -220,7 +220,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
     ]
     return {
         f"{name}, {width}×{height}": resize_picture(scene, width, height)
-        for name, scene, width, height in (scenes[1:2] if quick else scenes)
+        for name, scene, width, height in (panels[1:2] if quick else panels)
     }
 
 

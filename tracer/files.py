@@ -62,7 +62,7 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
     part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
     _part_files.add(part_path)
     try:
-        with _create_nameless_file(folder, part_path) as file:
+        with _create_unnamed_file(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
                 descriptor_path = f"/proc/self/fd/{file.fileno()}"
@@ -80,14 +80,14 @@ def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes
         _part_files.discard(part_path)
 
 
-def _create_nameless_file(folder: str, part_path: str) -> IO[bytes]:
-    """Create an unnamed file or, where unnamed files are not supported, one at `part_path`.
+def _create_unnamed_file(folder: str, fallback_path: str) -> IO[bytes]:
+    """Create an unnamed file or, where unnamed files are not supported, one at `fallback_path`.
 
     Parameters
     ----------
     folder : str
         Folder in whose file system the file is created.
-    part_path : str
+    fallback_path : str
         Path of the file if it must have a name.
 
     Returns
@@ -103,7 +103,7 @@ def _create_nameless_file(folder: str, part_path: str) -> IO[bytes]:
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # some file systems do not support unnamed files
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
-    return open(part_path, "xb")
+    return open(fallback_path, "xb")
 
 
 def remove_part_files() -> None:

@@ -498,9 +498,8 @@ class _Picture:
     def add_accurate_cells(self, cells: Cells) -> Cells:
         """Add to the picture the cells whose radiance is accurate enough, and return the others.
 
-        A cell of at most one pixel is accurate enough if `is_accurate` accepts its error.  A wider
-        cell is accurate enough if it shows a single face, and each light reaches all or nothing of
-        this face.
+        For cells of at most one pixel, `is_final` decides.  A wider cell is accurate enough if it
+        shows a single face, and each light reaches all or nothing of this face.
 
         Parameters
         ----------
@@ -531,14 +530,14 @@ class _Picture:
         self.add(cells, cells.pair_cell[smooth_pair], cells.radiance[smooth_pair])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
-            is_accurate = self.is_accurate(cells, estimates.error, is_pending)
-            finished = np.flatnonzero(is_pending & is_accurate)
+            is_final = self.is_final(cells, estimates.error, is_pending)
+            finished = np.flatnonzero(is_pending & is_final)
             mean = enclose_constants(estimates.mean[:, finished], estimates.error[finished])
             self.add(cells, finished, mean)
             is_pending[finished] = False
         return cells.select_cells(is_pending)
 
-    def is_accurate(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
+    def is_final(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
         """Decide which cells are added to the picture without further division.
 
         A cell is added if one of these is true:
@@ -561,8 +560,8 @@ class _Picture:
 
         Returns
         -------
-        is_accurate : (c,) bool array
-            Whether the cell is accurate enough.
+        is_final : (c,) bool array
+            Whether the cell is added now.
         """
         area = is_pending * np.float64(cells.width**2)
         pixel, pixel_number = np.unique(self.pixel_index(cells), return_inverse=True)

@@ -66,7 +66,7 @@ class Strips(NamedTuple):
         return np.asarray(np.fmin(self.half_width / max_slope, 1))
 
 
-def _find_point_near_zero(coef: Floats) -> tuple[Floats, Floats]:
+def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     """Take one Newton step from the cell's centre towards a zero of each polynomial.
 
     The step is shortened if it would leave the cell.  `enclose_in_strips` works with any point, but
@@ -121,7 +121,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     """
     coef = functions.coef
     coef_1, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
-    x, y = _find_point_near_zero(coef)
+    x, y = _take_newton_step(coef)
     v = coef_1 + coef[X] * x + coef[Y] * y
     v = v + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
     a = coef[X] + 2 * coef_xx * x + coef_xy * y

@@ -58,7 +58,7 @@ class CommandParser(argparse.ArgumentParser):
         super().error(printable(message))
 
 
-def parse_path(argument: str) -> str:
+def nonempty_path(argument: str) -> str:
     """Check that a command-line argument, the path of a file, is not empty.
 
     Parameters

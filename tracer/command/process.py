@@ -170,7 +170,7 @@ def end_on_signals() -> None:
             signal.signal(signal_number, _end_now)
 
 
-def _end_now(_number: int, _frame: object) -> NoReturn:
+def _end_now(_signal_number: int, _frame: object) -> NoReturn:
     """Handle a signal: remove part files (incomplete output files), and end this process."""
     # A KeyboardInterrupt is not raised, because it would be lost in a finalizer or after a fork,
     # and NumPy or a plugin might turn it into a different error.

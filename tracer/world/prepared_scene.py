@@ -26,7 +26,11 @@ Shape: TypeAlias = Spheres | Boxes
 
 # Maximum number of pairs of a sample and an object on its ray in one batch of samples; maximum
 # number of lights, and of pairs of a light and an object, in one batch of lights.
-_MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
+_MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = (
+    12 * BATCH_SIZE,
+    4,
+    4 * BATCH_SIZE,
+)
 
 # Once the cache of light batches has at least this many bytes, no batches are added.  Preparing
 # the other batches again takes less time than the work for which they are prepared.
