@@ -273,7 +273,7 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
     scene : Scene
         The scene to convert.
     samples : int
-        Number of samples per pixel.  A single sample is taken at the pixel's centre.
+        Number of samples per pixel.  If it is 1, the sample is at the pixel's centre.
 
     Returns
     -------

@@ -267,7 +267,7 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
     Returns
     -------
     result : CheckResult
-        Both pictures, the figures of their difference, and the verdict.
+        Both pictures, statistics on how they differ, and the verdict.
 
     Raises
     ------
@@ -298,7 +298,7 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     Returns
     -------
     result : CheckResult
-        Both pictures, the figures of their difference, and the verdict.
+        Both pictures, statistics on how they differ, and the verdict.
 
     Raises
     ------
@@ -330,7 +330,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
     Returns
     -------
     result : CheckResult
-        Both pictures, the figures of their difference, and the verdict.
+        Both pictures, statistics on how they differ, and the verdict.
 
     Raises
     ------
@@ -413,7 +413,7 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     Returns
     -------
     result : CheckResult
-        Both pictures, the figures of their difference, and the verdict.
+        Both pictures, statistics on how they differ, and the verdict.
 
     Raises
     ------
@@ -622,7 +622,7 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
     Returns
     -------
     result : CheckResult
-        Both pictures, the figures of their difference, and the verdict.
+        Both pictures, statistics on how they differ, and the verdict.
 
     Raises
     ------

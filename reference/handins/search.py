@@ -195,7 +195,7 @@ class MistakeRenderer:
     def make_cache(
         self, pixels: Array, submitted_codes: Array, fitting_cache: FormulaCache | None = None
     ) -> FormulaCache:
-        """Create a cache that computes formulas, such as the radiance, at some pixels.
+        """Create a cache that evaluates formulas, such as the radiance, at the given pixels.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class MistakeRenderer:
         submitted_codes : (3, n) uint8 array
             Codes of all n pixels of the submitted picture.
         fitting_cache : FormulaCache, optional
-            The cache whose pixels are used to estimate numbers such as a gamma.  By default,
+            The cache whose pixels are used to fit parameters such as gamma.  By default,
             `pixels` are used.
         """
         row, column = np.divmod(pixels, self.width)
@@ -231,7 +231,7 @@ class MistakeRenderer:
         submitted_codes : (3, n) uint8 array, optional
             Codes of all n pixels of the submitted picture; by default, black.
         fitting_cache : FormulaCache, optional
-            The cache whose pixels are used to estimate numbers such as a gamma.  By default, each
+            The cache whose pixels are used to fit parameters such as gamma.  By default, each
             batch of `pixels` is used.
         formula : str
             Name of the formula to evaluate; by default, the 8-bit codes.
@@ -357,7 +357,7 @@ class Submission:
     wrong_count, clearly_wrong_count : int
         Number of wrong pixels, and of pixels that differ by more than one level.
     fitting_cache : FormulaCache
-        The cache whose pixels are used to estimate numbers such as a gamma: a sample of the
+        The cache whose pixels are used to fit parameters such as gamma: a sample of the
         picture, and the brightest pixel.
     """
 

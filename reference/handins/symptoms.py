@@ -83,7 +83,7 @@ def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
 
 
 def is_speckled(submission: Submission) -> bool:
-    """Test whether rounding makes surfaces shadow themselves, in random dark dots.
+    """Test whether rounding causes shadow acne: random dark dots where surfaces shadow themselves.
 
     Surfaces have such dots if (1) nearly all wrong pixels lack light; and (2) along rows and along
     columns, neighbouring pixels of a surface differ nearly as often as if each pixel were dark by

@@ -243,10 +243,10 @@ class CellAnalysis:
         return u, b
 
     def _enclose_functions(self, pair: Ints, u: Enclosures, v: Enclosures | Floats) -> Enclosures:
-        """Enclose functions u + v s, where s is the square-root term of a face's inverse distance.
+        """Enclose functions u + v s over cells, where s depends on the ray and the surface.
 
-        The ray with direction d meets the face at the distance t, where 1 / t = k.d + s with a
-        constant vector k.  For planes, s is 0.
+        The ray with direction d meets the surface at the distance t, where 1 / t = k.d + s with a
+        constant vector k.  For spheres, s is a square root; for planes, it is 0.
 
         Parameters
         ----------

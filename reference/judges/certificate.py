@@ -412,7 +412,7 @@ class _Picture:
     """
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
-        """Prepare a scene for certification, and create a black picture.
+        """Prepare to bound the errors of a scene's picture, and start with a black picture.
 
         Parameters
         ----------

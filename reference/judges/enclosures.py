@@ -110,9 +110,9 @@ class Enclosures:
         return low, high
 
     def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Add numbers, or quantities that belong to the same surfaces.
+        """Add numbers, or other enclosures whose i-th elements are for the same surfaces.
 
-        Each enclosure contains an unknown number Z from -1 to 1, which is the same for all
+        Each enclosure is a function of an unknown number Z from -1 to 1, which is the same for all
         quantities of one surface.  So the coefficients of Z are added.  The unknowns of different
         surfaces are independent: see `subtract_independent`.
 
@@ -134,13 +134,13 @@ class Enclosures:
         return Enclosures(coef)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
-        """Subtract quantities that belong to the same surfaces and thus share the unknown Z."""
+        """Subtract enclosures whose i-th elements are for the same surfaces, with the same Z."""
         return self + other * -1.0
 
     def subtract_independent(self, other: Enclosures) -> Enclosures:
         """Subtract quantities that belong to other surfaces.
 
-        Each enclosure contains an unknown number Z from -1 to 1.  The unknowns of different
+        Each enclosure is a function of an unknown number Z from -1 to 1.  The unknowns of different
         surfaces are independent and do not cancel.  So the absolute values of both coefficients of
         Z are added to the error bound (row RADIUS) of the difference.
 
@@ -159,7 +159,7 @@ class Enclosures:
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Multiply by numbers, or by quantities that belong to the same surfaces.
+        """Multiply by numbers, or by enclosures whose i-th elements are for the same surfaces.
 
         The product of two polynomials also has terms that an enclosure cannot represent: terms of
         degree three and four in X and Y, and products with the unknown Z.  The largest absolute

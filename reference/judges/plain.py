@@ -528,8 +528,8 @@ class _PlainTracer:
             ray_origin, min_length = self.start_shadow_rays(*candidates)
             is_blocked = self.is_blocking(i, ray_origin, light, min_length)
             if self.skips_own_object:
-                # A surface around the eye blocks light from outside; any other surface never
-                # shadows its own points.
+                # A surface that encloses the eye shadows its own points if the light is outside of
+                # it; no other surface does.
                 shadows_itself = is_eye_inside and self.signed_distance(i, light)[0] >= 0
                 is_blocked = np.where(surface_index[index] == i, shadows_itself, is_blocked)
             is_lit[index] = ~is_blocked

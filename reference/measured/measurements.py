@@ -118,7 +118,7 @@ def make_command_task(command: Sequence[str]) -> Task:
     Returns
     -------
     task : callable
-        Function that runs the command until it ends, and raises CalledProcessError if it fails.
+        Function that runs the command, waits for it, and raises CalledProcessError if it fails.
     """
     environment = {**os.environ}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)

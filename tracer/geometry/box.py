@@ -165,7 +165,7 @@ class Boxes:
             its surface, this is the distance at which the ray leaves the box.
         face_code : (n,) int8 array
             The face at this distance: twice the axis (0, 1 or 2) to which the face is
-            perpendicular, plus 1 if the normal on the eye's side points up this axis.
+            perpendicular, plus 1 if the normal that faces the eye has a positive component.
         """
         frame, box_index = self.frame, self.objects.positions(object_index)
         enter_ts, leave_ts, face_codes = [], [], []
@@ -221,7 +221,7 @@ class Boxes:
             Ignored; present because `Spheres.tangent_planes` needs them.
         face_code : (n,) int8 array
             Second result of `intersect` for the ray through each hit: twice the axis of the face,
-            plus 1 if its normal points up this axis.
+            plus 1 if its normal has a positive component.
 
         Returns
         -------
@@ -232,7 +232,7 @@ class Boxes:
         level : (runs,) float array
             Coordinate of the face along its axis, in scene axes.
         normal : tuple of three (runs,) float arrays
-            Unit normals on the side of the eye, in camera axes.
+            Unit normals that face the eye, in camera axes.
         eye_height : (runs,) float array
             Distance of the eye from the plane of the face.
         """

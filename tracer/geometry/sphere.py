@@ -284,7 +284,7 @@ class Spheres:
             Coordinate of the face along its axis, in scene axes; for spheres, a meaningless
             0-dimensional array.
         normal : tuple of three float arrays
-            Unit normals on the side of the eye, in camera axes: (n,) for spheres, (runs,) for
+            Unit normals that face the eye, in camera axes: (n,) for spheres, (runs,) for
             boxes.
         eye_height : float array
             Distance of the eye from the tangent plane: (n,) for spheres, (runs,) for boxes.

@@ -300,7 +300,7 @@ def _explain_light(
         The cosines, the surfaces that block the light, and the radiance that the light adds.
     """
     is_facing_light = compute_light_geometry(hit, prepared_light).n_dot_l.item() > 0
-    # A surface that faces away from the light blocks the light itself.
+    # A surface that faces away from the light is its own occluder.
     occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
     for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).reflection_terms():

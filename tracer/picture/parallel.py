@@ -76,7 +76,7 @@ class Distribution(Generic[_Item, _Result]):
     to take, this process repeats the items that the executor has not finished, first those that no
     worker has begun.  Before it repeats an item that a worker has begun, it waits for the worker
     for as long as its own slowest item took.  If the executor fails to process an item for any
-    reason, this process processes it.
+    reason, it is processed in this process.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Distribution(Generic[_Item, _Result]):
         Processes some of the items.  By default, this process does all the work.
     accepts : callable
         Validates a result of the executor: called with the item and the result.  If it returns
-        False, this process processes the item instead.  By default, all results are accepted.
+        False, the item is processed again in this process.  By default, all results are accepted.
 
     Notes
     -----

@@ -35,7 +35,7 @@ def parse_numbers(text: str, count: int) -> list[float]:
     text : str
         The text.
     count : int
-        Required number of numbers, at least 1.
+        How many numbers the text must contain, at least 1.
 
     Returns
     -------
@@ -200,7 +200,7 @@ class Table:
         Yields
         ------
         instance : object of the dataclass
-            The object of the next row.
+            The instance made from the next row.
         """
         values = {name: column.list_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):

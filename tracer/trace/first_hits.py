@@ -30,7 +30,7 @@ class FirstHits:
     distance : (...) float array
         Distance of the point from the eye; infinity if the ray meets no surface.
     normal : (..., 3) float array
-        Unit normal on the side of the eye; NaN if the ray meets no surface.
+        Unit normal that faces the eye; NaN if the ray meets no surface.
     point : (..., 3) float array
         Position of the point; NaN if the ray meets no surface.
     """

@@ -40,7 +40,7 @@ class ShapeHits(NamedTuple):
         For boxes, the direction of each face's normal along this axis (1 or -1), and the coordinate
         of the face along this axis; meaningless for spheres.
     normal : tuple of three float arrays
-        Unit normals on the side of the eye, in camera axes: (runs,) for planar shapes, otherwise
+        Unit normals that face the eye, in camera axes: (runs,) for planar shapes, otherwise
         (n,).  `per_hit` converts either to (n,).
     eye_height : float array
         Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
@@ -161,7 +161,7 @@ class Hits(NamedTuple):
 
     @property
     def normal(self) -> Triple:
-        """Components (n,) of the unit normals on the side of the eye, in camera axes."""
+        """Components (n,) of the unit normals that face the eye, in camera axes."""
         group_normals = [map3(group.per_hit, group.normal) for group in self.groups]
         x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
         return x, y, z

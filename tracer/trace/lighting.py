@@ -171,13 +171,14 @@ class Shading:
         Parameters
         ----------
         geometry : LightGeometry
-            The lights, and the hits of this object.
+            The lights, and the hits to which they add light.
         is_lit : (lights, n) bool array
             Whether the light is visible from the hit.
         """
         for light_index, is_hit_lit in enumerate(is_lit):
             if self._with_ids:
-                # The factor is odd: with more lights than bits, the first lights still count.
+                # Multiplying by an odd number never shifts a light's bit out of the integer, so
+                # all lights affect the id, even if there are more lights than bits.
                 self.ids = self.ids * 3 + is_hit_lit
             if not is_hit_lit.any():
                 continue

@@ -314,7 +314,7 @@ def build_light_grid(
 def _choose_patches(
     octant: Ints, rectangle: Floats, octant_count: int
 ) -> tuple[Ints, Floats, Floats]:
-    """Choose a patch for each octant of directions that contains visible objects.
+    """Choose a patch of directions for each octant that contains visible objects.
 
     Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
     a rectangle in these coordinates that bounds the octant's visible objects except for outliers.
@@ -323,12 +323,12 @@ def _choose_patches(
     Parameters
     ----------
     octant : (n,) int array
-        Number of each rectangle's octant, in ascending order.
+        The octant number of each rectangle, in ascending order.
     rectangle : (4, n) float array
         Bounding rectangles of the parts of visible objects in each octant: minimum and maximum u,
         then minimum and maximum v.
     octant_count : int
-        Number of octants of all lights: 8 for each light.
+        Total number of octants: 8 for each light.
 
     Returns
     -------
