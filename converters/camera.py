@@ -133,8 +133,8 @@ def bounding_box(surfaces: Surfaces) -> Floats:
 def sample_visible_points(scene: Scene) -> Floats:
     """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
 
-    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a grid of more rays is tried, up to
-    two times.
+    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a finer grid is tried, at most
+    twice.
 
     Parameters
     ----------

@@ -195,7 +195,8 @@ def _convert_surfaces(
 ) -> list[Element]:
     """Convert all surfaces of a scene to Mitsuba shapes.
 
-    A flat box is made slightly thick, because Mitsuba cannot invert the transform of a flat cube.
+    A flat box is given a small thickness, because Mitsuba cannot invert the transform of a flat
+    cube.
 
     Parameters
     ----------

@@ -116,7 +116,7 @@ def format_section(
 
 
 def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Timing]:
-    """Time alternate renderings of a scene by the tracer and by Mitsuba, in this process.
+    """Time renderings of a scene that alternate between the tracer and Mitsuba, in this process.
 
     Parameters
     ----------

@@ -201,7 +201,7 @@ def _format_pixel_count(mask: Bools) -> str:
 
 
 def list_figures_out_of_tolerance(figures: Figures) -> list[str]:
-    """List the figures that are out of tolerance for two pictures that should be equal.
+    """Describe each measure by which two pictures that should be equal differ too much.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def check(path: Path, variant: str | None = None, flavour: str = "exact") -> Che
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare how the tracer and this project's Mitsuba plugins render all light in a scene.
+    """Compare the pictures of a scene by the tracer and by this project's Mitsuba plugins.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ _CLASS_COLORS = np.array([[0.86, 0.93, 0.98], [0.99, 0.86, 0.6], [0.94, 0.62, 0.
 
 
 def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows]:
-    """Load one of this project's scenes, change the picture's width, and prepare for rendering.
+    """Load one of this project's scenes, change the picture's width, and prepare it for rendering.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows
     prepared : PreparedScene
         The same scene, prepared for rendering.
     samples : Rows
-        The samples through the centres of all pixels.
+        The samples at the centres of all pixels.
     """
     scene = load_scene(SCENES / f"{name}.xml")
     scene = replace(scene, width=width, height=round(width * scene.height / scene.width))

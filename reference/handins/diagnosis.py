@@ -213,7 +213,8 @@ class Solution:
         Parameters
         ----------
         picture : Picture
-            The submitted picture.  Without a scene, it must have the size of the reference picture.
+            The submitted picture.  If the reference is a picture, not a scene, both must have the
+            same size.
 
         Returns
         -------

@@ -93,7 +93,7 @@ class _Condition(NamedTuple):
 def _enclose_cone(
     center: Floats, radius: Floats, sized_q: tuple[Floats, Floats], sized_w: tuple[Floats, Floats]
 ) -> tuple[Enclosures, Floats]:
-    """Enclose r^2 |q|^2 - |c x q|^2, which is positive at points inside the cone of a sphere.
+    """Bound r^2 |q|^2 - |c x q|^2 over cells: it is positive at points inside a sphere's cone.
 
     The double cone consists of all lines through an apex that meet the sphere.  Here r is the
     sphere's radius, c is the vector from the apex to the sphere's centre, and q is the vector from
@@ -105,8 +105,8 @@ def _enclose_cone(
     center, radius : (3, n) and (n,) float arrays
         The vectors c and the radii r.
     sized_q : (3, 3, n) and (n,) float arrays
-        The vectors q, and upper bounds on the absolute values of the terms of q, to which rounding
-        errors are proportional.  The first axis of q holds the components, the second the
+        The vectors q, and for each an upper bound on the absolute value of any of its terms, which
+        scales the rounding errors.  The first axis of q holds the components, the second the
         coefficients of 1, X and Y.
     sized_w : (3, 3, n) and (n,) float arrays
         Vectors w with c x w = c x q, and the same bounds for them.  Each w is q plus a multiple of
@@ -399,14 +399,14 @@ class CellAnalysis:
         self._max_inverse_distance = self.inverse_distance.max_abs
 
     def _hit_conditions(self, sphere_pair: Ints, discriminants: Enclosures) -> Iterator[_Condition]:
-        """Yield the six conditions under which camera rays meet the face of a pair.
+        """Yield conditions for rays to hit each pair's face: four for boxes, two for spheres.
 
         A pair is one face in one cell.  Pairs whose face is known to cover the cell are skipped.
 
         Conditions 1 to 4 apply to the faces of boxes: the ray meets the plane of the face at a
-        point inside each of the face's four edges.  Conditions 5 and 6 apply to
-        spheres that do not contain the eye: the centre is in front of the eye, and the line that
-        contains the ray meets the sphere.
+        point inside each of the face's four edges.  Conditions 5 and 6 apply to spheres that
+        do not contain the eye: the centre is in front of the eye, and the line that contains the
+        ray meets the sphere.
 
         Parameters
         ----------
@@ -747,7 +747,7 @@ class CellAnalysis:
         """Enclose the radiance that each unsettled light adds wherever it reaches a face.
 
         A pair is one face in one cell.  A light is unsettled for a pair unless it is known to reach
-        all or nothing of the face in the cell.
+        all or none of the face in the cell.
 
         The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
         divided by t.  For a light at q,

@@ -11,7 +11,7 @@ cell
 pair
     A cell, and a face that may be visible in it.
 settled
-    A light is settled for a pair if it is known to reach either all or nothing of the face in the
+    A light is settled for a pair if it is known to reach either all or none of the face in the
     cell.  If it reaches all, its contribution has been added to the pair's radiance.
 triple
     A pair, a light, and an object that may shade a part of the face from the light.
@@ -38,7 +38,7 @@ class Cells(NamedTuple):
     """c square cells of equal width that cover parts of a picture, with p pairs and q triples.
 
     A pair consists of a cell, and a face (a sphere, or a side of a box) that may be visible in the
-    cell.  A light is settled for a pair if it is known to reach either all or nothing of the face
+    cell.  A light is settled for a pair if it is known to reach either all or none of the face
     in the cell.  A triple consists of a pair, a light, and an object that may shade a part of the
     face from the light.
 

@@ -173,7 +173,7 @@ def estimate_means(
         The c cells, with their pairs and edge functions.
     contributions : Contributions
         For each pair, the radiance due to unsettled lights.  A light is settled if it is known to
-        reach all or nothing of the face in the cell.
+        reach all or none of the face in the cell.
     is_skipped : (c,) bool array
         Cells to skip: no sample is traced in them, and their mean is half of `max_radiance`, with
         an error of the same amount.  Black cells, and cells with too many edges, are skipped, too.
@@ -216,7 +216,7 @@ def estimate_means(
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     """Compute an upper bound on the radiance in each cell, as if all unsettled lights reached it.
 
-    A light is settled for a face in a cell if it is known to reach all or nothing of the face in
+    A light is settled for a face in a cell if it is known to reach all or none of the face in
     the cell.
 
     Parameters
@@ -244,7 +244,7 @@ def _enclose_edges(
     """Enclose each edge in a strip, and bound the jump (change of radiance) across the edge.
 
     A strip is the part of a cell between two parallel lines.  An edge lies where an edge function
-    is zero.  A light is settled for a face in a cell if it is known to reach all or nothing of the
+    is zero.  A light is settled for a face in a cell if it is known to reach all or none of the
     face there.
 
     Parameters
@@ -316,7 +316,7 @@ def _enclose_regions(
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
     The sample shows which face is visible in the region, and which lights reach it.  A light is
-    settled for a face in a cell if it is known to reach all or nothing of the face there.
+    settled for a face in a cell if it is known to reach all or none of the face there.
 
     Parameters
     ----------
@@ -352,10 +352,10 @@ def _enclose_regions(
 
 
 def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace samples in cells to find the face that each one shows and the lights that reach it.
+    """Trace samples in cells to find the face visible at each sample, and the lights that reach it.
 
     A pair is one face that may be visible in one cell.  A light is settled for a pair if it is
-    known to reach all or nothing of the face in the cell.
+    known to reach all or none of the face in the cell.
 
     Parameters
     ----------
@@ -431,7 +431,7 @@ class _Picture:
         self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
-        """Divide the cells into two groups if they are too many for one batch.
+        """Divide the cells into two groups if there are too many for one batch.
 
         Parameters
         ----------
@@ -499,7 +499,7 @@ class _Picture:
         """Add to the picture the cells whose radiance is accurate enough, and return the others.
 
         For cells of at most one pixel, `is_final` decides.  A wider cell is accurate enough if it
-        shows a single face, and each light reaches all or nothing of this face.
+        shows a single face, and each light reaches all or none of this face.
 
         Parameters
         ----------

@@ -391,12 +391,13 @@ class _PlainTracer:
         direction : (3, n) array
             Directions of the rays.
         is_closed : bool
-            Whether a ray in the plane of a box's side can meet the box.
+            Whether a ray that lies in the plane of a box's side counts as meeting the box.
 
         Returns
         -------
         near, far : (n,) arrays
-            t of both intersections.  If the ray misses the surface, near > far, or both are NaN.
+            Values of t at the two intersections.  If the ray misses the surface, near > far, or
+            both are NaN.
         """
         if self.is_sphere[surface]:
             center, radius = self.shapes[surface]

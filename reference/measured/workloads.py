@@ -21,7 +21,7 @@ def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
     Half of the objects are spheres and half are boxes, lit by two lights.  They cover about the
-    same part of the picture, whatever their number.  Equal arguments give equal scenes.
+    same fraction of the picture, however many there are.  Equal arguments give equal scenes.
 
     Parameters
     ----------

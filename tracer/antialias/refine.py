@@ -285,10 +285,10 @@ def _refine_quarters(
     """Divide cells into quarters, and compute the mean radiance of each cell.
 
     A cell is a pixel, or a square part of a pixel.  It is *unresolved* if it may contain something
-    other than straight edges.  If all quarters of a cell are unresolved, but no line crosses any of
-    them, the cell may still have no edge, and is sampled on a lattice.  If (1) these samples show
-    no edge, and (2) their mean agrees with that of the samples at the quarters' centres, then it is
-    the cell's mean, and the quarters are not refined further.
+    other than straight edges.  A cell whose quarters are all unresolved, with no straight edge in
+    any of them, may turn out to have no edge at all.  Such a cell is sampled on a lattice.  If (1)
+    the samples show no edge, and (2) the mean of the lattice agrees with the mean of the quarters'
+    centre samples, then the mean of the lattice is used, and the quarters are not refined.
 
     Parameters
     ----------

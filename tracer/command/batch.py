@@ -66,8 +66,8 @@ class Settings(NamedTuple):
     samples : int
         Number of samples per pixel.
     size : (int,), (int, int) or None
-        Width, or width and height, of the pictures in pixels.  A width alone keeps the proportions
-        of each scene file; None keeps the size in the file.
+        Width, or width and height, of the pictures in pixels.  If only a width is given, the aspect
+        ratio of each scene file is kept; None keeps the size in the file.
     file_format : str
         Format of the pictures: a key of `FORMATS`.
     quiet : bool
@@ -308,8 +308,8 @@ def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
     path : str
         Path of the scene file; "-" is standard input.
     size : (int,), (int, int) or None
-        Width, or width and height, of the picture in pixels.  A width alone keeps the proportions
-        of the scene file; None keeps the size in the file.
+        Width, or width and height, of the picture in pixels.  If only a width is given, the aspect
+        ratio of the scene file is kept; None keeps the size in the file.
 
     Returns
     -------

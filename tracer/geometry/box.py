@@ -107,14 +107,14 @@ class Boxes:
         object_index : (n,) int array
             Index of each pair's box among all objects of the scene.
         row_y : (n,) float array
-            Upper border of each pair's row, in pixels from the top of the picture.
+            Top edge of each pair's row, in pixels from the top of the picture.
         height : float
             Height of the rows, in pixels; 0 if each row is a line.
 
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the interval of columns, in pixels from the left border of the picture.  The
+            Ends of the interval of columns, in pixels from the left edge of the picture.  The
             interval contains all positions at which a ray in the row meets the box; if there are
             none, left > right.
         """

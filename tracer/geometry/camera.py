@@ -148,7 +148,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         column : float array
-            Distances from the left border of the picture, in pixels; need not be integers.
+            Distances from the left edge of the picture, in pixels; need not be integers.
 
         Returns
         -------
@@ -189,7 +189,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         column : float array
-            Distance of each ray from the left border of the picture, in pixels; same shape as
+            Distance of each ray from the left edge of the picture, in pixels; same shape as
             `ray_right`.
         """
         return (ray_right - self.center_right) / self.pixel_width + self.width / 2

@@ -92,7 +92,7 @@ def sphere_range(surfaces: Surfaces) -> ObjectRange:
 
 
 def box_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of a scene's object indices that belongs to the boxes.
+    """Return the range of object indices of a scene's boxes, which follow its spheres.
 
     Parameters
     ----------

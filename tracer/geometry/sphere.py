@@ -136,7 +136,7 @@ class Spheres:
         object_index : (n,) int array
             Index of each pair's object among all objects of the scene.
         row_y : (n,) float array
-            Upper border of each pair's row, in pixels from the top of the picture.
+            Top edge of each pair's row, in pixels from the top of the picture.
         height : float
             Height of the rows, in pixels.  If it is 0, a row is a line, and the result is exact
             except for rounding errors.  Otherwise the result is conservative: it contains all
@@ -145,7 +145,7 @@ class Spheres:
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the interval of columns, in pixels from the left border of the picture.  If no
+            Ends of the interval of columns, in pixels from the left edge of the picture.  If no
             ray in the row meets the object, left > right or both are NaN.
         """
         # At the sphere, every ray in the row is within a margin of the ray below or above it on the

@@ -309,8 +309,8 @@ class WorkerPool:
         # If a signal ends the command, Python's resource tracker removes the semaphores of spawned
         # workers.  It must not print a warning about this.
         sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
-        # If the system has no thread left, a thread of the pool fails.  This process then does all
-        # the work, so the user need not know.
+        # If the system cannot start another thread, one of the pool's threads dies.  This process
+        # then does all the work, so the user need not know.
         threading.excepthook = lambda _: None
         return ProcessPoolExecutor(self.worker_count, context, _init_worker, (self._initializer,))
 
@@ -328,7 +328,7 @@ class WorkerPool:
             process.kill()
         shutdown_thread = threading.Thread(target=self._executor.shutdown, daemon=True)
         self._executor = None
-        with suppress(RuntimeError):  # the system has no thread left
+        with suppress(RuntimeError):  # the system cannot start another thread
             shutdown_thread.start()
             shutdown_thread.join(_MAX_END_SECONDS)
 
@@ -347,7 +347,7 @@ def _init_worker(initializer: Callable[[], None] | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         threading.Thread(target=end_with_parent, daemon=True).start()
-    except RuntimeError:  # the system has no thread left
+    except RuntimeError:  # the system cannot start another thread
         os._exit(1)
     if initializer:
         initializer()

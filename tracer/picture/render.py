@@ -457,7 +457,8 @@ def _intersect_ranges(first: slice, second: slice) -> slice:
     Returns
     -------
     overlap : slice
-        The range of the numbers in both ranges.  If there are none, its stop is at most its start.
+        The range of the numbers in both ranges.  If the ranges do not overlap, it is empty: stop is
+        at most start.
     """
     return slice(max(first.start, second.start), min(first.stop, second.stop))
 

@@ -217,7 +217,7 @@ class Numbers:
         Parameters
         ----------
         values : (n, count) array_like, or (n,) array_like if `count` is 1
-            The values of the field in n objects; `count` is the number of numbers in each value.
+            The values of the field in n objects; each value consists of `count` numbers.
         name : str
             Name of the field, for messages.
 

@@ -517,8 +517,8 @@ def _build_row_packets(
 ) -> Packets:
     """Divide runs of hits into row packets of at most `max_hits` hits.
 
-    A run consists of consecutive hits in one row of samples that lie on the same object.  Its last
-    packet may have fewer hits than the others.
+    A run consists of consecutive hits on the same object, in one row of samples.  Its last packet
+    may have fewer hits than the others.
 
     Parameters
     ----------

@@ -39,7 +39,8 @@ def find_object_spans(
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Compute the part of each picture row that each object of one shape covers.
 
-    The part of one row that one object covers is called a span.  Other objects may hide it.
+    The part of one row that one object covers is called a span.  A span may be hidden by
+    other objects.
 
     Parameters
     ----------
@@ -48,9 +49,9 @@ def find_object_spans(
     prepared : PreparedScene
         The scene, with bounding rectangles of all objects in the picture.
     rows : (rows,) float array
-        Upper border of each row, in pixels from the top of the picture, in ascending order.
+        Top edge of each row, in pixels from the top of the picture, in ascending order.
     columns : (float, float)
-        Horizontal interval, in pixels from the left border of the picture.  Objects entirely
+        Horizontal interval, in pixels from the left edge of the picture.  Objects entirely
         outside this interval are skipped.
     height : float
         Height of the rows, in pixels.  If it is 0, each row is a line, and the spans are exact
@@ -65,7 +66,7 @@ def find_object_spans(
     row : (n,) int array
         Index of each span's row in `rows`.
     left, right : (n,) float arrays
-        Ends of each span, in pixels from the left border of the picture; left <= right.
+        Ends of each span, in pixels from the left edge of the picture; left <= right.
     """
     bounds = prepared.bounds.take(shape.objects.slice)
     candidate = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
@@ -315,7 +316,7 @@ def _sort_key(row: Ints, x: Floats) -> Floats:
     row : (n,) int array
         Row of each position, at most `schema.MAX_PIXELS`.
     x : (n,) float array
-        Distance of each position from the left border of the picture, in pixels; may be infinite.
+        Distance of each position from the left edge of the picture, in pixels; may be infinite.
 
     Returns
     -------

@@ -496,7 +496,7 @@ def _choose_cells_per_side(
 
     A patch is a square array of cells, each of which lists objects.  A patch has about as many
     cells as there are objects, subject to limits on (1) the cells in a patch, (2) the cells in all
-    patches together, and (3) the mean number of list items per light.
+    patches together, and (3) the mean number of entries in the cells' lists, per light.
 
     Parameters
     ----------
