@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 from functools import cache
+from math import ceil
 from typing import NamedTuple
 
 try:
@@ -41,6 +42,17 @@ scene = mi.load_dict({{"type": "scene", "shape": {{"type": "sphere"}}}})
 x = dr.maximum(dr.linspace(mi.Float, -.5, .5, 64), 0)
 hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, 0, 3), mi.Vector3f(0, 0, -1)))
 assert abs(dr.mean(hit.t)[0] - 2) < .1
+"""
+
+# The child process must not outlive its parent for long.  Ctrl-C reaches both: it ends the child at
+# once, because Dr.Jit may never end after a KeyboardInterrupt.  If only the parent ends, the child
+# ends after {seconds} at the latest.
+_CHILD_SETUP = """
+import signal
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+if hasattr(signal, "alarm"):  # not on Windows
+    signal.alarm({seconds})
 """
 
 
@@ -76,10 +88,11 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     choice : Choice
         The LLVM variant if the child process exits with status 0; otherwise the scalar variant.
     """
+    setup = _CHILD_SETUP.format(seconds=ceil(timeout) + 1)
     # Without a home folder, the child finds no cached kernels, which could hide a bad libLLVM.
     try:
         child = subprocess.run(
-            [sys.executable, "-c", kernel],
+            [sys.executable, "-c", setup + kernel],
             env=os.environ | {"HOME": os.devnull},
             capture_output=True,
             text=True,

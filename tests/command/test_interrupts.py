@@ -36,6 +36,21 @@ if __name__ == "__main__":
     main()
 """
 
+# Tests a libLLVM that hangs, and whose child process does not end after a KeyboardInterrupt.
+HANGING_LLVM = """
+from tracer.command.process import end_on_signals
+end_on_signals()
+from converters.variant import find_fastest_variant
+find_fastest_variant('''
+import time
+while True:
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        pass
+''', timeout=2)
+"""
+
 MANY = [f"{k}.xml" for k in range(20)]
 
 # Commands, and the files that they write.
@@ -170,6 +185,21 @@ def test_spawned_workers_end_without_a_warning(folder):
         assert process.stdout.readline().startswith("large.xml.png: ")
         process.send_signal(signal.SIGTERM)
         assert (process.wait(20), process.stderr.read()) == (130, "")
+    wait_until(lambda: not running_processes())
+
+
+@pytest.mark.parametrize(
+    ("send", "signal_number"), [(os.killpg, signal.SIGINT), (os.kill, signal.SIGKILL)]
+)
+def test_the_child_that_tests_libllvm_ends_with_its_parent(send, signal_number, folder):
+    (folder / "hanging_llvm.py").write_text(HANGING_LLVM)
+    environment = {"INTERRUPTED_BY": str(os.getpid())}
+    with start_process(
+        python=["-m", "hanging_llvm"], cwd=folder, env=environment, start_new_session=True
+    ) as process:
+        wait_until(lambda: len(running_processes()) == 2)
+        time.sleep(0.2)  # the child handles signals only after its start
+        send(process.pid, signal_number)
     wait_until(lambda: not running_processes())
 
 
