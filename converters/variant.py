@@ -48,11 +48,11 @@ assert abs(dr.mean(hit.t)[0] - 2) < .1
 # once, because Dr.Jit may never end after a KeyboardInterrupt.  If only the parent ends, the child
 # ends after {seconds} at the latest.
 _CHILD_SETUP = """
-import signal
-if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-if hasattr(signal, "alarm"):  # not on Windows
-    signal.alarm({seconds})
+from signal import *
+if getsignal(SIGINT) is default_int_handler:
+    signal(SIGINT, SIG_DFL)
+if "alarm" in dir():  # not on Windows
+    alarm({seconds})
 """
 
 
