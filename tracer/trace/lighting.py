@@ -158,7 +158,9 @@ class Shading:
         is_glossy = hits.prepared.is_glossy
         intervals = [part.interval for part in hits.groups if is_glossy[part.run_object].any()]
         self._glossy = slice(intervals[0].start, intervals[-1].stop) if intervals else slice(0, 0)
-        self._is_glossy = hits.object_values(is_glossy)[self._glossy]
+        self._is_glossy: Bools = np.zeros(0, dtype=np.bool_)
+        if intervals:  # the values of all hits are looked up only if some are needed
+            self._is_glossy = hits.object_values(is_glossy)[self._glossy]
         # Sums over lights of I n.l for all hits, and of I (n.h)^p for the hits in the slice, where
         # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
