@@ -57,7 +57,7 @@ def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows
     -------
     scene : Scene
         The scene, with the new picture size.
-    prepared : PreparedScene
+    prepared_scene : PreparedScene
         The same scene, prepared for rendering.
     samples : Rows
         The samples at the centres of all pixels.
@@ -91,18 +91,18 @@ def draw_spans() -> None:
     The span of an object is an interval of columns.  Only camera rays in these columns are tested
     against the object.
     """
-    scene, prepared, samples = _load_and_prepare("four-spheres", 96)
+    scene, prepared_scene, samples = _load_and_prepare("four-spheres", 96)
     row, object_count, ray_count = scene.height // 2, len(scene.surfaces), 0
     _, (image_axes, spans_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 3.6), width_ratios=(1, 1.6))
     _show_picture(
         image_axes, to_codes(render(scene, samples=16)) / 255, f"Row {row} of the picture"
     )
     image_axes.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
-    for shape in prepared.shapes:
-        object_index, span_row, span_start, span_length = samples.find_spans(shape, prepared)
+    for shape in prepared_scene.shapes:
+        object_index, span_row, span_start, span_length = samples.find_spans(shape, prepared_scene)
         in_row = np.flatnonzero(span_row == row)
         object_index, span_length = object_index[in_row], span_length[in_row]
-        color = prepared.diffuse[:, object_index].T ** (1 / 2.2)
+        color = prepared_scene.diffuse[:, object_index].T ** (1 / 2.2)
         first_column = span_start[in_row] - row * scene.width
         spans_axes.barh(object_index, span_length, 0.7, first_column, color=color, ec="k", zorder=2)
         ray_count += int(span_length.sum())
@@ -114,8 +114,8 @@ def draw_spans() -> None:
 
 def draw_packets() -> None:
     """Draw the packets (groups of neighbouring hits) of a picture, each in a random colour."""
-    scene, prepared, samples = _load_and_prepare("room", 96)
-    hits = find_nearest_hits(prepared, samples)
+    scene, prepared_scene, samples = _load_and_prepare("room", 96)
+    hits = find_nearest_hits(prepared_scene, samples)
     faces_light = np.ones((1, hits.sample.size), dtype=np.bool_)
     square_level, row_level = build_packet_levels(hits, faces_light, None)
     # Sort the hits by row packet, and the row packets by square packet.
@@ -168,8 +168,8 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
 
 def draw_light_grid() -> None:
     """Draw the grid of directions around a light, each cell coloured by its number of objects."""
-    scene, prepared, _ = _load_and_prepare("many-objects", 320)
-    grid = prepared.prepare_lights(slice(1, 2)).grid
+    scene, prepared_scene, _ = _load_and_prepare("many-objects", 320)
+    grid = prepared_scene.prepare_lights(slice(1, 2)).grid
     assert grid is not None
     polygons, object_count = _compute_cell_polygons(grid)
     _, (image_axes, grid_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 2.6), width_ratios=(1, 1.1))
@@ -207,13 +207,13 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
 
 def draw_classes() -> None:
     """Draw pixels coloured by class, with their edges and samples."""
-    scene, prepared, _ = _load_and_prepare("four-spheres", 64)
+    scene, prepared_scene, _ = _load_and_prepare("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
-    row, column, object_index = find_silhouette_pixels(prepared, rows, columns)
+    row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.positions(every_pixel), pixel_index, object_index)
-    classification = classify(prepared, cells, samples, every_pixel)
+    classification = classify(prepared_scene, cells, samples, every_pixel)
     class_index = np.zeros(every_pixel.size, dtype=np.intp)
     class_index[classification.lines.cell] = 1
     class_index[classification.is_unresolved] = 2

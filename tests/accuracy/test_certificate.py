@@ -268,7 +268,7 @@ def test_the_rim_of_a_sheet_shows_its_face() -> None:
 def test_means_where_thousands_of_samples_err(name: str) -> None:
     """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
     scene = small_scene(name, 24, 14)
-    certified, prepared = certify(scene, 1 / 32768), Faces(scene).prepared
+    certified, prepared_scene = certify(scene, 1 / 32768), Faces(scene).prepared
     sampled = render_supersampled(scene, 65)
     difference = np.abs(sampled - certified.image).max(axis=2)
     for row, column in np.argwhere(difference >= np.sort(difference, axis=None)[-4]):
@@ -276,7 +276,7 @@ def test_means_where_thousands_of_samples_err(name: str) -> None:
         for y in (np.arange(side) + 0.5) / side:
             x = column + (np.arange(side) + 0.5) / side
             samples, _ = Scattered.from_positions(x, np.full(side, row + y))
-            total += compute_radiance(prepared, samples).sum(axis=1)
+            total += compute_radiance(prepared_scene, samples).sum(axis=1)
         finer_difference = np.abs(total / side**2 - certified.image[row, column]).max()
         assert finer_difference <= certified.error[row, column] + 2e-5
         assert finer_difference < difference[row, column] / 5

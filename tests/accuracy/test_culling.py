@@ -52,7 +52,7 @@ def brute_force(scene: Scene) -> Floats:
 
 
 def _whole_rows(
-    shape: Shape, prepared: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
+    shape: Shape, scene: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Replace `find_object_spans`: every object covers every row."""
     row, position = np.indices((rows.size, shape.objects.size)).reshape(2, -1)
@@ -220,17 +220,17 @@ def test_lights_are_prepared_in_batches(monkeypatch):
 def test_threads_share_prepared_lights(monkeypatch):
     # Preparing lights takes so long that meanwhile all threads request the same batch.
     scene = with_nine_lights(crowd(40, width=48, height=27))
-    expected, prepared, prepare = render(scene), PreparedScene(scene), PreparedScene.prepare_lights
-    starts = []
+    expected, prepared_scene, starts = render(scene), PreparedScene(scene), list[int]()
+    prepare_lights = PreparedScene.prepare_lights
 
-    def prepare_slowly(prepared: PreparedScene, index: slice) -> Lights:
-        starts.append(index.start)
+    def prepare_slowly(prepared_scene: PreparedScene, batch: slice) -> Lights:
+        starts.append(batch.start)
         sleep(0.05)
-        return prepare(prepared, index)
+        return prepare_lights(prepared_scene, batch)
 
     monkeypatch.setattr(PreparedScene, "prepare_lights", prepare_slowly)
     with ThreadPoolExecutor(4) as pool:
-        batches_of_threads = [*pool.map(lambda _: [*prepared.light_batches], range(4))]
+        batches_of_threads = [*pool.map(lambda _: [*prepared_scene.light_batches], range(4))]
         assert starts == [0, 4, 8]
         for first, *others in zip(*batches_of_threads, strict=True):
             assert all(lights is first for lights in others)

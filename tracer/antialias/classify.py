@@ -155,7 +155,7 @@ class Classification(NamedTuple):
 
 
 def classify(
-    prepared: PreparedScene, cells: Cells, samples: Samples, sample_cell: Ints
+    scene: PreparedScene, cells: Cells, samples: Samples, sample_cell: Ints
 ) -> Classification:
     """Classify cells by the edges that may cross them.
 
@@ -167,7 +167,7 @@ def classify(
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     cells : Cells
         The n cells.
@@ -189,15 +189,15 @@ def classify(
     cell_count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
     is_unresolved, is_crowded = np.zeros((2, cell_count), dtype=np.bool_)
-    hits, hidden_hits = find_nearest_and_hidden_hits(prepared, samples)
+    hits, hidden_hits = find_nearest_and_hidden_hits(scene, samples)
     hit_cell, footprint = sample_cell[hits.sample], compute_footprints(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
-    silhouettes = _find_silhouettes_from_eye(prepared, cells)
+    silhouettes = _find_silhouettes_from_eye(scene, cells)
     edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
     geometry_lines, curved_cell = fit_lines(edges, tolerance)
     is_unresolved[curved_cell] = True
     shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
-    for lights in prepared.light_batches:
+    for lights in scene.light_batches:
         light_lines, unresolved_cell, crowded_cell = _add_lights(
             shading, surfaces, lights, tolerance
         )
@@ -206,7 +206,7 @@ def classify(
     radiance[:, sample_cell] = shading.radiance()
     center_id[hit_cell] = shading.ids
     lines = Lines.joined(all_lines).distinct()
-    if prepared.light_count > _MAX_DETAILED_LIGHTS:
+    if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
     lines = lines.limit_per_cell(MAX_LINES)
     center = CenterSamples(radiance, center_id)
@@ -266,7 +266,7 @@ def _add_lights(
     return lines, unresolved_cell, hit_cell[is_crowded]
 
 
-def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
+def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
     """Yield batches of the silhouettes, seen from the eye, that may cross cells.
 
     A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function,
@@ -274,7 +274,7 @@ def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterato
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     cells : Cells
         The cells.  Their (cell, object) pairs list the objects whose silhouettes may cross them.
@@ -288,11 +288,11 @@ def _find_silhouettes_from_eye(prepared: PreparedScene, cells: Cells) -> Iterato
         Values of the edge function at six points of the cell: the centre; the centres of the right,
         left, lower and upper side; and the lower right corner.
     """
-    frame = prepared.frame
+    frame = scene.frame
     for batch in index_batches(np.arange(cells.pair_cell.size)):
         cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
         ray_right = frame.ray_right(cells.center_x[cell])
         ray_down = frame.ray_down(cells.center_y[cell])
         ray = cell_rays(frame, ray_right, ray_down, cells.width)
         eye_cell_object = np.array([np.zeros_like(cell), cell, object_index])
-        yield from evaluate_silhouettes(prepared, frame.eye[None], eye_cell_object, ray)
+        yield from evaluate_silhouettes(scene, frame.eye[None], eye_cell_object, ray)

@@ -125,7 +125,7 @@ def _compute_footprint_on_face(cell_radius: Floats, cosine: Floats, cell_angle: 
 
 
 def find_silhouette_pixels(
-    prepared: PreparedScene, rows: slice, columns: slice
+    scene: PreparedScene, rows: slice, columns: slice
 ) -> tuple[Ints, Ints, Ints]:
     """Find the (pixel, object) pairs in which the object's silhouette may cross the pixel.
 
@@ -134,7 +134,7 @@ def find_silhouette_pixels(
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     rows, columns : slice
         Rows and columns of the rectangle of pixels to search.
@@ -147,12 +147,12 @@ def find_silhouette_pixels(
         Index of each pair's object.
     """
     borders = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # between rows of pixels
-    top, bottom = prepared.bounds.top, prepared.bounds.bottom
+    top, bottom = scene.bounds.top, scene.bounds.bottom
     # For each interval of pixels: its row, its object, and the columns where it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     limits = columns.start, columns.stop
-    for shape in prepared.shapes:
-        spans = find_object_spans(shape, prepared, borders[:-1], limits, height=1.0)
+    for shape in scene.shapes:
+        spans = find_object_spans(shape, scene, borders[:-1], limits, height=1.0)
         object_index, row, left, right = spans
         # Find the interval in which the object covers both the upper and the lower side of the row.
         inner_start, inner_stop = left, right
@@ -177,7 +177,7 @@ def find_silhouette_pixels(
 
 
 def evaluate_silhouettes(
-    prepared: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
+    scene: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
     """Yield the edge functions of silhouettes of objects, seen from the eye or from lights.
 
@@ -188,7 +188,7 @@ def evaluate_silhouettes(
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     apex_position : (m, 3) float array
         Positions of the apexes, in the axes of the scene.
@@ -208,7 +208,7 @@ def evaluate_silhouettes(
     values : (6, k) float array
         Values of each silhouette's edge function at the six points of the cell.
     """
-    frame, spheres, boxes = prepared.frame, prepared.spheres, prepared.boxes
+    frame, spheres, boxes = scene.frame, scene.spheres, scene.boxes
     apex_index, cell, object_index = triples
     on_sphere = indices(spheres.objects.contains(object_index))
     if on_sphere.size:
@@ -354,16 +354,16 @@ class CellSurfaces(NamedTuple):
             lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the visible
             surface at t1 * ray, and the face at t2 * ray.
         """
-        prepared, hit_object = hidden_hits.prepared, hidden_hits.hit_object
-        frame, boxes = prepared.frame, prepared.boxes
+        scene, hit_object = hidden_hits.prepared, hidden_hits.hit_object
+        frame, boxes = scene.frame, scene.boxes
         cell_angle = _compute_cell_angle(frame, self.cell_width)
-        is_candidate = is_close | prepared.is_eye_inside[hit_object]
+        is_candidate = is_close | scene.is_eye_inside[hit_object]
         on_box = indices(is_candidate & boxes.objects.contains(hit_object))
         hit_object, front_index = hit_object[on_box], visible_index[on_box]
         from_eye, distance = take3(hidden_hits.from_eye, on_box), hidden_hits.distance[on_box]
         visible_distance, footprint = self.hits.distance[front_index], self.footprint[front_index]
         box_index = boxes.objects.positions(hit_object)
-        is_eye_inside = prepared.is_eye_inside[hit_object]
+        is_eye_inside = scene.is_eye_inside[hit_object]
         for axis in range(3):
             hit_height = frame.scene_component(from_eye, axis)
             low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
@@ -391,18 +391,18 @@ class CellSurfaces(NamedTuple):
             lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the planes of the
             two faces at t1 * ray and t2 * ray.
         """
-        prepared, frame = self.hits.prepared, self.hits.prepared.frame
-        corners = prepared.boxes.min_pt, prepared.boxes.max_pt
+        scene, frame = self.hits.prepared, self.hits.prepared.frame
+        corners = scene.boxes.min_pt, scene.boxes.max_pt
         for group, axis in product(self.hits.groups, range(3)):
             is_other_face = group.face != axis
             if not group.shape.is_planar or not np.any(is_other_face):
                 continue
             hit_index = np.arange(group.interval.start, group.interval.stop)
             hit_height = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
-            box_index = prepared.boxes.objects.positions(group.run_object)
+            box_index = scene.boxes.objects.positions(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
                 run_height = corner[axis, box_index] - frame.eye[axis]
-                is_visible = prepared.is_eye_inside[group.run_object] | (sign * run_height < 0)
+                is_visible = scene.is_eye_inside[group.run_object] | (sign * run_height < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
                 face_height = group.repeat_runs(run_height)
                 is_near = np.abs(hit_height - face_height) < self.footprint[group.interval]
@@ -467,8 +467,8 @@ class CellSurfaces(NamedTuple):
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
             lower right corner.
         """
-        prepared = self.hits.prepared
-        light_from_eye = prepared.frame.points_to_camera(light_position)
+        scene = self.hits.prepared
+        light_from_eye = scene.frame.points_to_camera(light_position)
         for batch in index_batches(np.arange(edge_triples.shape[1])):
             light_index, hit_index, occluder_index = edge_triples[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
@@ -476,7 +476,7 @@ class CellSurfaces(NamedTuple):
             scaled_light = scale3(take3(light_from_eye, light_index), inverse_t)
             light_ray = map3(np.subtract, ray, scaled_light)
             triples = np.array([light_index, self.cell[hit_index], occluder_index])
-            yield from evaluate_silhouettes(prepared, light_position, triples, light_ray)
+            yield from evaluate_silhouettes(scene, light_position, triples, light_ray)
 
     def find_terminators(
         self, light_position: Floats, n_dot_l: Floats, length2: Floats
@@ -506,11 +506,11 @@ class CellSurfaces(NamedTuple):
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
             lower right corner.  The function is the cosine of the angle between n and l.
         """
-        prepared, spheres = self.hits.prepared, self.hits.prepared.spheres
+        scene, spheres = self.hits.prepared, self.hits.prepared.spheres
         hit_object = self.hits.hit_object
-        light_from_eye = prepared.frame.points_to_camera(light_position)
+        light_from_eye = scene.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.
-        max_turn = self.footprint * prepared.curvature[hit_object]
+        max_turn = self.footprint * scene.curvature[hit_object]
         for pair_index in index_batches(indices(n_dot_l**2 < max_turn * max_turn * length2)):
             light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)

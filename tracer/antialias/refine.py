@@ -58,12 +58,12 @@ _MAX_SAMPLED_SIDE = 3
 _MAX_SILHOUETTE_PAIRS = 0.006
 
 
-def is_supersampling_cheaper(prepared: PreparedScene, samples_per_side: int) -> bool:
+def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> bool:
     """Estimate whether uniform samples in all pixels cost less than searching for edges.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     samples_per_side : int
         Number of uniform samples along each side of a pixel.
@@ -74,7 +74,7 @@ def is_supersampling_cheaper(prepared: PreparedScene, samples_per_side: int) -> 
         True if the mean number of pairs of silhouettes that cross the same pixel is large relative
         to the number of samples per pixel.
     """
-    pairs_per_pixel = prepared.bounds.silhouette_density(prepared.frame)
+    pairs_per_pixel = scene.bounds.silhouette_density(scene.frame)
     return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
 
 
@@ -123,7 +123,7 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     return Lattice(1, 13), True, Lattice.at_least(5)
 
 
-def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
+def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
     Pixels that edges cross are divided or sampled.  The root-mean-square error is meant to be at
@@ -131,7 +131,7 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     rows, columns : slice
         Rows and columns of the rectangle's pixels.  Neither range is empty.
@@ -147,26 +147,26 @@ def refine_pixels(prepared: PreparedScene, rows: slice, columns: slice, per_side
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
     samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
-    pair_row, pair_column, object_index = find_silhouette_pixels(prepared, rows, columns)
+    pair_row, pair_column, object_index = find_silhouette_pixels(scene, rows, columns)
     pair_pixel = (pair_row - top) * width + pair_column - first_column
     all_pixels = np.arange(samples.size)
     tolerance = _TOLERANCE / per_side**1.5
     center_x, center_y = samples.positions(all_pixels)
     pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
-    classified = classify(prepared, pixels, samples, all_pixels)
+    classified = classify(scene, pixels, samples, all_pixels)
     estimate = estimate_pixel_means(classified.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classified.is_crowded
-    mean = _compute_cell_means(prepared, classified, estimate, is_refinable)
+    mean = _compute_cell_means(scene, classified, estimate, is_refinable)
     crowded_index = indices(is_inner & classified.is_crowded)
     lattice = Lattice.at_least(per_side, ratio=1)
-    mean[:, crowded_index], _ = _sample_cells(prepared, classified, crowded_index, lattice)
+    mean[:, crowded_index], _ = _sample_cells(scene, classified, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
 def _compute_cell_means(
-    prepared: PreparedScene, classified: Classification, estimate: SmoothMeans, is_refinable: Bools
+    scene: PreparedScene, classified: Classification, estimate: SmoothMeans, is_refinable: Bools
 ) -> Floats:
     """Compute the mean radiance of cells, and refine those that edges may cross.
 
@@ -176,7 +176,7 @@ def _compute_cell_means(
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     classified : Classification
         The n cells, and the edges that may cross them.
@@ -200,28 +200,24 @@ def _compute_cell_means(
     if first_lattice is not None:
         has_only_lines = is_pending & has_lines & ~(classified.is_unresolved | is_inaccurate)
         sampled_index = indices(is_pending if is_first_for_all else has_only_lines)
-        sampled_mean, missed_edge = _sample_cells(
-            prepared, classified, sampled_index, first_lattice
-        )
+        sampled_mean, missed_edge = _sample_cells(scene, classified, sampled_index, first_lattice)
         finished_index = sampled_index[~missed_edge]
         mean[:, finished_index], is_pending[finished_index] = sampled_mean[:, ~missed_edge], False
     pending_index = indices(is_pending)
     if second_lattice is not None:
-        mean[:, pending_index], _ = _sample_cells(
-            prepared, classified, pending_index, second_lattice
-        )
+        mean[:, pending_index], _ = _sample_cells(scene, classified, pending_index, second_lattice)
         return mean
-    for batch_index in index_batches(pending_index, _cells_per_batch(prepared, samples_per_cell=4)):
-        mean[:, batch_index] = _refine_quarters(prepared, classified, estimate.error, batch_index)
+    for batch_index in index_batches(pending_index, _cells_per_batch(scene, samples_per_cell=4)):
+        mean[:, batch_index] = _refine_quarters(scene, classified, estimate.error, batch_index)
     return mean
 
 
-def _cells_per_batch(prepared: PreparedScene, samples_per_cell: int) -> int:
+def _cells_per_batch(scene: PreparedScene, samples_per_cell: int) -> int:
     """Choose how many cells to sample together, so that memory is limited.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.  If many objects overlap in the picture, fewer samples are traced together.
     samples_per_cell : int
         Number of samples in each cell (a pixel, or a square part of a pixel).
@@ -231,11 +227,11 @@ def _cells_per_batch(prepared: PreparedScene, samples_per_cell: int) -> int:
     cell_count : int
         Number of cells, at least 1.
     """
-    return max(1, prepared.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
+    return max(1, scene.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
 
 
 def _sample_cells(
-    prepared: PreparedScene, classified: Classification, cell_index: Ints, lattice: Lattice
+    scene: PreparedScene, classified: Classification, cell_index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
     """Estimate the mean radiance of cells from a lattice of samples in each cell.
 
@@ -244,7 +240,7 @@ def _sample_cells(
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     classified : Classification
         All cells, and the lines that cross them.
@@ -263,7 +259,7 @@ def _sample_cells(
     """
     cells, lines, cell_count = classified.cells, classified.lines, cell_index.size
     mean, missed_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
-    for batch in index_batches(np.arange(cell_count), _cells_per_batch(prepared, lattice.size)):
+    for batch in index_batches(np.arange(cell_count), _cells_per_batch(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
         batch_lines = lines.take(indices(index_in_batch[lines.cell] >= 0))
@@ -272,7 +268,7 @@ def _sample_cells(
         x, y = cells.positions(cell_index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
-        radiance, sample_id = compute_radiance_and_ids(prepared, samples)
+        radiance, sample_id = compute_radiance_and_ids(scene, samples)
         for channel_mean, channel_radiance in zip(mean, radiance, strict=True):
             channel_mean[batch] = np.bincount(cell, weight * channel_radiance, batch.size)
         missed_edge[batch[cell[find_samples_in_mixed_regions(region, sample_id)]]] = True
@@ -280,7 +276,7 @@ def _sample_cells(
 
 
 def _refine_quarters(
-    prepared: PreparedScene, classified: Classification, error: Floats, cell_index: Ints
+    scene: PreparedScene, classified: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
     """Divide cells into quarters, and compute the mean radiance of each cell.
 
@@ -292,7 +288,7 @@ def _refine_quarters(
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, prepared for the camera.
     classified : Classification
         All n cells, and the edges that may cross them.
@@ -309,22 +305,20 @@ def _refine_quarters(
     count, tolerance = cell_index.size, classified.cells.tolerance
     quarters = classified.cells.quarters(cell_index)
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
-    classified_quarters = classify(prepared, quarters, samples, order)
+    classified_quarters = classify(scene, quarters, samples, order)
     center, quarter_center = classified.center.take(cell_index), classified_quarters.center
     estimate = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
     is_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
     tested_index = indices(is_unresolved & (line_count == 0))
     lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
-    sampled_mean, missed_edge = _sample_cells(
-        prepared, classified, cell_index[tested_index], lattice
-    )
+    sampled_mean, missed_edge = _sample_cells(scene, classified, cell_index[tested_index], lattice)
     expected_mean = estimate.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
     is_confirmed = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
     is_smooth = np.zeros(count, dtype=np.bool_)
     is_smooth[tested_index[is_confirmed]] = True
     is_refinable = ~is_smooth.repeat(4)
-    quarter_mean = _compute_cell_means(prepared, classified_quarters, estimate, is_refinable)
+    quarter_mean = _compute_cell_means(scene, classified_quarters, estimate, is_refinable)
     mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)
     mean[:, is_smooth] = sampled_mean[:, is_confirmed]
     return mean

@@ -31,7 +31,7 @@ from tracer.command.progress import Progress
 from tracer.files import atomic_file
 from tracer.messages import printable
 from tracer.picture.linear import EXR, NPY, encode_raw, write_exr, write_npy
-from tracer.picture.lint import Exposure, scene_warnings
+from tracer.picture.lint import Exposure, lint_scene
 from tracer.picture.parallel import Distribution, WorkerPool
 from tracer.picture.png import PNG, compress_tile, write_tiles
 from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, render_tiles
@@ -257,7 +257,7 @@ class Batch:
             return Report(exposure.pixel_count)
         seconds = perf_counter() - start_time
         line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
-        warnings = scene_warnings(scene, render_job.prepared, exposure)
+        warnings = lint_scene(scene, render_job.prepared_scene, exposure)
         warning_lines = (printable(f"{job.scene_path}: warning: {warning}") for warning in warnings)
         return Report(exposure.pixel_count, printable(line), tuple(warning_lines))
 

@@ -246,10 +246,10 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     width, height = scene.width, scene.height
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
-    prepared = PreparedScene(scene)
-    frame, samples = prepared.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
-    hits = find_nearest_hits(prepared, samples)
-    radiance = shade(hits, prepared.light_batches).radiance()[:, 0]
+    prepared_scene = PreparedScene(scene)
+    frame, samples = prepared_scene.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
+    hits = find_nearest_hits(prepared_scene, samples)
+    radiance = shade(hits, prepared_scene.light_batches).radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     surface_index = first_hit.surface.item()
     ray = samples.ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
@@ -268,7 +268,9 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         ks=_to_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
-            _explain_light(scene, hits, first_hit, light, prepared.prepare_lights(slice(i, i + 1)))
+            _explain_light(
+                scene, hits, first_hit, light, prepared_scene.prepare_lights(slice(i, i + 1))
+            )
             for i, light in enumerate(scene.lights if has_hit else ())
         ),
         radiance=_to_vector(radiance),

@@ -88,14 +88,14 @@ class Exposure(NamedTuple):
         return cls(len(pixels), lit_count, step * int(np.count_nonzero(max_component > 1)))
 
 
-def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) -> Iterator[str]:
+def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
     """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    prepared : PreparedScene
+    prepared_scene : PreparedScene
         The same scene, prepared for its camera.
     exposure : Exposure
         Counts of lit (not black) and clipped (brighter than 1) pixels in the whole picture.
@@ -105,13 +105,13 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
     warning : str
         One line of text: what looks wrong, where, and a suggested fix.
     """
-    first_range_warning = [*islice(_color_range_warnings(scene), 1)]
+    first_range_warning = [*islice(_check_color_ranges(scene), 1)]
     yield from first_range_warning
-    yield from _shader_warnings(scene.surfaces)
-    yield from _aspect_warnings(scene)
-    yield from _light_warnings(scene, prepared)
+    yield from _check_shaders(scene.surfaces)
+    yield from _check_aspect(scene)
+    yield from _check_lights(scene, prepared_scene)
     if not exposure.lit_count:
-        reason, remedy = _explain_black_picture(scene, prepared)
+        reason, remedy = _explain_black_picture(scene, prepared_scene)
         yield f"{reason}: the picture is black; {remedy}"
     elif not first_range_warning and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
@@ -123,7 +123,7 @@ def scene_warnings(scene: Scene, prepared: PreparedScene, exposure: Exposure) ->
         )
 
 
-def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
+def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     """Yield warnings about the first light with intensity 0 and the first light inside a surface.
 
     A light inside a surface has no effect if the eye is outside that surface.  Such lights are
@@ -133,7 +133,7 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
     ----------
     scene : Scene
         The scene.
-    prepared : PreparedScene
+    prepared_scene : PreparedScene
         The same scene, prepared for its camera.
 
     Yields
@@ -155,11 +155,11 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
             # A light inside by less than the tolerance is treated as being on the surface.
             shape.signed_distance(shape.objects.indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_size
-            for shape in prepared.shapes
+            for shape in prepared_scene.shapes
         ],
         axis=1,
     )
-    is_enclosed &= ~prepared.is_eye_inside
+    is_enclosed &= ~prepared_scene.is_eye_inside
     for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
         light_name = _name_light(scene, light_index)
         surface_name = _name_surface(scene, np.flatnonzero(is_enclosed[light_index]))
@@ -167,14 +167,14 @@ def _light_warnings(scene: Scene, prepared: PreparedScene) -> Iterator[str]:
 
 
 @np.errstate(all="ignore")
-def _explain_black_picture(scene: Scene, prepared: PreparedScene) -> tuple[str, str]:
+def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple[str, str]:
     """Find out why the picture of a scene is black, and suggest a fix.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    prepared : PreparedScene
+    prepared_scene : PreparedScene
         The same scene, prepared for its camera.
 
     Returns
@@ -186,14 +186,14 @@ def _explain_black_picture(scene: Scene, prepared: PreparedScene) -> tuple[str, 
     """
     if not scene.lights:
         return "the scene has no light", "add <light>"
-    visible_objects = _find_visible_objects(prepared)
+    visible_objects = _find_visible_objects(prepared_scene)
     camera_remedy = "see viewPoint, viewDir and the window"
     if not visible_objects.size:
-        if prepared.bounds.in_picture(prepared.frame).any():
+        if prepared_scene.bounds.in_picture(prepared_scene.frame).any():
             return "no pixel's centre sees an object", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"
-    has_color = (prepared.diffuse > 0) | (prepared.specular > 0)
+    has_color = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
     reflects_channel = has_color[:, visible_objects]
     emits_channel = np.array([light.intensity for light in scene.lights]) > 0
     if not reflects_channel.any():
@@ -201,36 +201,36 @@ def _explain_black_picture(scene: Scene, prepared: PreparedScene) -> tuple[str, 
     if emits_channel.any() and not reflects_channel[emits_channel.any(axis=0)].any():
         return "the surfaces in view reflect no colour of the lights", shader_remedy
     remedy = "see the lights' positions and intensities"
-    objects_around_eye = visible_objects[prepared.is_eye_inside[visible_objects]]
+    objects_around_eye = visible_objects[prepared_scene.is_eye_inside[visible_objects]]
     if objects_around_eye.size:
         surface_name = _name_surface(scene, objects_around_eye)
         remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
     return "no light reaches anything in view", remedy
 
 
-def _find_visible_objects(prepared: PreparedScene) -> Ints:
+def _find_visible_objects(scene: PreparedScene) -> Ints:
     """Find the objects that are visible through the centre of at least one pixel.
 
     Parameters
     ----------
-    prepared : PreparedScene
-        A scene, prepared for its camera.
+    scene : PreparedScene
+        The scene, prepared for its camera.
 
     Returns
     -------
     visible_objects : (k,) int array
         Indices of the objects in the prepared scene, in ascending order.
     """
-    (rows, columns), visible_by_batch = prepared.window, [np.zeros(0, dtype=np.intp)]
+    (rows, columns), visible_by_batch = scene.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
-        rows_per_batch = max(1, prepared.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
+        rows_per_batch = max(1, scene.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = CENTERS.samples(slice(top, min(top + rows_per_batch, rows.stop)), columns)
-            visible_by_batch.append(np.unique(find_nearest_hits(prepared, samples).run_object))
+            visible_by_batch.append(np.unique(find_nearest_hits(scene, samples).run_object))
     return np.unique(np.concatenate(visible_by_batch))
 
 
-def _shader_warnings(surfaces: Surfaces) -> Iterator[str]:
+def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
     """Yield warnings about shaders that no surface uses and exponents that have no effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
@@ -273,7 +273,7 @@ def _name_shaders(lines: list[int]) -> str:
     return f"shader of line {lines[0]}" if len(lines) == 1 else f"shaders of lines {listed_lines}"
 
 
-def _aspect_warnings(scene: Scene) -> Iterator[str]:
+def _check_aspect(scene: Scene) -> Iterator[str]:
     """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
 
     The warning suggests a value of `viewWidth`, and a number of columns, each of which would make
@@ -317,7 +317,7 @@ def _name_surface(scene: Scene, object_index: Ints) -> str:
     return name_by_index("surface", surface_index, scene.surfaces[surface_index].line)
 
 
-def _color_range_warnings(scene: Scene) -> Iterator[str]:
+def _check_color_ranges(scene: Scene) -> Iterator[str]:
     """Yield a warning about each colour that seems to be in the range 0 to 255, not 0 to 1.
 
     Such a colour consists of integers up to 255, the largest of which is at least `_MIN_CODE`.  The

@@ -32,7 +32,7 @@ import numpy as np
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
 from tracer.arrays import CACHE_SIZE, Floats
-from tracer.picture.lint import Exposure, SceneWarning, scene_warnings
+from tracer.picture.lint import Exposure, SceneWarning, lint_scene
 from tracer.picture.memory import keep_freed_memory
 from tracer.picture.parallel import Distribution, Executor, WorkerPool, count_processors
 from tracer.picture.png import compress_tile, write_png
@@ -161,7 +161,7 @@ def render(
     for rectangle, radiance in zip(tiles, remote_radiances, strict=True):
         if radiance is not None:
             image[rectangle] = radiance
-    for warning in scene_warnings(scene, job.prepared, Exposure.from_radiance(image)):
+    for warning in lint_scene(scene, job.prepared_scene, Exposure.from_radiance(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
     return image
 
@@ -275,7 +275,7 @@ class RenderJob:
 
     Attributes
     ----------
-    prepared : PreparedScene
+    prepared_scene : PreparedScene
         The scene, prepared for its camera.
     seconds : float
         Rough estimate of the time, in seconds, that one process would need for the picture.
@@ -301,13 +301,13 @@ class RenderJob:
         if sample_shift.shape != (2,) or not np.isfinite(sample_shift).all():
             raise ValueError(f"offset must be two finite numbers, not {offset!r}")
         right, down = sample_shift.tolist()
-        self.prepared = PreparedScene(scene, (right, down))
+        self.prepared_scene = PreparedScene(scene, (right, down))
         is_antialiased = per_side > 1
-        uses_lattice = is_antialiased and is_supersampling_cheaper(self.prepared, per_side)
+        uses_lattice = is_antialiased and is_supersampling_cheaper(self.prepared_scene, per_side)
         self._is_adaptive = is_antialiased and not uses_lattice
         self._lattice = Lattice.at_least(per_side) if uses_lattice else CENTERS
         max_samples = _MAX_TILE_SAMPLES * (_ADAPTIVE_FACTOR if self._is_adaptive else 1)
-        self._max_samples = self.prepared.batch_size(max_samples)
+        self._max_samples = self.prepared_scene.batch_size(max_samples)
         self.seconds = self._seconds_per_pixel * scene.width * scene.height
 
     @cached_property
@@ -318,16 +318,16 @@ class RenderJob:
         average number of objects that a ray meets, and a constant.  In an adaptive picture, only
         pixels that edges cross have more than one sample.
         """
-        prepared, sample_count = self.prepared, float(self._lattice.size)
+        prepared_scene, sample_count = self.prepared_scene, float(self._lattice.size)
         if self._is_adaptive:
-            pixel_count = prepared.frame.width * prepared.frame.height
-            silhouette_density = prepared.bounds.silhouette_density(prepared.frame)
+            pixel_count = prepared_scene.frame.width * prepared_scene.frame.height
+            silhouette_density = prepared_scene.bounds.silhouette_density(prepared_scene.frame)
             edge_count = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_density
             samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
             max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
             sample_count = _ADAPTIVE_SAMPLES + min(edge_count * samples_per_edge, max_samples)
-        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared.light_count)
-        return sample_count * seconds_per_hit * prepared.depth_complexity
+        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared_scene.light_count)
+        return sample_count * seconds_per_hit * prepared_scene.depth_complexity
 
     def tiles(self, *, shared: bool) -> list[Rectangle]:
         """Divide the picture into tiles, each consisting of whole rows or part of one row.
@@ -343,7 +343,7 @@ class RenderJob:
         tiles : list of (slice, slice)
             Rows and columns of each tile in the picture, from top to bottom and from left to right.
         """
-        width, height = self.prepared.frame.width, self.prepared.frame.height
+        width, height = self.prepared_scene.frame.width, self.prepared_scene.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
         tile_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
@@ -408,21 +408,23 @@ class RenderJob:
         tile_shape = rows.stop - rows.start, columns.stop - columns.start
         radiance = np.zeros((*tile_shape, 3)) if out is None else out
         # No object is visible outside the window of the prepared scene.
-        visible_rows, visible_columns = map(_intersect_ranges, rectangle, self.prepared.window)
+        visible_rows, visible_columns = map(
+            _intersect_ranges, rectangle, self.prepared_scene.window
+        )
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
         visible_radiance = radiance[_to_tile_range(visible_rows, rows)]
         if self._is_adaptive:
             visible_radiance[:, _to_tile_range(visible_columns, columns)] = refine_pixels(
-                self.prepared, visible_rows, visible_columns, self._samples_per_side
+                self.prepared_scene, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance
         samples = self._lattice.samples(visible_rows, columns)
         if self._lattice.size > 1:
-            sample_radiance = compute_radiance(self.prepared, samples)
+            sample_radiance = compute_radiance(self.prepared_scene, samples)
             visible_radiance[:] = self._lattice.mean(sample_radiance, tile_shape[1])
         else:
-            compute_radiance(self.prepared, samples, out=visible_radiance.reshape(-1, 3).T)
+            compute_radiance(self.prepared_scene, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
 

@@ -109,11 +109,11 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     position_x, position_y = position_x.ravel(), position_y.ravel()
     if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
-    prepared = PreparedScene(scene)
+    prepared_scene = PreparedScene(scene)
     fields = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
-    for batch in index_batches(np.arange(count), prepared.batch_size(_RAYS_PER_BATCH)):
+    for batch in index_batches(np.arange(count), prepared_scene.batch_size(_RAYS_PER_BATCH)):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
-        batch_hits = FirstHits.from_hits(find_nearest_hits(prepared, samples))
+        batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
         for array, values in zip(fields, vars(batch_hits).values(), strict=True):
             array[batch[order]] = values
     return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in fields))

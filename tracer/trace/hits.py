@@ -119,7 +119,7 @@ class Hits(NamedTuple):
 
     Attributes
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         The positions in the picture through which the rays pass.

@@ -15,14 +15,12 @@ from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
 
-def compute_radiance(
-    prepared: PreparedScene, samples: Samples, out: Floats | None = None
-) -> Floats:
+def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None = None) -> Floats:
     """Compute the radiance that reaches the eye along the ray through each sample.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         The n samples: positions in the picture, through which rays are traced.
@@ -34,16 +32,16 @@ def compute_radiance(
     radiance : (3, n) float array
         Linear RGB radiance at each sample; 0 if the ray meets no surface.
     """
-    hits = find_nearest_hits(prepared, samples)
-    return shade(hits, prepared.light_batches).radiance(out)
+    hits = find_nearest_hits(scene, samples)
+    return shade(hits, scene.light_batches).radiance(out)
 
 
-def compute_radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
+def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
     """Compute the radiance and an id at each sample.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         The n samples: positions in the picture, through which rays are traced.
@@ -56,8 +54,8 @@ def compute_radiance_and_ids(prepared: PreparedScene, samples: Samples) -> tuple
         -1 if the ray meets no surface.  Otherwise, two samples have the same id if their rays hit
         the same face of the same object, and the same lights are visible from both hits.
     """
-    hits = find_nearest_hits(prepared, samples)
-    shading = shade(hits, prepared.light_batches, with_ids=True)
+    hits = find_nearest_hits(scene, samples)
+    shading = shade(hits, scene.light_batches, with_ids=True)
     ids = np.full(samples.size, -1)
     ids[hits.sample] = shading.ids
     return shading.radiance(), ids

@@ -31,7 +31,7 @@ _MAX_SORTED_X = 2.0**20
 
 def find_object_spans(
     shape: Shape,
-    prepared: PreparedScene,
+    scene: PreparedScene,
     rows: Floats,
     columns: tuple[float, float],
     height: float = 0.0,
@@ -46,7 +46,7 @@ def find_object_spans(
     ----------
     shape : Spheres or Boxes
         The objects.
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene, with bounding rectangles of all objects in the picture.
     rows : (rows,) float array
         Top edge of each row, in pixels from the top of the picture, in ascending order.
@@ -68,7 +68,7 @@ def find_object_spans(
     left, right : (n,) float arrays
         Ends of each span, in pixels from the left edge of the picture; left <= right.
     """
-    bounds = prepared.bounds.take(shape.objects.slice)
+    bounds = scene.bounds.take(shape.objects.slice)
     candidate = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
     first_row = rows.searchsorted(bounds.top[candidate] - pad - height)
     stop_row = rows.searchsorted(bounds.bottom[candidate] + pad, side="right")
@@ -150,7 +150,7 @@ class Rows(NamedTuple):
         row, column = np.divmod(sample_index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
-    def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
+    def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
         """Find the samples at which each object of one shape may be visible.
 
         The samples are grouped into spans: consecutive samples in one row at which the same object
@@ -160,7 +160,7 @@ class Rows(NamedTuple):
         ----------
         shape : Spheres or Boxes
             The objects.
-        prepared : PreparedScene
+        scene : PreparedScene
             The scene.
 
         Returns
@@ -176,7 +176,7 @@ class Rows(NamedTuple):
         """
         columns, per_pixel = self.x.size, self.per_pixel[0]
         object_index, row, left, right = find_object_spans(
-            shape, prepared, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
+            shape, scene, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
         )
         first_x = self.x[0] + self.shift[row]
         start = np.ceil((left - first_x) * per_pixel).clip(0, columns).astype(np.intp)
@@ -275,7 +275,7 @@ class Scattered(NamedTuple):
         """
         return self.x[sample_index], self.y[sample_index]
 
-    def find_spans(self, shape: Shape, prepared: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
+    def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find the samples at which each object of one shape may be visible.
 
         The result has the same form as that of `Rows.find_spans`, with one sample in each span.
@@ -284,7 +284,7 @@ class Scattered(NamedTuple):
         ----------
         shape : Spheres or Boxes
             The objects.
-        prepared : PreparedScene
+        scene : PreparedScene
             The scene.
 
         Returns
@@ -300,7 +300,7 @@ class Scattered(NamedTuple):
         rows = np.floor(self.y[self.row_start])
         columns = self.x.min(initial=0), self.x.max(initial=0)
         object_index, row, left, right = find_object_spans(
-            shape, prepared, rows, columns, height=1.0, pad=_SPAN_PADDING
+            shape, scene, rows, columns, height=1.0, pad=_SPAN_PADDING
         )
         start = self.key.searchsorted(_sort_key(row + 1, left))
         stop = self.key.searchsorted(_sort_key(row + 1, right), side="right")

@@ -24,14 +24,14 @@ _RUN_WIDTH = 4.0
 _MAX_DISTANCE = np.finfo(np.float64).max
 
 
-def find_nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
+def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
     """Find the first surface that the ray through each sample hits.
 
     If several surfaces are at exactly the same distance, the first one in the scene file is hit.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
@@ -41,17 +41,17 @@ def find_nearest_hits(prepared: PreparedScene, samples: Samples) -> Hits:
     hits : Hits
         One hit for each sample whose ray meets a surface; other samples have no hit.
     """
-    groups = _intersect_objects(prepared, samples)
-    visible = _select_visible(prepared, groups, _find_nearest_distances(samples, groups))
-    return _build_hits(prepared, samples, visible)
+    groups = _intersect_objects(scene, samples)
+    visible = _select_visible(scene, groups, _find_nearest_distances(samples, groups))
+    return _build_hits(scene, samples, visible)
 
 
-def find_nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
+def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
     """Find the first surface that the ray through each sample hits, and the objects behind it.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
@@ -64,14 +64,14 @@ def find_nearest_and_hidden_hits(prepared: PreparedScene, samples: Samples) -> t
         One hit for each object that the ray meets behind the nearest surface: any number of hits
         for each sample.
     """
-    groups = _intersect_objects(prepared, samples)
+    groups = _intersect_objects(scene, samples)
     nearest_t = _find_nearest_distances(samples, groups)
     hidden = [
         group.select((group.t > nearest_t.take(group.sample)) & (group.t < np.inf))
         for group in groups
     ]
-    visible = _select_visible(prepared, groups, nearest_t)
-    return _build_hits(prepared, samples, visible), _build_hits(prepared, samples, hidden)
+    visible = _select_visible(scene, groups, nearest_t)
+    return _build_hits(scene, samples, visible), _build_hits(scene, samples, hidden)
 
 
 class _Intersections(NamedTuple):
@@ -173,12 +173,12 @@ class _Intersections(NamedTuple):
         return indices(is_start)
 
 
-def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Intersections]:
+def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersections]:
     """Intersect the ray through each sample with all objects that may be visible there.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
@@ -189,10 +189,10 @@ def _intersect_objects(prepared: PreparedScene, samples: Samples) -> list[_Inter
         The (sample, object) pairs: one group for each shape.  The groups include pairs whose ray
         misses the object.
     """
-    frame, groups = prepared.frame, []
+    frame, groups = scene.frame, []
     sample_right, row_down = samples.ray_right(frame), frame.ray_down(samples.y)
-    for shape in prepared.shapes:
-        object_index, row, first_sample, sample_count = samples.find_spans(shape, prepared)
+    for shape in scene.shapes:
+        object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
         ray_down, ray_right = row_down.take(row), sample_right.take(sample)
         t_and_hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
@@ -224,13 +224,13 @@ def _find_nearest_distances(samples: Samples, groups: list[_Intersections]) -> F
 
 
 def _select_visible(
-    prepared: PreparedScene, groups: list[_Intersections], nearest_t: Floats
+    scene: PreparedScene, groups: list[_Intersections], nearest_t: Floats
 ) -> list[_Intersections]:
     """Select the visible intersections: one for each sample whose ray meets a surface.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     groups : list of _Intersections
         All intersections of rays with objects: one group for each shape.
@@ -246,7 +246,7 @@ def _select_visible(
     visible = [group.select(group.t == nearest_t.take(group.sample)) for group in groups]
     if sum(group.t.size for group in visible) == np.count_nonzero(nearest_t < _MAX_DISTANCE):
         return visible  # no sample has two nearest intersections
-    file_index = prepared.surfaces.file_index
+    file_index = scene.surfaces.file_index
     first_in_file = np.full(nearest_t.size, file_index.size)
     for group in visible:
         np.minimum.at(first_in_file, group.sample, file_index.take(group.pair_object))
@@ -256,12 +256,12 @@ def _select_visible(
     ]
 
 
-def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
+def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
     """Convert intersections to hits: compute positions, runs and tangent planes.
 
     Parameters
     ----------
-    prepared : PreparedScene
+    scene : PreparedScene
         The scene.
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
@@ -274,7 +274,7 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     hits : Hits
         One hit for each intersection.
     """
-    frame, groups = prepared.frame, [group for group in groups if group.t.size]
+    frame, groups = scene.frame, [group for group in groups if group.t.size]
     starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
     from_eye, shape_hits, empty = np.empty((3, starts[-1])), [], np.zeros(0, dtype=np.intp)
     for group, start, end in zip(groups, starts, starts[1:], strict=False):
@@ -296,4 +296,4 @@ def _build_hits(prepared: PreparedScene, samples: Samples, groups: list[_Interse
     run_start = np.concatenate([empty, [0], *(group.run_length for group in shape_hits)]).cumsum()
     sample = np.concatenate([empty, *(group.sample for group in shape_hits)])
     run_object = np.concatenate([empty, *(group.run_object for group in shape_hits)])
-    return Hits(prepared, samples, from_eye, shape_hits, sample, run_start, run_object)
+    return Hits(scene, samples, from_eye, shape_hits, sample, run_start, run_object)
