@@ -30,7 +30,7 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import convert_exact, convert_stock
 from converters.variant import SCALAR, mi, use_variant
 from reference import povray
-from reference.command import HERE, SCENES, build_path, make_parser, own_scenes
+from reference.command import HERE, SCENES, build_path, list_scene_files, make_parser
 from reference.measured.measurements import (
     Task,
     Timing,
@@ -169,7 +169,7 @@ def benchmark_whole_process(quick: bool) -> str:
             "the same, scalar": [*mitsuba_script, SCALAR, str(stock_file), png_path],
         }
         if povray.is_installed():
-            commands["POV-Ray"] = povray.write_scene_and_command(scene, Path(png_path))
+            commands["POV-Ray"] = povray.prepare_command(scene, Path(png_path))
         tasks = {name: make_command_task(command) for name, command in commands.items()}
         timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
         baselines = (timings[x] for x in ("Mitsuba exact", "Mitsuba stock", "the same, scalar"))
@@ -204,7 +204,7 @@ def benchmark_rendering(quick: bool) -> str:
     rows: list[tuple[object, ...]] = []
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
         speedups: list[tuple[float, float]] = []
-        scenes = {path.stem: load_scene(path) for path in own_scenes()}
+        scenes = {path.stem: load_scene(path) for path in list_scene_files()}
         scenes |= {f"field-{count}": build_field(count) for count in (1000, 10_000)}
         for name in _SELECTED_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
@@ -291,7 +291,7 @@ def _time_mitsuba_once(mitsuba_xml: str) -> list[Timing]:
     return [Timing(seconds, seconds, seconds) for seconds in np.diff(timestamps).tolist()]
 
 
-def write_frames_and_commands(
+def prepare_animation_commands(
     frame_count: int, size: tuple[int, int]
 ) -> dict[str, list[list[str]]]:
     """Write an animation's frames as scene files, and return the commands that render them.
@@ -328,7 +328,7 @@ def write_frames_and_commands(
             mitsuba_file.write_text(str(mitsuba_scene))
             mitsuba_paths[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
         picture = build_path(f"frame-{frame_index}.png")
-        povray_commands.append(povray.write_scene_and_command(frame_scene, picture))
+        povray_commands.append(povray.prepare_command(frame_scene, picture))
     tracer_command = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
     half_commands = [shlex.join([*tracer_command, "1", *scene_files[odd::2]]) for odd in (0, 1)]
     pool_script = [sys.executable, "-c", _POOL_SCRIPT]
@@ -361,7 +361,7 @@ def benchmark_frames(quick: bool) -> str:
         A section of a Markdown page, with these times.
     """
     frame_count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
-    renderer_commands = write_frames_and_commands(frame_count, size)
+    renderer_commands = prepare_animation_commands(frame_count, size)
     tasks = {name: partial(run_commands, commands) for name, commands in renderer_commands.items()}
     total_timings = time_interleaved(tasks, ROUNDS)
     timings = {name: timing.divided_by(frame_count) for name, timing in total_timings.items()}

@@ -53,7 +53,7 @@ from converters.to_mitsuba import (
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
-from reference.figures import Figures, largest_difference, measure_differences, write_comparison
+from reference.figures import Figures, measure_differences, select_largest_channel, write_comparison
 from reference.judges import plain
 from reference.judges.arrays import Bools, Floats
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render, to_codes
@@ -109,42 +109,42 @@ class CheckResult:
     ----------
     name : str
         Name of the scene.
-    tracer : (h, w, 3) float array
+    tracer_image : (h, w, 3) float array
         The tracer's picture, in linear radiance.
     tracer_seconds : float
         Time to render it.  A first rendering, which takes longer, is not measured.
     mitsuba : Rendering
         Mitsuba's picture, with Mitsuba's variant and the time to render it.
-    edges : (h, w) bool array
+    is_edge : (h, w) bool array
         Pixels that differ, but may do so because an edge is close to their centre.
-    ties : (h, w) bool array
+    is_tie : (h, w) bool array
         Pixels that differ, but are right in both pictures, because two surfaces coincide.
-    differing : (h, w) bool array
+    is_disputed : (h, w) bool array
         All other pixels that differ.
-    examined : (h, w) bool array
-        Those of the differing pixels that were traced in exact arithmetic: a sample, or all.
-    wrong : (h, w) bool array
+    is_examined : (h, w) bool array
+        Disputed pixels that were traced in exact arithmetic: a sample, or all of them.
+    is_wrong : (h, w) bool array
         Examined pixels in which exact arithmetic contradicts the tracer.
     figures : Figures
-        Measures of the difference between the pictures, without the pixels in `edges` and `ties`.
-        In pictures brighter than 1, they are relative to the brightest pixel.
+        Measures of the difference between the pictures, without edge pixels and ties.  In pictures
+        brighter than 1, they are relative to the brightest pixel.
     """
 
     name: str
-    tracer: Floats
+    tracer_image: Floats
     tracer_seconds: float
     mitsuba: Rendering
-    edges: Bools
-    ties: Bools
-    differing: Bools
-    examined: Bools
-    wrong: Bools
+    is_edge: Bools
+    is_tie: Bools
+    is_disputed: Bools
+    is_examined: Bools
+    is_wrong: Bools
     figures: Figures
 
     @property
-    def excluded(self) -> Bools:
+    def is_excluded(self) -> Bools:
         """Mask (h, w) of the pixels that affect no figure: those near edges, and ties."""
-        return self.edges | self.ties
+        return self.is_edge | self.is_tie
 
     @property
     def verdict(self) -> Verdict:
@@ -155,23 +155,23 @@ class CheckResult:
           whole.
         - "undecided": pixels differ, but exact arithmetic confirms the tracer.
         """
-        if self.differing.any():
-            return "DIFFERS" if self.wrong.any() else "undecided"
-        return "DIFFERS" if list_figures_out_of_tolerance(self.figures) else "agrees"
+        if self.is_disputed.any():
+            return "DIFFERS" if self.is_wrong.any() else "undecided"
+        return "DIFFERS" if describe_exceeded_tolerances(self.figures) else "agrees"
 
     @property
     def remarks(self) -> list[str]:
         """The reasons for the verdict, as sentences without a full stop; may be empty."""
         sentences = []
-        if self.ties.any():
-            tie_count = _format_pixel_count(self.ties)
+        if self.is_tie.any():
+            tie_count = _format_pixel_count(self.is_tie)
             sentences.append(f"surfaces tie on {tie_count}, where Mitsuba shows another one")
-        if not self.differing.any():
-            clauses = list_figures_out_of_tolerance(self.figures)
+        if not self.is_disputed.any():
+            clauses = describe_exceeded_tolerances(self.figures)
             return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
-        row, column = np.argwhere(self.wrong if self.wrong.any() else self.examined)[0]
-        pixels = f"{_format_pixel_count(self.differing)}, the first at column {column}, row {row}"
-        examined_count, wrong_count = int(self.examined.sum()), int(self.wrong.sum())
+        row, column = np.argwhere(self.is_wrong if self.is_wrong.any() else self.is_examined)[0]
+        pixels = f"{_format_pixel_count(self.is_disputed)}, the first at column {column}, row {row}"
+        examined_count, wrong_count = int(self.is_examined.sum()), int(self.is_wrong.sum())
         if wrong_count:
             wrong_share = f"{wrong_count} of {examined_count} pixels that were examined"
             finding = f"exact arithmetic contradicts the tracer on {wrong_share}"
@@ -181,13 +181,13 @@ class CheckResult:
             sentence = f"Mitsuba or the converter is wrong on {pixels}; {finding}"
         return [*sentences, sentence]
 
-    def report(self) -> str:
+    def format_report(self) -> str:
         """Format the verdict, the figures, the rendering times and the remarks, one per line."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
-            f"  excluded: edge pixels that differ: {self.edges.sum()} ({self.edges.mean():.3%}),"
-            f" ties: {self.ties.sum()}",
+            f"  excluded: edge pixels that differ: {self.is_edge.sum()}"
+            f" ({self.is_edge.mean():.3%}), ties: {self.is_tie.sum()}",
             f"  Mitsuba ({self.mitsuba.variant}) {self.mitsuba.seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
@@ -200,7 +200,7 @@ def _format_pixel_count(mask: Bools) -> str:
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
-def list_figures_out_of_tolerance(figures: Figures) -> list[str]:
+def describe_exceeded_tolerances(figures: Figures) -> list[str]:
     """Describe each measure by which two pictures that should be equal differ too much.
 
     Parameters
@@ -251,7 +251,7 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     return is_near_edge
 
 
-def check(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
+def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -> CheckResult:
     """Render a scene file with the tracer and with Mitsuba, and compare the two pictures.
 
     Parameters
@@ -436,31 +436,31 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     # If the pictures differ too much as a whole, compare the pixels again, with less tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
         is_different, max_difference = difference > tolerance, tolerance * scale
-        edge_mask = is_different.copy()
+        is_edge = is_different.copy()
         if is_different.any():
-            edge_mask &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, max_difference)
-        if edge_mask.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
-            edge_mask[:] = False
-        tie_mask, examined_mask, wrong_mask = _examine_exactly(
-            scene, tracer_image, mitsuba_image, is_different & ~edge_mask, max_difference
+            is_edge &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, max_difference)
+        if is_edge.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
+            is_edge[:] = False
+        is_tie, is_examined, is_wrong = _examine_exactly(
+            scene, tracer_image, mitsuba_image, is_different & ~is_edge, max_difference
         )
-        excluded_mask = edge_mask | tie_mask
+        is_excluded = is_edge | is_tie
         # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
-        compared_image = np.where(excluded_mask[:, :, None], mitsuba_image, tracer_image)
-        mask = None if excluded_mask.all() else excluded_mask
+        compared_image = np.where(is_excluded[:, :, None], mitsuba_image, tracer_image)
+        mask = None if is_excluded.all() else is_excluded
         figures = measure_differences(compared_image / scale, mitsuba_image / scale, mask)
-        if examined_mask.any() or not list_figures_out_of_tolerance(figures):
+        if is_examined.any() or not describe_exceeded_tolerances(figures):
             break
     return CheckResult(
         name=name,
-        tracer=tracer_image,
+        tracer_image=tracer_image,
         tracer_seconds=tracer_seconds,
         mitsuba=rendering,
-        edges=edge_mask,
-        ties=tie_mask,
-        differing=is_different & ~excluded_mask,
-        examined=examined_mask,
-        wrong=wrong_mask,
+        is_edge=is_edge,
+        is_tie=is_tie,
+        is_disputed=is_different & ~is_excluded,
+        is_examined=is_examined,
+        is_wrong=is_wrong,
         figures=figures,
     )
 
@@ -489,14 +489,14 @@ def _examine_exactly(
 
     Returns
     -------
-    tie_mask : (h, w) bool array
+    is_tie : (h, w) bool array
         Pixels that are ties.
-    examined_mask : (h, w) bool array
+    is_examined : (h, w) bool array
         Pixels of the last batch that are not ties; all False if every pixel is a tie.
-    wrong_mask : (h, w) bool array
+    is_wrong : (h, w) bool array
         Examined pixels in which the tracer is wrong.
     """
-    tie_mask, examined_mask, wrong_mask = np.zeros((3, *is_different.shape), dtype=np.bool_)
+    is_tie, is_examined, is_wrong = np.zeros((3, *is_different.shape), dtype=np.bool_)
     positions = np.argwhere(is_different)
     batch_count = -(-len(positions) // _PIXELS_PER_BATCH)
     for batch_index in range(batch_count):
@@ -512,12 +512,12 @@ def _examine_exactly(
             mitsuba_is_right |= is_exact[:, 1].any(axis=0)
             if tracer_is_right.all():
                 break
-        is_tie = tracer_is_right & mitsuba_is_right
-        tie_mask[rows, columns] = is_tie
-        if not is_tie.all():
-            examined_mask[rows, columns], wrong_mask[rows, columns] = ~is_tie, ~tracer_is_right
+        is_batch_tie = tracer_is_right & mitsuba_is_right
+        is_tie[rows, columns] = is_batch_tie
+        if not is_batch_tie.all():
+            is_examined[rows, columns], is_wrong[rows, columns] = ~is_batch_tie, ~tracer_is_right
             break
-    return tie_mask, examined_mask, wrong_mask
+    return is_tie, is_examined, is_wrong
 
 
 def _similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
@@ -584,10 +584,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Ignore warnings, for example of a black picture: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)
     pairs = track(zip(scene_paths, map(Path, outputs), strict=True), len(scene_paths), "scenes")
-    return worst_status([attempt(_check_and_print, *pair, options) for pair in pairs])
+    return choose_exit_status([attempt(_check_and_print, *pair, options) for pair in pairs])
 
 
-def worst_status(results: Iterable[CheckResult | Failure]) -> int:
+def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     """Return the exit status of a command that has compared several scenes.
 
     Parameters
@@ -629,12 +629,12 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
     Failure
         If the scene cannot be read, converted or compared, or the picture cannot be written.
     """
-    result = check(path, options.variant, options.flavour)
-    picture_pair = to_codes(result.tracer), to_codes(result.mitsuba.image)
-    difference = largest_difference(result.tracer - result.mitsuba.image)
+    result = check_file(path, options.variant, options.flavour)
+    picture_pair = to_codes(result.tracer_image), to_codes(result.mitsuba.image)
+    difference = select_largest_channel(result.tracer_image - result.mitsuba.image)
     labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
     with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY):
         write_comparison(comparison_path, picture_pair, difference, labels)
-    print_line(sys.stdout, result.report())
+    print_line(sys.stdout, result.format_report())
     print_line(sys.stdout, printable(f"  {comparison_path}"))
     return result

@@ -17,7 +17,7 @@ from time import perf_counter
 
 from distributed import Client, LocalCluster
 
-from reference.benchmark import format_section, run_commands, write_frames_and_commands
+from reference.benchmark import format_section, prepare_animation_commands, run_commands
 from reference.command import HERE, build_path, make_parser
 from reference.measured.measurements import describe_origin
 
@@ -27,7 +27,7 @@ _FRAMES = 1_000_000
 # bytes, of the computer that gathers the results; and the number of frames in a larger task.
 _DOLLARS_PER_CORE_HOUR, _CLIENT_BYTES, _FRAMES_PER_TASK = 0.05, 16e9, 100
 
-# Keys of `write_frames_and_commands` of which all CPU time can be measured.
+# Keys of `prepare_animation_commands` of which all CPU time can be measured.
 _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
 
 
@@ -76,7 +76,7 @@ def main() -> None:
     """Measure the costs and limits of rendering on a cluster, and write and print the page."""
     arguments = make_parser("reference.cluster", "few and small frames").parse_args()
     frame_count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
-    commands = write_frames_and_commands(frame_count, size)
+    commands = prepare_animation_commands(frame_count, size)
     renderers = [name for name in _RENDERERS if name in commands]
     cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / frame_count for name in renderers}
     tracer_seconds = cpu_seconds["tracer, 1 process"]

@@ -16,7 +16,7 @@ FAILED_STATUS = 3
 """Exit status of `compare` and `certify` if a file cannot be read, processed or written."""
 
 
-def own_scenes() -> list[Path]:
+def list_scene_files() -> list[Path]:
     """Return the sorted paths of this project's scene files, without converted Mitsuba scenes."""
     return sorted(p for p in SCENES.glob("*.xml") if not p.name.endswith(".mitsuba.xml"))
 

@@ -170,7 +170,7 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
         ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
         channel_difference = (first_light - second_light)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
-        difference_bands.append(largest_difference(channel_difference))
+        difference_bands.append(select_largest_channel(channel_difference))
     rmse = float(np.sqrt(sum_of_squares / first.size))
     return ssim, rmse, maximum, np.concatenate(difference_bands)
 
@@ -220,7 +220,7 @@ def write_comparison(
         sheet.save(file, format="PNG")
 
 
-def largest_difference(channel_difference: Floats) -> Differences:
+def select_largest_channel(channel_difference: Floats) -> Differences:
     """Select, for each pixel, the difference in the channel that differs most.
 
     Parameters

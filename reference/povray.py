@@ -104,7 +104,7 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
     return "\n".join(lines)
 
 
-def write_scene_and_command(
+def prepare_command(
     scene: Scene, picture_path: Path, *options: str, exposure: float = 1.0
 ) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return the command that renders it.
@@ -132,7 +132,7 @@ def write_scene_and_command(
     return ["povray", f"+I{scene_path}", f"+O{picture_path}", *size_options, "-D", *options]
 
 
-def write_linear_scene_and_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
+def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return the command that renders a linear picture.
 
     The picture has 16 bits per channel, and its radiance is clipped at 4 (`WHITE`).  Read it with
@@ -154,13 +154,13 @@ def write_linear_scene_and_command(scene: Scene, picture_path: Path, *options: s
         The program and its arguments.
     """
     options = ("+FP16", "File_Gamma=1.0", *options)
-    return write_scene_and_command(scene, picture_path, *options, exposure=1 / WHITE)
+    return prepare_command(scene, picture_path, *options, exposure=1 / WHITE)
 
 
 def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
     """Read a linear picture with 16 bits per channel, which POV-Ray has rendered.
 
-    POV-Ray renders such a picture with the command from `write_linear_scene_and_command`.
+    POV-Ray renders such a picture with the command from `prepare_linear_command`.
 
     Parameters
     ----------

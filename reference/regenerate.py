@@ -27,7 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure_variant, mi, use_variant
-from reference.command import HERE, SCENES, make_parser, own_scenes
+from reference.command import HERE, SCENES, list_scene_files, make_parser
 from tracer import Scene, load_scene, render, to_codes
 
 FOLDER = HERE / "mitsuba"
@@ -113,10 +113,10 @@ def _render_image(scene: Scene, height: int) -> Image.Image:
 def main() -> None:
     """Render all stored pictures again, and record in `manifest.json` how they were rendered."""
     make_parser("reference.regenerate").parse_args()
-    render_sheet(own_scenes()).save(HERE / "sheet.png", optimize=True)
+    render_sheet(list_scene_files()).save(HERE / "sheet.png", optimize=True)
     large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
     large_picture.save(HERE / "sunflower.png", optimize=True)
-    for path in own_scenes():
+    for path in list_scene_files():
         image = render_mitsuba(load_small_scene(path))
         rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
         write_exr(FOLDER / f"{path.stem}.exr", rounded_image)
@@ -129,6 +129,6 @@ def main() -> None:
         "variant": use_variant().variant,
         "samples": 1,
         "width": WIDTH,
-        "scenes": {path.stem: {"sha256": hash_scene_file(path)} for path in own_scenes()},
+        "scenes": {path.stem: {"sha256": hash_scene_file(path)} for path in list_scene_files()},
     }
     (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")

@@ -26,9 +26,9 @@ from pathlib import Path
 import numpy as np
 
 from converters.to_mitsuba import choose_variant
-from reference.check import EXACT, CheckResult, check, worst_status
-from reference.command import BUILD, HERE, forbid_overwriting_inputs, make_parser, own_scenes
-from reference.figures import amplify_difference, largest_difference
+from reference.check import EXACT, CheckResult, check_file, choose_exit_status
+from reference.command import BUILD, HERE, forbid_overwriting_inputs, list_scene_files, make_parser
+from reference.figures import amplify_difference, select_largest_channel
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
@@ -112,7 +112,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
         For each column of the table, a list with a single cell.
     """
     verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
-    excluded = f"{result.excluded.mean():.2%}"
+    excluded = f"{result.is_excluded.mean():.2%}"
     metrics = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
     cells = Cell(result.name, pair_index), verdict, *map(Cell, metrics + times)
@@ -134,21 +134,21 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
     pair : Pair
         The values for the template, by name: see `prepare_pair`.
     """
-    excluded, metrics, agrees = result.excluded, result.figures, result.verdict == "agrees"
-    mitsuba_image = np.where(excluded[:, :, None], result.tracer, result.mitsuba.image)
-    difference_codes, gain = amplify_difference(largest_difference(result.tracer - mitsuba_image))
+    excluded, metrics, agrees = result.is_excluded, result.figures, result.verdict == "agrees"
+    mitsuba_image = np.where(excluded[:, :, None], result.tracer_image, result.mitsuba.image)
+    difference = select_largest_channel(result.tracer_image - mitsuba_image)
+    difference_codes, gain = amplify_difference(difference)
     difference_codes[excluded] = _EXCLUDED_CODE
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return prepare_pair(
-        to_codes(result.tracer),
+        to_codes(result.tracer_image),
         to_codes(result.mitsuba.image),
         difference_codes,
         gain,
         name=result.name,
         is_good=agrees,
         verdict=result.verdict,
-        left_name="tracer",
-        right_name="Mitsuba",
+        left_name="tracer", right_name="Mitsuba",
         comment=comment,
         faults=[] if agrees else remarks,
         notes=remarks if agrees else [],
@@ -156,7 +156,7 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
             ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
             ("99.9th percentile", f"{metrics.p999:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
             ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.over_count),
-            ("edge pixels excluded", result.edges.sum()), ("ties excluded", result.ties.sum()),
+            ("edge pixels excluded", result.is_edge.sum()), ("ties excluded", result.is_tie.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
             (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
         ),
@@ -216,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_argument("-o", "--output", type=nonempty_path, metavar="PATH", help=help_text)
     add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
-    paths = sorted({*(arguments.scenes or own_scenes())})
+    paths = sorted({*(arguments.scenes or list_scene_files())})
     page_name = arguments.output or str(BUILD / _NAME)
     page_path = Path(page_name, _NAME if is_folder(page_name) else "")
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
@@ -229,12 +229,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
     failures = [str(failure) for failure in outcomes if isinstance(failure, Failure)]
     # The project's charts are shown only with its own scenes.
-    has_charts = {*paths} <= {*own_scenes()}
+    has_charts = {*paths} <= {*list_scene_files()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
     html = render_report(results, charts, failures)
     write_page(page_path, html)
     print_line(sys.stdout, printable(str(page_path)))
-    return FAILED if failures else worst_status(result for result, _ in results)
+    return FAILED if failures else choose_exit_status(result for result, _ in results)
 
 
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:
@@ -261,6 +261,6 @@ def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckRes
     Failure
         If the scene cannot be read or compared.
     """
-    result = replace(check(path, variant), name=name)
+    result = replace(check_file(path, variant), name=name)
     with errors_as_failure(path, "read"):
         return result, _read_comment(path)

@@ -34,7 +34,7 @@ from reference.judges.certificate import certify
 from reference.judges.sampling import render_supersampled, root_mean_square_error
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from reference.measured.measurements import time_interleaved
-from reference.measured.workloads import crowd, resize_picture
+from reference.measured.workloads import build_crowd, resize_picture
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
@@ -145,7 +145,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
         tasks = _make_rendering_tasks(scene, level)
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
-        command = povray.write_linear_scene_and_command(scene, povray_picture, *options)
+        command = povray.prepare_linear_command(scene, povray_picture, *options)
         # The time that POV-Ray reports does not include its start.
         tasks[_POVRAY, 1] = partial(povray.run_and_time, command)
         tasks = {key: task for key, task in tasks.items() if key not in finished_keys}
@@ -216,7 +216,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
         ("four-spheres", load_scene(SCENES / "four-spheres.xml"), 320, 180),
         ("sticks-perspective", sticks, 320, 180),
         ("sticks-perspective", sticks, 1280, 720),
-        ("1,000 small objects", crowd(1000), 320, 180),
+        ("1,000 small objects", build_crowd(1000), 320, 180),
     ]
     return {
         f"{name}, {width}×{height}": resize_picture(scene, width, height)

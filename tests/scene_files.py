@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import pytest
 
-from reference.command import SCENES, own_scenes
+from reference.command import SCENES, list_scene_files
 from reference.measured.workloads import resize_picture
 from tracer import Scene, load_scene
 
@@ -31,7 +31,7 @@ FIELDS = {
 }
 """Names of the fields of a hard scene, and what they mean."""
 
-NAMES = [path.stem for path in own_scenes()]
+NAMES = [path.stem for path in list_scene_files()]
 
 
 def scene_parameters(*quick: str) -> list:

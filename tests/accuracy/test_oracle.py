@@ -19,7 +19,7 @@ from probe import random_direction, rgb_lights, scale_and_shift, scene_of
 from random_scenes import FEW_OBJECTS, KINDS, random_scene, scenes
 from scene_files import NAMES, scene_parameters, small_scene
 
-from reference.command import SCENES, own_scenes
+from reference.command import SCENES, list_scene_files
 from reference.judges import plain
 from reference.measured.workloads import resize_picture
 from tracer import Box, Camera, PointLight, Scene, Sphere, first_hits, load_scene, render
@@ -169,7 +169,7 @@ def test_any_random_scene(kind, data):
     assert not compare(scene).wrong(TOLERANCES[kind])
 
 
-LARGE = {path.stem for path in own_scenes() if len(load_scene(path).surfaces) > 100}
+LARGE = {path.stem for path in list_scene_files() if len(load_scene(path).surfaces) > 100}
 
 
 @pytest.mark.parametrize("name", scene_parameters(*{*NAMES} - LARGE))

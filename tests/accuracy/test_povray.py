@@ -24,7 +24,7 @@ TOLERANCE = 1.01 * povray.WHITE / 65535 / 2
 def test_povray_renders_the_same_picture(name, tmp_path):
     find_program("povray")
     scene, path = load_scene(SCENES / f"{name}.xml"), tmp_path / "picture.ppm"
-    povray.run_and_time(povray.write_linear_scene_and_command(scene, path))
+    povray.run_and_time(povray.prepare_linear_command(scene, path))
     image = render(scene)
     differs = np.abs(povray.read_linear_picture(path) - image).max(axis=2) > TOLERANCE
     assert name == "touching" or not differs.any()

@@ -35,7 +35,7 @@ RED_WALL = replace(WALL, shader=Lambertian(diffuse=(1, 0, 0)))
 def test_hard_scenes_agree(hard):
     result = check_scene(hard.scene, "hard")
     assert (result.verdict, result.remarks) == ("agrees", [])
-    assert result.tracer.max() > float(hard.fields["brightest value"])
+    assert result.tracer_image.max() > float(hard.fields["brightest value"])
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -43,7 +43,7 @@ def test_hard_scenes_agree(hard):
 def test_random_scenes_agree(kind, seed):
     result = check_scene(random_scene(kind, seed, 64, 48), "random")
     assert (result.verdict, result.remarks) == ("agrees", [])
-    assert result.tracer.max() > 0.3
+    assert result.tracer_image.max() > 0.3
 
 
 def test_a_scene_without_surfaces_agrees():
@@ -77,19 +77,19 @@ def test_ties_are_explained_pixel_by_pixel(monkeypatch):
     mitsuba = red.copy()
     mitsuba[5:, :9] = white[5:, :9]
     result = compared(scene, mitsuba)
-    assert (result.verdict, result.ties.sum(), result.figures.max) == ("agrees", 19 * 9, 0)
+    assert (result.verdict, result.is_tie.sum(), result.figures.max) == ("agrees", 19 * 9, 0)
     assert np.array_equal(result.mitsuba.image, mitsuba)
-    assert "surfaces tie on 171 pixels, where Mitsuba shows another one" in result.report()
+    assert "surfaces tie on 171 pixels, where Mitsuba shows another one" in result.format_report()
     # All pixels of a picture may be ties; one pixel that is not a tie is still found.
-    assert compared(scene, white).ties.all()
+    assert compared(scene, white).is_tie.all()
     mitsuba = white.copy()
     mitsuba[23, 23] = 0.5  # in the last batch
     result = compared(scene, mitsuba)
-    assert (result.verdict, result.differing.sum()) == ("undecided", 1)
-    assert result.examined[23, 23]
+    assert (result.verdict, result.is_disputed.sum()) == ("undecided", 1)
+    assert result.is_examined[23, 23]
     # If surfaces tie, the tracer must show the first.
     result = compared(replace(scene, surfaces=scene.surfaces[::-1]), white)
-    assert (result.verdict, result.differing.sum()) == ("agrees", 0)
+    assert (result.verdict, result.is_disputed.sum()) == ("agrees", 0)
     replace_tracer(monkeypatch, white)
     assert compared(scene, red).verdict == "DIFFERS"
 
@@ -98,12 +98,12 @@ def test_the_verdict_is_undecided_if_mitsuba_is_wrong():
     scene, image = four_spheres()
     image[:20] += 0.01
     result = compared(scene, image)
-    assert (result.verdict, result.wrong.sum(), result.differing.sum()) == ("undecided", 0, 1600)
-    assert 50 <= result.examined.sum() <= 100
+    assert (result.verdict, result.is_disputed.sum()) == ("undecided", 1600)
+    assert 50 <= result.is_examined.sum() <= 100
     assert result.figures.max == pytest.approx(0.01, rel=0.05)
-    assert f"scene: undecided\n  SSIM {result.figures.ssim:.6f}" in result.report()
+    assert f"scene: undecided\n  SSIM {result.figures.ssim:.6f}" in result.format_report()
     message = "Mitsuba or the converter is wrong on 1,600 pixels, the first at column 0, row 0"
-    assert message in result.report()
+    assert message in result.format_report()
 
 
 def test_the_verdict_is_differs_if_the_tracer_is_wrong(monkeypatch):
@@ -115,8 +115,8 @@ def test_the_verdict_is_differs_if_the_tracer_is_wrong(monkeypatch):
     image[50:, 70:] += 0.01
     monkeypatch.setattr(check, "_PIXELS_PER_BATCH", 5000)
     result = compared(scene, image)
-    assert (result.verdict, np.argwhere(result.wrong).tolist()) == ("DIFFERS", [[7, 3]])
-    assert "contradicts the tracer on 1 of 101 pixels that were examined" in result.report()
+    assert (result.verdict, np.argwhere(result.is_wrong).tolist()) == ("DIFFERS", [[7, 3]])
+    assert "contradicts the tracer on 1 of 101 pixels that were examined" in result.format_report()
 
 
 @pytest.mark.parametrize("figure", ["SSIM", "median difference"])
@@ -133,7 +133,7 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
         replace_tracer(monkeypatch, wrong)
     result = compared(scene, image if tracer_errs else wrong)
     assert any(
-        line.startswith(figure) for line in check.list_figures_out_of_tolerance(result.figures)
+        line.startswith(figure) for line in check.describe_exceeded_tolerances(result.figures)
     )
     assert result.verdict == ("DIFFERS" if tracer_errs else "undecided")
     if not tracer_errs:
@@ -146,7 +146,7 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
 def test_tolerances_of_whole_pictures():
     def lines(ssim: float, median: float) -> list[str]:
         figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over_count=0)
-        return check.list_figures_out_of_tolerance(figures)
+        return check.describe_exceeded_tolerances(figures)
 
     assert lines(0.99901, 0.99e-6) == []
     assert lines(0.99899, 0) == ["SSIM 0.99899 is below 0.999"]
@@ -175,7 +175,7 @@ def test_tolerance_of_the_distance_to_an_edge(distance, verdict):
     """The edge crosses few pixels, which may be excluded."""
     result = compared(plate(distance, 0.38), render(plate(-0.01, 0.38)))
     assert result.verdict == verdict
-    assert (result.edges if verdict == "agrees" else result.differing)[:, 17].sum() == 6
+    assert (result.is_edge if verdict == "agrees" else result.is_disputed)[:, 17].sum() == 6
 
 
 @pytest.mark.parametrize(("distance", "verdict"), [(1e-8, "agrees"), (1e-4, "DIFFERS")])
@@ -193,9 +193,9 @@ def test_a_bright_pixel_does_not_increase_the_tolerance(monkeypatch):
     bright = image.copy()
     bright[0, 0] = 100
     bright[7, 3] += 1e-3
-    assert compared(scene, bright).differing.sum() == 2
+    assert compared(scene, bright).is_disputed.sum() == 2
     replace_tracer(monkeypatch, bright)
-    assert compared(scene, image).differing.sum() == 2
+    assert compared(scene, image).is_disputed.sum() == 2
 
 
 def test_edges_that_differ_are_excluded_up_to_a_share():
@@ -205,8 +205,8 @@ def test_edges_that_differ_are_excluded_up_to_a_share():
     edges = np.abs(shifted - image).max(axis=2) > 1e-2
     assert 0 < edges.sum() <= 0.015 * edges.size
     result = compared(scene, np.where(edges[:, :, None], shifted, image), STOCK)
-    assert (result.verdict, result.examined.any()) == ("agrees", False)
-    assert np.array_equal(result.edges, edges)
+    assert (result.verdict, result.is_examined.any()) == ("agrees", False)
+    assert np.array_equal(result.is_edge, edges)
     assert result.figures.max < 1e-4
     # A value that the tracer computes on neither side of an edge is not excluded.
     assert compared(scene, image + 2 * edges[:, :, None], STOCK).verdict == "undecided"
@@ -215,15 +215,15 @@ def test_edges_that_differ_are_excluded_up_to_a_share():
     edges = np.abs(shifted - image).max(axis=2) > 1e-2
     assert 0.02 < edges.mean() < 0.03
     result = compared(scene, np.where(edges[:, :, None], shifted, image), Limits(1e-3, 0.18))
-    assert (result.verdict, result.edges.sum()) == ("undecided", 0)
+    assert (result.verdict, result.is_edge.sum()) == ("undecided", 0)
 
 
 def test_edges_on_which_both_agree_are_not_excluded():
     # The pixels are so tall that many contain an edge near the centre.
     scene = replace(load_scene(SCENES / "room.xml"), width=1, height=96)
     result = check_scene(scene, "thin")
-    assert check.find_pixels_near_edges(scene, result.tracer, 0.003, 0).mean() > 0.05
-    assert (result.verdict, result.excluded.any()) == ("agrees", False)
+    assert check.find_pixels_near_edges(scene, result.tracer_image, 0.003, 0).mean() > 0.05
+    assert (result.verdict, result.is_excluded.any()) == ("agrees", False)
 
 
 # False alarms
@@ -262,7 +262,7 @@ def test_hostile_scenes_raise_no_false_alarm(seeds):
         for checked in (check_scene, check_diffuse)
     ]
     use_variant()
-    assert [result.report() for result in results if result.verdict == "DIFFERS"] == []
+    assert [result.format_report() for result in results if result.verdict == "DIFFERS"] == []
     assert sum(result.verdict == "agrees" for result in results) >= len(results) / 2
 
 
@@ -276,7 +276,7 @@ def test_near_ties_of_float64_are_not_mistakes_of_the_tracer():
     # All pixels but the point of contact show the floor.
     result = compared(scene, render(replace(scene, surfaces=[floor])))
     assert result.verdict == "agrees"
-    assert result.ties.any()
+    assert result.is_tie.any()
 
 
 # The command, and the report
@@ -326,10 +326,10 @@ def test_the_status_of_the_commands_is_that_of_the_verdict(
 def test_the_status_after_several_scenes_is_the_worst():
     verdicts = "agrees", "DIFFERS", "undecided"
     agrees, differs, undecided = (SimpleNamespace(verdict=verdict) for verdict in verdicts)
-    assert check.worst_status([]) == 0
-    assert check.worst_status([undecided, agrees]) == 3
-    assert check.worst_status([agrees, differs, undecided]) == 1
-    assert check.worst_status([undecided, Failure("a.xml", "cannot be read")]) == 1
+    assert check.choose_exit_status([]) == 0
+    assert check.choose_exit_status([undecided, agrees]) == 3
+    assert check.choose_exit_status([agrees, differs, undecided]) == 1
+    assert check.choose_exit_status([undecided, Failure("a.xml", "cannot be read")]) == 1
 
 
 @pytest.mark.parametrize("command", [check.main, report.main])

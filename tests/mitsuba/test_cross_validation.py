@@ -27,9 +27,9 @@ def test_diffuse_light_agrees_with_stock_plugins(name):
     # In the LLVM variant, a ray through the diagonal of a cube's face may miss the cube.
     result = check.check_diffuse(load_small_scene(SCENES / f"{name}.xml"), name, SCALAR)
     use_variant()
-    assert result.verdict == "agrees", result.report()
-    assert result.edges.mean() <= 0.001
-    assert result.tracer.max() > 0.1
+    assert result.verdict == "agrees", result.format_report()
+    assert result.is_edge.mean() <= 0.001
+    assert result.tracer_image.max() > 0.1
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -38,14 +38,14 @@ def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
     now = check.check_scene(scene, name)
     then = check.compare(scene, name, Rendering(read_stored_picture(name), "stored", 0.0))
     for result in (now, then):
-        assert result.verdict == "agrees", result.report()
-        assert (name == "touching") == bool(result.ties.any())
-        assert result.edges.mean() <= 0.003
+        assert result.verdict == "agrees", result.format_report()
+        assert (name == "touching") == bool(result.is_tie.any())
+        assert result.is_edge.mean() <= 0.003
     excluded = now.excluded | then.excluded
     # Variants of Mitsuba may decide ties differently: such pixels do not count in SSIM either.
     shown = np.where(excluded[:, :, None], then.mitsuba.image, now.mitsuba.image)
     measured = measure_differences(shown, then.mitsuba.image, excluded)
-    assert check.list_figures_out_of_tolerance(measured) == []
+    assert check.describe_exceeded_tolerances(measured) == []
     assert measured.max <= check.EXACT.difference
 
 
@@ -61,7 +61,7 @@ def test_regenerate_renders_the_stored_pictures(tmp_path, monkeypatch):
     then = read_stored_picture("one-box")
     monkeypatch.setattr(regenerate, "HERE", tmp_path)
     monkeypatch.setattr(regenerate, "FOLDER", tmp_path)
-    monkeypatch.setattr(regenerate, "own_scenes", lambda: [SCENES / "one-box.xml"])
+    monkeypatch.setattr(regenerate, "list_scene_files", lambda: [SCENES / "one-box.xml"])
     monkeypatch.setattr(sys, "argv", ["regenerate"])
     regenerate.main()
     np.testing.assert_allclose(read_stored_picture("one-box"), then, atol=1e-4)

@@ -25,7 +25,7 @@ from converters.mitsuba_xml import ConversionError, make_plugin
 from converters.rendering import render_mitsuba
 from converters.variant import SCALAR
 from reference.check import check_scene
-from reference.command import SCENES, own_scenes
+from reference.command import SCENES, list_scene_files
 from reference.figures import measure_differences
 from reference.regenerate import load_small_scene
 from tracer import Box, Camera, Lambertian, Phong, Scene, Sphere, Surfaces, render
@@ -140,8 +140,8 @@ def test_a_large_ground_is_lit_in_the_exact_flavour():
 
 
 def test_stock_scenes_keep_their_coordinates():
-    assert own_scenes()
-    for path in own_scenes():
+    assert list_scene_files()
+    for path in list_scene_files():
         assert "moved and scaled" not in convert_stock(load_small_scene(path)).comment
     assert "moved and scaled" in convert_stock(scale_and_shift(TINY, 1, (1e6,) * 3)).comment
 
@@ -293,7 +293,7 @@ def test_a_room_is_normalised_by_what_is_visible_from_inside(room):
     scene = scene_of(room, camera=camera, size=(24, 24), lights=(0, 0, 0))
     assert flavours.choose_normalisation(scene).center[2] < -1
     result = check_scene(scene, "room")
-    assert (result.verdict, result.tracer.min() > 0) == ("agrees", True)
+    assert (result.verdict, result.tracer_image.min() > 0) == ("agrees", True)
 
 
 def test_more_rays_are_traced_if_few_hit_a_surface():

@@ -215,4 +215,4 @@ def test_a_broken_converter_is_detected(monkeypatch, mistake, variant):
     result = check_scene(scene, mistake, variant)
     use_variant()
     assert result.verdict == "undecided"
-    assert "Mitsuba or the converter is wrong" in result.report()
+    assert "Mitsuba or the converter is wrong" in result.format_report()

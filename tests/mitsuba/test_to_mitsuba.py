@@ -16,7 +16,7 @@ from running import ROOT, drop_jit, file_names, run
 from converters.to_mitsuba import main
 from converters.variant import LLVM, SCALAR, Choice, find_fastest_variant, mi, use_variant
 from reference import check, report
-from reference.command import own_scenes
+from reference.command import list_scene_files
 from tracer.command.failure import Failure
 
 RENDER = ["--render", "--variant", SCALAR]
@@ -40,10 +40,10 @@ def test_scenes_after_one_that_cannot_be_read_are_converted(tmp_path, capsys):
     bad = tmp_path / "bad.xml"
     bad.write_text("<scene><camera/><image>8 8</image><light/></scene>")
     names = [str(bad), "/"]
-    assert main([*names, *map(str, own_scenes()[:2]), "-o", f"{tmp_path}/made/"]) == 1
+    assert main([*names, *map(str, list_scene_files()[:2]), "-o", f"{tmp_path}/made/"]) == 1
     errors = capsys.readouterr().err.splitlines()
     assert [error.partition(":")[0] for error in errors] == names
-    expected = {f"{path.stem}.mitsuba.xml" for path in own_scenes()[:2]}
+    expected = {f"{path.stem}.mitsuba.xml" for path in list_scene_files()[:2]}
     assert {*file_names(tmp_path / "made")} == expected
 
 

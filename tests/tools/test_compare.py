@@ -24,7 +24,7 @@ from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
 from reference.compare import compare_hand_in, main
-from reference.figures import largest_difference, measure_differences, write_comparison
+from reference.figures import measure_differences, select_largest_channel, write_comparison
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
@@ -90,7 +90,7 @@ def test_comparison_shows_sign_and_size(width: int, tmp_path: Path) -> None:
     a[:, :100] += 0.04
     a[:, 200:] -= 0.02
     a[19, 150] += 0.4
-    difference, labels = largest_difference(a - b), ("A" * 200, "B")
+    difference, labels = select_largest_channel(a - b), ("A" * 200, "B")
     write_comparison(tmp_path / "out.png", (to_codes(a), to_codes(b)), difference, labels)
     shown = read_picture(tmp_path / "out.png").codes
     # A long name stays in its column.

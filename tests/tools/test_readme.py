@@ -12,7 +12,7 @@ import pytest
 from running import ROOT, run
 
 from reference import illustrations, regenerate
-from reference.command import own_scenes
+from reference.command import list_scene_files
 from tracer import SceneFileError, load_scene, render, save_scene
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -71,7 +71,7 @@ def example_folder(tmp_path_factory) -> Path:
     """
     folder = tmp_path_factory.mktemp("readme")
     (folder / "scenes").mkdir()
-    for path in own_scenes():
+    for path in list_scene_files():
         save_scene(replace(load_scene(path), width=24, height=24), folder / "scenes" / path.name)
     # Python imports this module at its start, in worker processes as well.
     spawn = "import multiprocessing; multiprocessing.set_start_method('spawn')"
@@ -169,18 +169,18 @@ def test_each_illustration_of_the_study_is_drawn(tmp_path, monkeypatch):
 def test_the_sheet_shows_every_scene(monkeypatch):
     """Five square scenes and nine wide ones make a row and three."""
     monkeypatch.setattr(regenerate, "_SAMPLES", 1)
-    assert regenerate.render_sheet(own_scenes()).size == (960, 4 * (175 + 22) + 3 * 12)
+    assert regenerate.render_sheet(list_scene_files()).size == (960, 4 * (175 + 22) + 3 * 12)
 
 
 def test_converted_files_are_not_among_the_own_scenes(tmp_path, monkeypatch):
     monkeypatch.setattr("reference.command.SCENES", tmp_path)
     for name in ("room.xml", "room.mitsuba.xml", "ball.xml"):
         (tmp_path / name).touch()
-    assert [path.name for path in own_scenes()] == ["ball.xml", "room.xml"]
+    assert [path.name for path in list_scene_files()] == ["ball.xml", "room.xml"]
 
 
 @pytest.mark.filterwarnings("error::tracer.SceneWarning")
-@pytest.mark.parametrize("path", own_scenes(), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", list_scene_files(), ids=lambda path: path.stem)
 def test_a_scene_is_described_and_exposed_well(path):
     source = path.read_text(encoding="utf-8")
     assert source.startswith("<!-- ")

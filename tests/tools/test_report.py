@@ -18,8 +18,8 @@ from reference.check import CheckResult
 from reference.figures import (
     amplify_difference,
     decode_to_linear,
-    largest_difference,
     measure_differences,
+    select_largest_channel,
 )
 from reference.report import main, render_report
 
@@ -44,14 +44,14 @@ def result(name: str = "pair") -> CheckResult:
     mitsuba[5, 7] = 9  # so large a difference that it would change the amplification
     return CheckResult(
         name=name,
-        tracer=tracer,
+        tracer_image=tracer,
         tracer_seconds=0.0123,
         mitsuba=Rendering(mitsuba, "scalar_rgb", 4.5),
-        edges=edges,
-        ties=np.zeros_like(edges),
-        differing=~edges,
-        examined=~edges,
-        wrong=~edges,
+        is_edge=edges,
+        is_tie=np.zeros_like(edges),
+        is_disputed=~edges,
+        is_examined=~edges,
+        is_wrong=~edges,
         figures=measure_differences(tracer, mitsuba, edges),
     )
 
@@ -62,7 +62,7 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 def test_the_page_contains_everything_that_it_shows():
     results = [
         (result("<b>&"), "Shows <one> & more."),
-        (replace(result("two"), wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_)), ""),
+        (replace(result("two"), is_wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_)), ""),
     ]
     text = render_report(results, [("Chart", CHART)])
     for expected in (
@@ -104,7 +104,7 @@ def test_differences_are_amplified_to_fit_except_for_the_largest(largest, gain):
     a = np.zeros((50, 50, 3))
     a[0, :3, 1] = (1.5, -1.5, largest)  # a thousandth of the pixels may exceed the range
     a[1, :3, 2] = -largest
-    picture, actual_gain = amplify_difference(largest_difference(a))
+    picture, actual_gain = amplify_difference(select_largest_channel(a))
     assert actual_gain == pytest.approx(gain)
     for row, color in ((0, (1, 0.62, 0)), (1, (0.34, 0.71, 0.91))):
         codes = 255 * gain * largest * np.array(color)
