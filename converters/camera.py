@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from tracer import Camera, Scene, Surfaces, first_hits
 
-__all__ = ["Floats", "Window", "bounding_box", "compute_window", "sample_visible_points"]
-
 Floats: TypeAlias = NDArray[np.float64]
 
 # Numbers of rays along each side of the picture: the next one is tried if fewer than
@@ -46,7 +44,7 @@ class Window(NamedTuple):
     width: float
     height: float
 
-    def vectors_to(self, x: Floats | float, y: Floats | float) -> Floats:
+    def compute_vectors_to(self, x: Floats | float, y: Floats | float) -> Floats:
         """Compute the vectors from the eye to points in the window.
 
         Parameters
@@ -110,7 +108,7 @@ def _normalize(vector: Sequence[float] | Floats) -> Floats:
     return unit_vector
 
 
-def bounding_box(surfaces: Surfaces) -> Floats:
+def compute_bounding_box(surfaces: Surfaces) -> Floats:
     """Compute the axis-aligned bounding box of all surfaces of a scene.
 
     Parameters

@@ -14,19 +14,16 @@ from xml.etree.ElementTree import Comment, Element
 
 import numpy as np
 
-from converters.camera import Floats, bounding_box, compute_window, sample_visible_points
+from converters.camera import Floats, compute_bounding_box, compute_window, sample_visible_points
 from converters.mitsuba_xml import (
     ConversionError,
     Document,
-    make_matrix,
+    make_color,
     make_plugin,
-    make_rgb,
-    make_xyz,
+    make_transform,
+    make_vector,
 )
 from tracer import Phong, PointLight, Scene, Shader, Surfaces
-
-__all__ = ["DEFAULT_SAMPLES", "choose_normalisation", "convert", "convert_exact", "convert_stock"]
-__all__ += ["choose_reflectance_divisor", "with_square_pixels"]
 
 DEFAULT_SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
@@ -136,7 +133,7 @@ def choose_normalisation(scene: Scene) -> Normalisation:
         The translation and scaling.  The scale is 1 if the fitted part is a single point.
     """
     visible_points = sample_visible_points(scene)
-    points = visible_points if len(visible_points) else bounding_box(scene.surfaces)
+    points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
     return Normalisation((low + high) / 2, _SCENE_SIZE / size if size > 0 else 1.0)
@@ -214,17 +211,17 @@ def _convert_surfaces(
     """
     radii = (surfaces.radius * normalisation.scale).tolist()
     shapes = [
-        make_plugin("shape", "sphere", make_xyz("point", "center", center), radius=radius)
+        make_plugin("shape", "sphere", make_vector("point", "center", center), radius=radius)
         for center, radius in zip(normalisation(surfaces.center).tolist(), radii, strict=True)
     ]
     half_size = (surfaces.max_pt - surfaces.min_pt) * (normalisation.scale / 2)
-    largest_coordinate = np.abs(normalisation(bounding_box(surfaces))).max()
+    largest_coordinate = np.abs(normalisation(compute_bounding_box(surfaces))).max()
     half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest_coordinate
     # Scale and move Mitsuba's cube, which extends from -1 to 1 along each axis.
     centers = (normalisation(surfaces.min_pt) + normalisation(surfaces.max_pt)) / 2
     for scale, center in zip(half_size.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
-        to_world.extend([make_xyz("scale", None, scale), make_xyz("translate", None, center)])
+        to_world.extend([make_vector("scale", None, scale), make_vector("translate", None, center)])
         shapes.append(make_plugin("shape", "cube", to_world))
     for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
         shape.append(Element("ref", id=bsdf_names[shader_index]))
@@ -295,14 +292,14 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
         _make_exact_sensor(scene, normalisation, samples),
     ]
     for light in scene.lights:
-        position = make_xyz("point", "position", normalisation(np.array(light.position)))
-        intensity = make_xyz("vector", "intensity", light.intensity)
+        position = make_vector("point", "position", normalisation(np.array(light.position)))
+        intensity = make_vector("vector", "intensity", light.intensity)
         elements.append(make_plugin("emitter", "unattenuated_point", position, intensity))
     for name, shader in shader_of_name.items():
         phong = shader if isinstance(shader, Phong) else Phong(diffuse=shader.diffuse)
         bsdf = make_plugin("bsdf", "blinn_phong", name=name, exponent=phong.exponent)
-        bsdf.append(make_xyz("vector", "diffuse", phong.diffuse))
-        bsdf.append(make_xyz("vector", "specular", phong.specular))
+        bsdf.append(make_vector("vector", "diffuse", phong.diffuse))
+        bsdf.append(make_vector("vector", "specular", phong.specular))
         elements.append(bsdf)
     elements += _convert_surfaces(scene.surfaces, normalisation, bsdf_names)
     return Document(_EXACT_COMMENT.format(moved=normalisation), elements)
@@ -328,22 +325,22 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     window = compute_window(scene.camera)
     right, down, _ = window.axes
     # The box is slightly larger than the scene, so that no ray starts on a surface.
-    (low, high), margin = normalisation(bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
+    (low, high), margin = normalisation(compute_bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
     return make_plugin(
         "sensor",
         "window",
-        make_xyz("point", "eye", normalisation(window.eye)),
-        make_xyz("vector", "corner", window.vectors_to(0, 0) * normalisation.scale),
-        make_xyz("vector", "right", right * (window.width * normalisation.scale)),
-        make_xyz("vector", "down", down * (window.height * normalisation.scale)),
-        make_xyz("point", "low", low - margin),
-        make_xyz("point", "high", high + margin),
+        make_vector("point", "eye", normalisation(window.eye)),
+        make_vector("vector", "corner", window.compute_vectors_to(0, 0) * normalisation.scale),
+        make_vector("vector", "right", right * (window.width * normalisation.scale)),
+        make_vector("vector", "down", down * (window.height * normalisation.scale)),
+        make_vector("point", "low", low - margin),
+        make_vector("point", "high", high + margin),
         _make_film(scene),
         make_plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
     )
 
 
-def with_square_pixels(scene: Scene) -> Scene:
+def make_pixels_square(scene: Scene) -> Scene:
     """Make the pixels of a scene's picture square by changing the number of rows.
 
     The number of rows is rounded to an integer of at least 1, and the height of the camera's window
@@ -423,12 +420,12 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     ConversionError
         If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
     """
-    normalisation, square_scene = _choose_stock_normalisation(scene), with_square_pixels(scene)
+    normalisation, square_scene = _choose_stock_normalisation(scene), make_pixels_square(scene)
     divisor = choose_reflectance_divisor(scene.surfaces)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
     points = sample_visible_points(scene)
     if not len(points):
-        points = bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
+        points = compute_bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
     sample_count = _round_up_samples(samples, len(scene.lights))
     elements = [
         # Direct light only; for each sample, Mitsuba chooses one light.
@@ -506,12 +503,12 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
             f"its field of view would be {fov:g} degrees, but Mitsuba needs more than 0 and at most"
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
-    farthest_offset = np.abs(bounding_box(scene.surfaces) - window.eye).max(axis=0)
+    farthest_offset = np.abs(compute_bounding_box(scene.surfaces) - window.eye).max(axis=0)
     far_distance = normalisation.scale * float(np.linalg.norm(farthest_offset)) or 1.0
     return make_plugin(
         "sensor",
         "perspective",
-        make_matrix("to_world", [*transform, (0, 0, 0, 1)]),
+        make_transform("to_world", [*transform, (0, 0, 0, 1)]),
         _make_film(scene),
         make_plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
@@ -558,7 +555,7 @@ def _convert_light(
     # Mitsuba's diffuse BSDF is the reflectance divided by pi.
     intensity = np.array(light.intensity) * (np.pi * divisor * best_squared_distance)
     comment = Comment(f" right at a distance of {best_squared_distance**0.5:.4g} ")
-    children = make_xyz("point", "position", position), make_rgb("intensity", intensity)
+    children = make_vector("point", "position", position), make_color("intensity", intensity)
     return make_plugin("emitter", "point", comment, *children)
 
 
@@ -640,11 +637,11 @@ def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
     if _has_highlight(shader):
         # With this roughness, the Beckmann lobe is as wide as the highlight.
         roughness = (2 / (shader.exponent + 2)) ** 0.5
-        color = make_rgb("specular_reflectance", specular / divisor)
+        color = make_color("specular_reflectance", specular / divisor)
         lobe_type = {"material": "none", "distribution": "beckmann"}
         lobe = make_plugin("bsdf", "roughconductor", color, **lobe_type, alpha=roughness)
-        matte = make_plugin("bsdf", "diffuse", make_rgb("reflectance", diffuse / divisor))
+        matte = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))
         bsdf = make_plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
     else:
-        bsdf = make_plugin("bsdf", "diffuse", make_rgb("reflectance", diffuse / divisor))
+        bsdf = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))
     return make_plugin("bsdf", "twosided", bsdf, name=name)

@@ -10,9 +10,6 @@ from collections.abc import Iterable
 from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement
 
-__all__ = ["HEAD", "ConversionError", "Document", "make_matrix", "make_plugin", "make_rgb"]
-__all__ += ["make_xyz"]
-
 HEAD = "<!--\nWritten by converters.to_mitsuba"
 """The beginning of every converted scene."""
 
@@ -120,7 +117,7 @@ def make_plugin(
     return element
 
 
-def make_xyz(tag: str, name: str | None, components: Iterable[float]) -> Element:
+def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Element:
     """Create the XML element of a point or vector, with the attributes x, y and z.
 
     Parameters
@@ -147,7 +144,7 @@ def make_xyz(tag: str, name: str | None, components: Iterable[float]) -> Element
     return Element(tag, attributes, x=x, y=y, z=z)
 
 
-def make_rgb(name: str, color: Iterable[float]) -> Element:
+def make_color(name: str, color: Iterable[float]) -> Element:
     """Create the XML element of a colour.
 
     Parameters
@@ -170,7 +167,7 @@ def make_rgb(name: str, color: Iterable[float]) -> Element:
     return Element("rgb", name=name, value=_format_numbers(name, color))
 
 
-def make_matrix(name: str, rows: Iterable[Iterable[float]]) -> Element:
+def make_transform(name: str, rows: Iterable[Iterable[float]]) -> Element:
     """Create the XML element of a transform from its matrix.
 
     Parameters

@@ -14,9 +14,7 @@ from converters.camera import Floats
 from converters.flavours import DEFAULT_SAMPLES, convert
 from converters.variant import ensure_variant, mi, use_variant
 from tracer import Scene
-from tracer.files import atomic_file
-
-__all__ = ["Rendering", "load_converted", "render_mitsuba", "write_exr"]
+from tracer.files import open_atomically
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -79,10 +77,10 @@ def render_mitsuba(
             f"{total_sample_count} samples are too many: Mitsuba allows at most {_MAX_SAMPLES};"
             " use fewer per pixel"
         )
-    return load_converted(convert(scene, flavour, samples), variant)().image
+    return load_into_mitsuba(convert(scene, flavour, samples), variant)().image
 
 
-def load_converted(text: str, variant: str | None = None) -> Callable[[], Rendering]:
+def load_into_mitsuba(text: str, variant: str | None = None) -> Callable[[], Rendering]:
     """Load a converted scene into Mitsuba, and return a function that renders it.
 
     Parameters
@@ -136,5 +134,5 @@ def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
     ensure_variant()
     stream = mi.MemoryStream()
     mi.Bitmap(image.astype(np.float32)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
-    with atomic_file(path, _EXR_MAGIC) as file:
+    with open_atomically(path, _EXR_MAGIC) as file:
         file.write(stream.raw_buffer())

@@ -33,16 +33,13 @@ from tracer.command.arguments import (
     CommandParser,
     choose_output_paths,
     make_output_folder,
-    nonempty_path,
+    parse_path,
     parse_positive_int,
 )
 from tracer.command.failure import Failure, describe_cause, errors_as_failure
 from tracer.command.process import FAILED, attempt, print_line
-from tracer.files import atomic_file
-from tracer.messages import printable
-
-__all__ = ["add_scene_arguments", "choose_variant", "main"]
-__all__ += ["mitsuba_errors_as_failure", "skip_converted"]
+from tracer.files import open_atomically
+from tracer.messages import make_printable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -75,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options.flavour = options.flavour or default_flavour
     suffix = ending if options.flavour == default_flavour else f".{options.flavour}{ending}"
-    scenes = skip_converted(options.scenes)
+    scenes = skip_converted_scenes(options.scenes)
     # A path such as / has no name, but is accepted here: reading it fails with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
     output_paths = choose_output_paths(
@@ -84,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     if options.render:
-        choose_variant(options.variant)
+        set_up_mitsuba(options.variant)
     make_output_folder(options.output)
     results = [
         attempt(process_scene, scene, Path(output_path), options)
@@ -93,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return FAILED if any(isinstance(result, Failure) for result in results) else 0
 
 
-def choose_variant(variant: str | None, *, exit_status: int = FAILED) -> None:
+def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
     """Set Mitsuba's variant, and print its name and the reason for choosing it.
 
     Parameters
@@ -145,7 +142,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
             raise Failure(os.fspath(path), f"cannot be converted: {error}") from error
 
 
-def skip_converted(paths: Sequence[str]) -> list[Path]:
+def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     """Remove converted scenes from a list of paths, and print a line for each removed path.
 
     The shell pattern *.xml matches the results of earlier conversions, too.
@@ -168,7 +165,9 @@ def skip_converted(paths: Sequence[str]) -> list[Path]:
                 with Path(path).open("rb") as file:
                     first_bytes = file.read(len(HEAD))
         if first_bytes == HEAD.encode():
-            print_line(sys.stdout, printable(f"{path}: skipped, because it is a converted scene"))
+            print_line(
+                sys.stdout, make_printable(f"{path}: skipped, because it is a converted scene")
+            )
         else:
             kept_paths.append(Path(path))
     return kept_paths
@@ -204,11 +203,11 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         The command-line parser, to which SCENE.xml, -o and --variant are added.
     """
-    parser.add_argument("scenes", nargs="+", type=nonempty_path, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml")
     parser.add_argument(
         "-o",
         "--output",
-        type=nonempty_path,
+        type=parse_path,
         metavar="PATH",
         help="the file to write, or a folder if there are several scenes;"
         " a folder that ends in / is created if it is missing",
@@ -263,10 +262,10 @@ def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespa
         text = convert(scene, options.flavour, options.samples)
     with (
         errors_as_failure(output_path, "written", "choose another with -o"),
-        atomic_file(output_path, HEAD.encode()) as file,
+        open_atomically(output_path, HEAD.encode()) as file,
     ):
         file.write(text.encode())
-    print_line(sys.stdout, printable(f"{output_path}: {options.flavour} flavour"))
+    print_line(sys.stdout, make_printable(f"{output_path}: {options.flavour} flavour"))
 
 
 def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
@@ -299,4 +298,4 @@ def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespac
         with errors_as_failure(picture_path, "written", "choose another with -o"):
             write_picture(picture_path, image)
     height, width, _ = image.shape
-    print_line(sys.stdout, printable(f"{png} and {exr.name}: {width} x {height}"))
+    print_line(sys.stdout, make_printable(f"{png} and {exr.name}: {width} x {height}"))

@@ -33,11 +33,11 @@ from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_par
 from reference.judges.certificate import Certificate, certify
 from reference.pictures import Codes, read_picture
 from tracer import Scene, load_scene, to_codes, write_png
-from tracer.command.arguments import CommandParser, nonempty_path
+from tracer.command.arguments import CommandParser, parse_path
 from tracer.command.failure import Failure, errors_as_failure
-from tracer.command.process import print_result
+from tracer.command.process import print_or_raise
 from tracer.command.progress import Progress
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 # Permitted error of a pixel's mean radiance, if --error is not given.
 _DEFAULT_ERROR = Fraction(1, 128)
@@ -88,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with failure_if_not(output_path, "written", "choose another with -o"):
         write_png(output_path, certificate.image)
     with failure_if_not("standard output", "written"):
-        print_result(sys.stdout, "\n".join(map(printable, lines)))
+        print_or_raise(sys.stdout, "\n".join(map(make_printable, lines)))
     return 1 if wrong_count else 0
 
 
@@ -96,14 +96,14 @@ def _make_command_parser() -> CommandParser:
     """Build the command-line parser of `python -m reference.certify`."""
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
-    add_argument("scene", type=nonempty_path, metavar="SCENE.xml", help="the scene file")
+    add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
     options: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
     help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
     add_argument("--error", help=help_text, **options)
     help_text = "the picture to write (SCENE.xml.certified.png)"
-    add_argument("-o", "--output", type=nonempty_path, metavar="OUT.png", help=help_text)
+    add_argument("-o", "--output", type=parse_path, metavar="OUT.png", help=help_text)
     help_text = "a picture of the scene, whose certainly wrong 8-bit codes are counted"
-    add_argument("--judge", type=nonempty_path, metavar="PICTURE.png", help=help_text)
+    add_argument("--judge", type=parse_path, metavar="PICTURE.png", help=help_text)
     return command_parser
 
 

@@ -41,15 +41,15 @@ from converters.flavours import (
     choose_reflectance_divisor,
     convert_exact,
     convert_stock,
-    with_square_pixels,
+    make_pixels_square,
 )
 from converters.mitsuba_xml import make_plugin
-from converters.rendering import Rendering, load_converted
+from converters.rendering import Rendering, load_into_mitsuba
 from converters.to_mitsuba import (
     add_scene_arguments,
-    choose_variant,
     mitsuba_errors_as_failure,
-    skip_converted,
+    set_up_mitsuba,
+    skip_converted_scenes,
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
@@ -61,7 +61,7 @@ from tracer.command.arguments import OUTPUT_REMEDY, choose_output_paths, make_ou
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 Verdict: TypeAlias = Literal["agrees", "DIFFERS", "undecided"]
 STATUS: dict[Verdict, int] = {"agrees": 0, "DIFFERS": FAILED, "undecided": 3}
@@ -280,7 +280,7 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "compared"):
         check_flavour = {"exact": check_scene, "stock": check_diffuse}[flavour]
-        return check_flavour(scene, printable(path.stem), variant)
+        return check_flavour(scene, make_printable(path.stem), variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
@@ -307,7 +307,7 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     ValueError
         If a radiance is not finite.
     """
-    render_loaded = load_converted(str(convert_exact(scene)), variant)
+    render_loaded = load_into_mitsuba(str(convert_exact(scene)), variant)
     if use_variant(variant).variant == LLVM:
         render_loaded()  # compiles the kernel
     return compare(scene, name, render_loaded())
@@ -340,7 +340,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
         If a radiance is not finite.
     """
     surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
-    diffuse_scene = replace(with_square_pixels(scene), surfaces=Surfaces.from_objects(surfaces))
+    diffuse_scene = replace(make_pixels_square(scene), surfaces=Surfaces.from_objects(surfaces))
     image, start_time = np.zeros((diffuse_scene.height, diffuse_scene.width, 3)), perf_counter()
     for light in diffuse_scene.lights:
         image += _render_diffuse_light(replace(diffuse_scene, lights=(light,)), variant)
@@ -382,7 +382,7 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
-    image = load_converted(str(document), variant)().image
+    image = load_into_mitsuba(str(document), variant)().image
     radiance, hit_position = image[..., :3], image[..., -3:]
     position, intensity = next(emitter.iter("point")), next(emitter.iter("rgb"))
     light_vector = hit_position - [float(position.get(axis, "")) for axis in "xyz"]
@@ -574,12 +574,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     flavours = "exact", "stock"
     command_parser.add_argument("--flavour", choices=flavours, default="exact", help="see above")
     options = command_parser.parse_args(arguments)
-    scene_paths = skip_converted(options.scenes)
+    scene_paths = skip_converted_scenes(options.scenes)
     ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
     default_paths = [str(path.parent / f"{path.stem}{ending}") for path in scene_paths]
     scene_names = [*map(str, scene_paths)]
     outputs = choose_output_paths(command_parser, scene_names, options.output, default_paths)
-    choose_variant(options.variant, exit_status=MISUSED)
+    set_up_mitsuba(options.variant, exit_status=MISUSED)
     make_output_folder(options.output)
     # Ignore warnings, for example of a black picture: the comparison shows what is wrong.
     warnings.simplefilter("ignore", SceneWarning)
@@ -636,5 +636,5 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
     with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY):
         write_comparison(comparison_path, picture_pair, difference, labels)
     print_line(sys.stdout, result.format_report())
-    print_line(sys.stdout, printable(f"  {comparison_path}"))
+    print_line(sys.stdout, make_printable(f"  {comparison_path}"))
     return result

@@ -46,11 +46,11 @@ from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
 from reference.pictures import read_picture
 from tracer import load_scene
-from tracer.command.arguments import OUTPUT_REMEDY, is_folder, nonempty_path
+from tracer.command.arguments import OUTPUT_REMEDY, is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
-from tracer.command.process import print_result
+from tracer.command.process import print_or_raise
 from tracer.command.progress import Progress, track
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 # Time between updates of the progress bar of a single comparison.
 _REFRESH_SECONDS = 0.5
@@ -104,10 +104,8 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     add_argument("--ssim", type=parse_tolerance, metavar="S", help="minimum SSIM")
     add_argument("--max", type=parse_tolerance, metavar="M", help="maximum linear difference")
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
-    add_argument("-o", "--output", type=nonempty_path, metavar="PATH", help=output_help)
-    add_argument(
-        "--html", type=nonempty_path, metavar="OUT.html", help="write a page of all pictures"
-    )
+    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
+    add_argument("--html", type=parse_path, metavar="OUT.html", help="write a page of all pictures")
     formats = command_parser.add_mutually_exclusive_group()
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
     add_format("--json", const=format_json, help="print a list with one object per picture")
@@ -121,12 +119,14 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     options.folder = submission if options.is_class else submission.parent
     picture_paths = list_hand_ins(submission) if options.is_class else [submission]
     if submission.suffix.lower() == ".xml" or (not picture_paths and [*submission.glob("*.xml")]):
-        report_error(printable(f"{submission}: a hand-in is a picture; put it before the scene"))
+        report_error(
+            make_printable(f"{submission}: a hand-in is a picture; put it before the scene")
+        )
     if not picture_paths:
-        report_error(printable(f"{submission}: contains no pictures"))
+        report_error(make_printable(f"{submission}: contains no pictures"))
     if options.is_class and options.output and not is_folder(options.output):
         problem = f"several pictures need a folder; end it in {os.sep}"
-        report_error(printable(f"-o {options.output}: {problem}"))
+        report_error(make_printable(f"-o {options.output}: {problem}"))
     hand_ins = match_hand_ins(picture_paths, submission, reference)
     outputs = [_choose_comparison_path(options, path) for path in picture_paths if options.output]
     outputs += [Path(options.html)] if options.html else []
@@ -199,7 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise Failure("", results[0].error, exit_status=FAILED_STATUS)
     format_results = options.format_results or partial(format_text, as_list=options.is_class)
     with errors_as_failure("standard output", "written", exit_status=FAILED_STATUS):
-        print_result(sys.stdout, format_results(results))
+        print_or_raise(sys.stdout, format_results(results))
     if any(result.verdict == "unread" for result in results):
         return FAILED_STATUS
     return int(not all(result.agrees for result in results))
@@ -370,7 +370,7 @@ def _compare_files(
     pair = make_pair(result, picture.codes, solution.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
         output_path = _choose_comparison_path(options, picture_path)
-        labels = printable(picture_path.name), printable(reference_path.name)
+        labels = make_printable(picture_path.name), make_printable(reference_path.name)
         with errors_as_failure(output_path, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
             output_path.parent.mkdir(parents=True, exist_ok=True)
             write_comparison(output_path, (picture.codes, solution.codes), difference, labels)

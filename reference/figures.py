@@ -13,7 +13,7 @@ from skimage.metrics import structural_similarity
 
 from reference.judges.arrays import Bools, Floats
 from reference.pictures import Codes
-from tracer.files import atomic_file
+from tracer.files import open_atomically
 
 Differences: TypeAlias = NDArray[np.float32]
 
@@ -216,7 +216,7 @@ def write_comparison(
         enlarged = codes.repeat(zoom, axis=0).repeat(zoom, axis=1)
         panel.paste(Image.fromarray(enlarged), (0, _LABEL_HEIGHT))
         sheet.paste(panel, (_MARGIN + panel_index * (panel_width + _MARGIN), _MARGIN))
-    with atomic_file(path, b"\x89PNG\r\n\x1a\n") as file:
+    with open_atomically(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
 

@@ -16,7 +16,7 @@ from reference.command import HERE
 from reference.pictures import Codes
 from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import errors_as_failure
-from tracer.files import atomic_file
+from tracer.files import open_atomically
 
 TEMPLATE = HERE / "page.html"
 
@@ -157,7 +157,7 @@ def write_page(path: Path, html: str, remedy: str = OUTPUT_REMEDY, exit_status: 
     """
     with errors_as_failure(path, "written", remedy, exit_status=exit_status):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path, b"<!doctype html>") as file:
+        with open_atomically(path, b"<!doctype html>") as file:
             file.write(html.encode(errors="backslashreplace"))
 
 

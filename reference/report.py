@@ -25,18 +25,18 @@ from pathlib import Path
 
 import numpy as np
 
-from converters.to_mitsuba import choose_variant
+from converters.to_mitsuba import set_up_mitsuba
 from reference.check import EXACT, CheckResult, check_file, choose_exit_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, list_scene_files, make_parser
 from reference.figures import amplify_difference, select_largest_channel
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
-from tracer.command.arguments import is_folder, nonempty_path
+from tracer.command.arguments import is_folder, parse_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 # Name of the page in a folder.
 _NAME = "report.html"
@@ -213,18 +213,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     help_text = "scene files (all in scenes/)"
     add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help=help_text)
     help_text = "the page to write, or a folder for it, which may end in / (build/report.html)"
-    add_argument("-o", "--output", type=nonempty_path, metavar="PATH", help=help_text)
+    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=help_text)
     add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or list_scene_files())})
     page_name = arguments.output or str(BUILD / _NAME)
     page_path = Path(page_name, _NAME if is_folder(page_name) else "")
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
-    choose_variant(arguments.variant, exit_status=MISUSED)
+    set_up_mitsuba(arguments.variant, exit_status=MISUSED)
     names_are_unique = len({path.stem for path in paths}) == len(paths)
     outcomes = []
     for path in track(paths, len(paths), "scenes"):
-        name = printable(path.stem if names_are_unique else str(path))
+        name = make_printable(path.stem if names_are_unique else str(path))
         outcomes.append(attempt(_compare_scene, path, name, arguments.variant))
     results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
     failures = [str(failure) for failure in outcomes if isinstance(failure, Failure)]
@@ -233,7 +233,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
     html = render_report(results, charts, failures)
     write_page(page_path, html)
-    print_line(sys.stdout, printable(str(page_path)))
+    print_line(sys.stdout, make_printable(str(page_path)))
     return FAILED if failures else choose_exit_status(result for result, _ in results)
 
 

@@ -19,7 +19,7 @@ _part_files: set[str] = set()
 
 
 @contextmanager
-def atomic_file(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
+def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
     """Write a file in a with block, and put it in place only if the block ends without an error.
 
     At the end of the block, the new file replaces the file at `path`, and receives its permissions.

@@ -1,9 +1,9 @@
-"""Make names and texts fit for messages: printable, short and quoted."""
+"""Prepare text for messages: escape it, shorten it, or put it in quotes."""
 
 from __future__ import annotations
 
 
-def printable(text: str) -> str:
+def make_printable(text: str) -> str:
     """Escape the unprintable characters in a text: a line break becomes ``\\n``, for example.
 
     The result is a single line without control characters, so it is safe to show in a terminal.
@@ -13,11 +13,11 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
-def shortened(text: str) -> str:
+def shorten(text: str) -> str:
     """Shorten a text to at most 40 characters, replacing the end of a longer text with "..."."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def quoted(text: str) -> str:
+def quote(text: str) -> str:
     """Shorten a text to at most 40 characters, escape unprintable ones, and put it in quotes."""
-    return repr(shortened(text))
+    return repr(shorten(text))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from reference.handins.diagnosis import UNKNOWN, Diagnosis
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 
 class Result(NamedTuple):
@@ -95,7 +95,7 @@ class Result(NamedTuple):
 
     def format_line(self) -> str:
         """Format the result as one line: verdict, metrics, file and diagnosis; or the error."""
-        report = f"{self.format_metrics()}  {printable(str(self.picture))}: {self.diagnosis}"
+        report = f"{self.format_metrics()}  {make_printable(str(self.picture))}: {self.diagnosis}"
         return f"{self.verdict:8} {self.error or report.lstrip()}"
 
 
@@ -187,7 +187,7 @@ def format_text(results: Sequence[Result], *, as_list: bool) -> str:
     if as_list:
         return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
     result = results[0]
-    lines = result.format_metrics(), str(result.diagnosis), printable(result.comparison or "")
+    lines = result.format_metrics(), str(result.diagnosis), make_printable(result.comparison or "")
     return result.error or "\n".join(filter(None, lines))
 
 
@@ -229,5 +229,5 @@ def _make_cell_safe(text: str) -> str:
     Control characters are escaped, and an apostrophe is put before text that begins like a
     spreadsheet formula, with a character such as "=".
     """
-    text = printable(text)
+    text = make_printable(text)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

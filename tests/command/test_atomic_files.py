@@ -11,7 +11,7 @@ from typing import IO, Any
 import pytest
 from running import start_process
 
-from tracer.files import atomic_file
+from tracer.files import open_atomically
 
 MAGIC = b"magic"
 PRECIOUS = MAGIC + b": precious"
@@ -29,7 +29,7 @@ def target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixt
 
 def write(path: Path, data: bytes = MAGIC) -> None:
     """Write a complete file."""
-    with atomic_file(path, MAGIC) as file:
+    with open_atomically(path, MAGIC) as file:
         file.write(data)
 
 
@@ -40,7 +40,7 @@ def contents(folder: Path) -> list[bytes]:
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
 def test_a_failure_halfway(target, error):
-    with pytest.raises(error), atomic_file(target, MAGIC) as file:  # noqa: PT012
+    with pytest.raises(error), open_atomically(target, MAGIC) as file:  # noqa: PT012
         file.write(MAGIC)
         file.flush()
         raise error
@@ -111,8 +111,8 @@ def test_a_folder_is_not_replaced(target):
 
 WRITER = """if True:
     import sys, time
-    from tracer.files import atomic_file
-    with atomic_file(sys.argv[1], b"") as file:
+    from tracer.files import open_atomically
+    with open_atomically(sys.argv[1], b"") as file:
         file.write(b"half")
         file.flush()
         print("begun", flush=True)
@@ -128,7 +128,7 @@ def test_a_killed_writer_leaves_nothing_behind(tmp_path):
 
 
 def test_two_writers_leave_one_complete_file(target):
-    with atomic_file(target, MAGIC) as first, atomic_file(target, MAGIC) as second:
+    with open_atomically(target, MAGIC) as first, open_atomically(target, MAGIC) as second:
         first.write(MAGIC + b"1")
         second.write(MAGIC + b"2")
     assert contents(target.parent) == [MAGIC + b"1"]

@@ -316,7 +316,7 @@ def test_the_status_of_the_commands_is_that_of_the_verdict(
 ):
     image = render(load_scene(small_file))
     rendering = Rendering(image + mitsuba_error, "scalar_rgb", 0.0)
-    monkeypatch.setattr(check, "load_converted", Mock(return_value=lambda: rendering))
+    monkeypatch.setattr(check, "load_into_mitsuba", Mock(return_value=lambda: rendering))
     replace_tracer(monkeypatch, image + tracer_error)
     assert command([*VARIANT, str(small_file), "-o", f"{small_file.parent}/made/"]) == status
     assert command is report.main or f"small: {verdict}\n" in capsys.readouterr().out
@@ -367,6 +367,6 @@ def test_scenes_after_one_that_cannot_be_compared_are_compared(small_file, capsy
     ],
 )
 def test_an_error_of_mitsuba_is_reported_in_a_line(small_file, monkeypatch, capsys, error, message):
-    monkeypatch.setattr(check, "load_converted", Mock(side_effect=error))
+    monkeypatch.setattr(check, "load_into_mitsuba", Mock(side_effect=error))
     assert check.main([*VARIANT, str(small_file)]) == 1
     assert capsys.readouterr().err == f"{small_file}: cannot be compared: {message}\n"

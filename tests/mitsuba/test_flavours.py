@@ -19,7 +19,7 @@ from converters.flavours import (
     convert,
     convert_exact,
     convert_stock,
-    with_square_pixels,
+    make_pixels_square,
 )
 from converters.mitsuba_xml import ConversionError, make_plugin
 from converters.rendering import render_mitsuba
@@ -80,7 +80,7 @@ def test_shaders_that_no_surface_uses_are_not_converted(flavour):
 
 
 def test_more_samples_than_mitsuba_can_count_are_refused(monkeypatch):
-    monkeypatch.setattr("converters.rendering.load_converted", Mock())
+    monkeypatch.setattr("converters.rendering.load_into_mitsuba", Mock())
     # 10 per pixel are rounded up to 16.
     with pytest.raises(ValueError, match=r"^4294967296 samples are too many"):
         render_mitsuba(replace(close_up(), width=1 << 14, height=1 << 14), samples=10)
@@ -254,14 +254,14 @@ def test_stock_lights_are_right_for_objects_that_are_small_or_out_of_view(z, siz
 
 def test_a_picture_of_square_pixels_has_a_row_and_shows_the_window():
     scene = Scene(camera=Camera(view_width=3, view_height=4), width=10, height=2)
-    square = with_square_pixels(scene)
+    square = make_pixels_square(scene)
     assert (square.height, square.camera.view_height) == (13, pytest.approx(3.9))
-    assert with_square_pixels(square) == square
+    assert make_pixels_square(square) == square
     cameras = Camera(view_height=1e-3), Camera(view_height=1.03)
     flat, inexact = (Scene(camera=camera, width=9, height=9) for camera in cameras)
-    assert with_square_pixels(flat).height == 1
+    assert make_pixels_square(flat).height == 1
     # The number of rows is right, but not the window's height.
-    assert with_square_pixels(inexact).camera == Camera()
+    assert make_pixels_square(inexact).camera == Camera()
 
 
 def test_the_window_of_an_oblique_camera():
@@ -271,8 +271,8 @@ def test_the_window_of_an_oblique_camera():
     window = compute_window(camera)
     np.testing.assert_allclose(window.axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]], atol=1e-15)
     np.testing.assert_allclose(window.center, [-6, 0, 8], atol=1e-14)
-    np.testing.assert_allclose(window.vectors_to(0, 0), [-8, 1, -8], atol=1e-14)
-    np.testing.assert_allclose(window.vectors_to(1, 0.5), [-4, 0, -8], atol=1e-14)
+    np.testing.assert_allclose(window.compute_vectors_to(0, 0), [-8, 1, -8], atol=1e-14)
+    np.testing.assert_allclose(window.compute_vectors_to(1, 0.5), [-4, 0, -8], atol=1e-14)
     # No square of a length overflows.
     ahead = compute_window(Camera(view_dir=(3e300, 0, -4e300))).axes[2]
     np.testing.assert_allclose(ahead, [0.6, 0, -0.8], rtol=1e-15)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
 from tracer.command.failure import errors_as_failure
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 OUTPUT_REMEDY = "choose another with -o"
 """Suggested fix for a result that cannot be written."""
@@ -55,10 +55,10 @@ class CommandParser(argparse.ArgumentParser):
         for argument in sys.argv[1:]:
             if argument.startswith("-") and len(argument) > 1 and os.path.lexists(argument):
                 message += f"; for the file named {argument}, write ./{argument}"
-        super().error(printable(message))
+        super().error(make_printable(message))
 
 
-def nonempty_path(argument: str) -> str:
+def parse_path(argument: str) -> str:
     """Check that a command-line argument, the path of a file, is not empty.
 
     Parameters

@@ -28,8 +28,8 @@ from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import end_on_signals, print_line
 from tracer.command.progress import Progress
-from tracer.files import atomic_file
-from tracer.messages import printable
+from tracer.files import open_atomically
+from tracer.messages import make_printable
 from tracer.picture.linear import EXR, NPY, encode_raw, write_exr, write_npy
 from tracer.picture.lint import Exposure, lint_scene
 from tracer.picture.parallel import Distribution, WorkerPool
@@ -249,7 +249,7 @@ class Batch:
                 errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
                 open(1, "wb", closefd=False)
                 if job.output_path == "-"
-                else atomic_file(job.output_path, magic) as file,
+                else open_atomically(job.output_path, magic) as file,
             ):
                 tiles = encode_tiles(self._pool if is_large else None)
                 write(file, scene.width, scene.height, tiles)
@@ -258,8 +258,8 @@ class Batch:
         seconds = perf_counter() - start_time
         line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
         warnings = lint_scene(scene, render_job.prepared_scene, exposure)
-        warning_lines = (printable(f"{job.scene_path}: warning: {warning}") for warning in warnings)
-        return Report(exposure.pixel_count, printable(line), tuple(warning_lines))
+        warning_lines = (make_printable(f"{job.scene_path}: warning: {text}") for text in warnings)
+        return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
 
     def _show_progress(self, rendered_fraction: float, rendered_pixels: int) -> None:
         """Show how many pictures and pixels are finished, including part of the current picture.

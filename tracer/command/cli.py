@@ -34,13 +34,13 @@ from tracer.command.arguments import (
     choose_output_paths,
     is_folder,
     make_output_folder,
-    nonempty_path,
+    parse_path,
     parse_positive_int,
 )
 from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
 from tracer.command.failure import Failure, errors_as_failure
-from tracer.command.process import FAILED, attempt, print_line, print_result
-from tracer.messages import printable
+from tracer.command.process import FAILED, attempt, print_line, print_or_raise
+from tracer.messages import make_printable
 from tracer.picture.parallel import count_processors
 from tracer.version import __version__
 
@@ -111,8 +111,8 @@ def _make_parser() -> CommandParser:
     parse_pixel = _make_int_parser(
         "([0-9]{1,9}),([0-9]{1,9})", "a column and a row (for example 160,90)"
     )
-    add_argument("scenes", nargs="+", type=nonempty_path, metavar="SCENE.xml", help=_HELP["scenes"])
-    add_argument("-o", "--output", type=nonempty_path, metavar="PATH", help=_HELP["output"])
+    add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml", help=_HELP["scenes"])
+    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=_HELP["output"])
     add_argument("--format", choices=FORMATS, help=_HELP["format"])
     add_argument(
         "--samples", type=parse_positive_int, default=1, metavar="N", help=_HELP["samples"]
@@ -258,9 +258,9 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
         except ValueError as error:
             raise Failure(path, str(error), "columns and rows count from 0") from error
         if len(arguments.scenes) > 1:
-            text = f"{printable(path)}:\n{text}"
+            text = f"{make_printable(path)}:\n{text}"
         with errors_as_failure("standard output", "written"):
-            print_result(sys.stdout, text)
+            print_or_raise(sys.stdout, text)
 
     results = [attempt(print_explanation, path) for path in arguments.scenes]
     return FAILED if any(isinstance(result, Failure) for result in results) else 0

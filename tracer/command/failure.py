@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 _NO_MEMORY = "not enough memory"
 
@@ -37,7 +37,7 @@ class Failure(Exception):  # noqa: N818
         self.where, self.what, self.remedy, self.exit_status = where, what, remedy, exit_status
 
     def __str__(self) -> str:
-        text = f"{printable(self.where)}: {self.what}" if self.where else self.what
+        text = f"{make_printable(self.where)}: {self.what}" if self.where else self.what
         return f"{text}; {self.remedy}" if self.remedy else text
 
 
@@ -111,4 +111,4 @@ def describe_cause(error: BaseException) -> str:
     if isinstance(error, (MemoryError, ChildProcessError)):
         return _NO_MEMORY
     text = (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())
-    return printable(text or type(error).__name__)
+    return make_printable(text or type(error).__name__)

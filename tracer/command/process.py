@@ -16,7 +16,7 @@ from typing import NoReturn, TextIO, TypeVar
 
 from tracer.command.failure import Failure
 from tracer.files import remove_part_files
-from tracer.messages import printable
+from tracer.messages import make_printable
 
 _Result = TypeVar("_Result")
 
@@ -70,7 +70,7 @@ def run(module_name: str) -> NoReturn:
             first_cause = cause
         reason = str(first_cause).strip() or "not enough memory"
         remedy = "give it more memory, or install it again"
-        print_line(sys.stderr, printable(f"the command cannot start: {reason}; {remedy}"))
+        print_line(sys.stderr, make_printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
         exit_status = error.code if isinstance(error.code, int) else FAILED
     # os._exit flushes nothing, and the status must show that a result could not be printed.
@@ -123,10 +123,10 @@ def print_line(stream: TextIO | None, text: str) -> None:
         The line.  Characters that the stream cannot encode are escaped.
     """
     with suppress(OSError):
-        print_result(stream, text)
+        print_or_raise(stream, text)
 
 
-def print_result(stream: TextIO | None, text: str) -> None:
+def print_or_raise(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown.
 
     If the line cannot be printed, the stream is closed and an error is raised.

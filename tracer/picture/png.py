@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.arrays import CACHE_SIZE, Floats
-from tracer.files import atomic_file
+from tracer.files import open_atomically
 
 PNG = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file (5.2)."""
@@ -75,7 +75,7 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
     stem, suffix = os.path.splitext(path)
     if suffix.lower() not in ("", ".png"):
         raise ValueError(f"{path}: pictures are PNG files; name it {stem}.png")
-    with atomic_file(path, PNG) as stream:
+    with open_atomically(path, PNG) as stream:
         write_tiles(stream, width, height, tiles)
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import IO, Any, TypeAlias
 from xml.parsers import expat
 
-from tracer.messages import quoted, shortened
+from tracer.messages import quote, shorten
 from tracer.scene.hints import SCENE_REMEDY, suggest_syntax_fix
 
 FileOrPath: TypeAlias = str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO[bytes]
@@ -276,9 +276,9 @@ class Parser:
             self.descendant_count = 0
         if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_DESCENDANTS:
             child = open_elements[:2][-1]  # the child of the root, or the root itself
-            remedy = f"close <{shortened(child.tag)}> of line {child.line} earlier, or remove it"
+            remedy = f"close <{shorten(child.tag)}> of line {child.line} earlier, or remove it"
             message = f"more than {MAX_DESCENDANTS} elements or attributes in it; {remedy}"
-            raise FatalError(element.line, f"{shortened(child.tag)}: {message}")
+            raise FatalError(element.line, f"{shorten(child.tag)}: {message}")
 
     def _handle_end_tag(self, _tag: str) -> None:
         """Handle an end tag: close the innermost open element.
@@ -312,12 +312,12 @@ class Parser:
             element.text += text
             if len(element.text) > MAX_TOKEN_BYTES:
                 message = f"more than {MAX_TOKEN_BYTES} characters; make it shorter"
-                raise FatalError(element.line, f"{shortened(element.tag)}: {message}")
+                raise FatalError(element.line, f"{shorten(element.tag)}: {message}")
         elif not element.text:
             element.text = text.lstrip()
             # Expat is now at the end of the text, but the error is at its beginning.
             line = self.expat.CurrentLineNumber - element.text.count("\n")
-            message = f"stray text {quoted(element.text.rstrip())}; remove it"
+            message = f"stray text {quote(element.text.rstrip())}; remove it"
             self.report_at(line, element.tag, message)
 
     def _handle_declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:

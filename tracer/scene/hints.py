@@ -13,7 +13,7 @@ from itertools import islice
 from typing import Any
 from xml.parsers.expat import errors
 
-from tracer.messages import quoted, shortened
+from tracer.messages import quote, shorten
 
 SCENE_REMEDY = "a scene file holds <scene> ... </scene>"
 
@@ -110,7 +110,7 @@ def suggest_syntax_fix(
     """
     # The file is in UTF-8, but declares another encoding.  (To expat, "utf8" is an unknown one.)
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
-        return f'write encoding="UTF-8" in the first line, not {quoted(encoding)}'
+        return f'write encoding="UTF-8" in the first line, not {quote(encoding)}'
     for expected_message, before_pattern, after_pattern, remedy in _SYNTAX_REMEDIES:
         if expected_message in ("", message):
             match = re.search(rb"(?s:%b)\Z" % before_pattern, before)
@@ -120,11 +120,11 @@ def suggest_syntax_fix(
                 return remedy.format(line=line - match[0].count(b"\n"), character=description)
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
-    innermost = f"<{shortened(elements[-1].tag)}> of line {elements[-1].line}"
+    innermost = f"<{shorten(elements[-1].tag)}> of line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         end_tag = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
         if all(end_tag != element.tag for element in elements):
-            return f"only {innermost} can be closed here: no <{shortened(end_tag)}> is open"
+            return f"only {innermost} can be closed here: no <{shorten(end_tag)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
 
 
@@ -151,10 +151,10 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | No
     """
     from difflib import get_close_matches  # only after an error: importing takes milliseconds
 
-    name_of_key = {shortened(word).lower(): word for word in islice(allowed_names, _MAX_COMPARED)}
-    for key in get_close_matches(shortened(name).lower(), name_of_key, n=1):
-        return f"did you mean {quoted(name_of_key[key])}?", name_of_key[key]
-    names = [shortened(word) for word in sorted(name_of_key.values())]
+    name_of_key = {shorten(word).lower(): word for word in islice(allowed_names, _MAX_COMPARED)}
+    for key in get_close_matches(shorten(name).lower(), name_of_key, n=1):
+        return f"did you mean {quote(name_of_key[key])}?", name_of_key[key]
+    names = [shorten(word) for word in sorted(name_of_key.values())]
     ellipsis = ["..."] * (len(names) > _MAX_LISTED)
     return f"known: {', '.join(names[:_MAX_LISTED] + ellipsis)}" if names else "remove it", None
 
@@ -203,9 +203,9 @@ def explain_invalid_number(word: str) -> str:
             category = "Pd" if character == "\N{MINUS SIGN}" else unicodedata.category(character)
             remedy = _CHARACTER_REMEDIES.get(category, "write a plain character in its place")
             description = f"U+{ord(character):04X}, {unicodedata.name(character, '?')}"
-            return f"{quoted(word)} contains {description}; {remedy}"
+            return f"{quote(word)} contains {description}; {remedy}"
     if "," in word:
-        return f"{quoted(word)} contains a comma; put spaces between numbers, and write 1.5 for 1,5"
+        return f"{quote(word)} contains a comma; put spaces between numbers, and write 1.5 for 1,5"
     if re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", word, re.ASCII):
-        return f"{quoted(word)} is too small, and would count as 0; write 0 in its place"
-    return f"{quoted(word)} is not a decimal number; write it as 2, -.5 or 1e-3"
+        return f"{quote(word)} is too small, and would count as 0; write 0 in its place"
+    return f"{quote(word)} is not a decimal number; write it as 2, -.5 or 1e-3"

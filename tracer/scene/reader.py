@@ -20,7 +20,7 @@ from unicodedata import normalize
 
 import numpy as np
 
-from tracer.messages import printable, quoted, shortened
+from tracer.messages import make_printable, quote, shorten
 from tracer.scene import model
 from tracer.scene.elements import Element, FatalError, FileOrPath, Parser, open_scene
 from tracer.scene.hints import explain_invalid_number, suggest_name, suggest_tag
@@ -90,9 +90,9 @@ def load_scene(source: FileOrPath) -> Scene:
         reader.errors.append((0, f"cannot be read: {reason}; check the path and its permissions"))
     if not reader.errors:
         return reader.make_scene()
-    # `printable` escapes line breaks and control characters, which may come from the file.
+    # `make_printable` escapes line breaks and control characters, which may come from the file.
     raise SceneFileError(
-        printable(f"{file_name or repr(file_name)}{f':{line}' if line else ''}: {message}")
+        make_printable(f"{file_name or repr(file_name)}{f':{line}' if line else ''}: {message}")
         for line, message in sorted(reader.errors, key=lambda error: error[0])
     )
 
@@ -158,7 +158,7 @@ class _Reader:
         if len(self.errors) == MAX_ERRORS:
             last_line = max(line for line, _ in self.errors)
             raise FatalError(last_line, f"{MAX_ERRORS} errors so far; fix these first")
-        self.errors.append((line, f"{shortened(tag)}: {message}"))
+        self.errors.append((line, f"{shorten(tag)}: {message}"))
 
     def report(self, element: Element, message: str) -> None:
         """Record an error in the line where an element begins.
@@ -250,7 +250,7 @@ class _Reader:
             files.
         """
         if element.tag != "scene":
-            raise FatalError(element.line, f"{shortened(element.tag)}: the root must be <scene>")
+            raise FatalError(element.line, f"{shorten(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
             message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
             raise FatalError(element.line, message)
@@ -268,7 +268,7 @@ class _Reader:
         if match is None:
             text = element.text.strip()
             requirement = "needs two whole numbers, width and height, as in 640 480"
-            message = f"{requirement}; has {quoted(text)}"
+            message = f"{requirement}; has {quote(text)}"
             self.report(element, message if text.isascii() else explain_invalid_number(text))
             return
         try:
@@ -320,7 +320,7 @@ class _Reader:
         index = self.find_shader_index(name)
         if name is not None and self.definition_lines[index]:
             owner = f"the shader in line {self.definition_lines[index]}"
-            self.report(element, f"the name {quoted(name)} is taken by {owner}; choose another")
+            self.report(element, f"the name {quote(name)} is taken by {owner}; choose another")
         else:
             self.definition_lines[index] = element.line
         if table is None:
@@ -349,7 +349,7 @@ class _Reader:
                 self.read_children(element, {}, "ref")
         elif "name" in element.attrib and "type" not in element.attrib and not element:
             name = element.attrib["name"]
-            remedy = f'to refer to a shader, write ref="{shortened(name)}"'
+            remedy = f'to refer to a shader, write ref="{shorten(name)}"'
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
@@ -491,7 +491,7 @@ class _Reader:
         unknown_type = element.attrib.get("type")
         if unknown_type is not None:
             remedy, _ = suggest_name(unknown_type, tables)
-            self.report(element, f"unknown type {quoted(unknown_type)}; {remedy}")
+            self.report(element, f"unknown type {quote(unknown_type)}; {remedy}")
         elif "type" not in intended_names:
             choices = " or ".join(f'type="{known_type}"' for known_type in tables)
             self.report(element, f"has no type; add {choices}")
@@ -519,7 +519,7 @@ class _Reader:
             remedy, intended_tag = f"close the {parent.tag} of line {parent.line} first", None
         else:
             remedy, intended_tag = suggest_tag(element.tag, allowed_tags)
-        parent_type = shortened(parent.attrib.get("type", parent.tag))
+        parent_type = shorten(parent.attrib.get("type", parent.tag))
         self.report(element, f"unknown in {parent_type}; {remedy}")
         return intended_tag
 
@@ -564,13 +564,13 @@ class _Reader:
                 continue
             remedy, intended_name = suggest_tag(name, (*allowed_names, *child_tags))
             if intended_name == "shader":
-                remedy = f'write <shader ref="{shortened(value)}"/> in it'
+                remedy = f'write <shader ref="{shorten(value)}"/> in it'
             elif intended_name in child_tags:
-                remedy = f"write <{intended_name}>{shortened(value)}</{intended_name}> in it"
+                remedy = f"write <{intended_name}>{shorten(value)}</{intended_name}> in it"
             elif intended_name is None:
                 remedy, _ = suggest_name(name, allowed_names)
             intended_names.add(intended_name)
-            self.report(element, f"unknown attribute {quoted(name)}; {remedy}")
+            self.report(element, f"unknown attribute {quote(name)}; {remedy}")
         return intended_names
 
     # From tables to a scene
@@ -604,7 +604,7 @@ class _Reader:
                     remedies[name] = suggest_name(name, defined)[0] if can_search else "define it"
                     if lookalike_line := line_of_normal_form.get(normalize("NFC", name)):
                         remedies[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
-                message = f"no shader is named {quoted(name)}; {remedies[name]}"
+                message = f"no shader is named {quote(name)}; {remedies[name]}"
                 self.report_at(line, "shader", message)
 
     def make_scene(self) -> Scene:

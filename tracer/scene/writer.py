@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tracer.files import atomic_file
+from tracer.files import open_atomically
 from tracer.scene.elements import FileOrPath
 from tracer.scene.model import Scene
 from tracer.scene.schema import Numbers, format_number
@@ -39,7 +39,7 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
     path = os.fsdecode(target)
     if os.path.isfile(path) and os.path.getsize(path) and not _is_scene(path):
         raise FileExistsError(errno.EEXIST, "a file of another kind is there", path)
-    with atomic_file(path, b"") as file:
+    with open_atomically(path, b"") as file:
         file.writelines(lines)
 
 
