@@ -31,21 +31,21 @@ BATCH_SIZE = 1 << 16
 
 
 def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
-    """Apply a function separately to the x, y and z components of vectors.
+    """Apply a function to the x, the y and the z components of vectors.
 
     For example, ``map3(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
 
     Parameters
     ----------
     function : callable
-        Takes one array for each item of `vectors`, and returns an array.
+        Takes one array from each tuple in `vectors`, and returns an array.
     *vectors : tuples of three arrays
         Each tuple contains the x, y and z components of vectors.
 
     Returns
     -------
-    result : tuple of three arrays
-        What the function returns for the x, the y and the z components.
+    results : tuple of three arrays
+        The results of the function for the x, the y and the z components.
     """
     x, y, z = map(function, *vectors)
     return x, y, z
@@ -57,19 +57,20 @@ def dot(a: Triple, b: Triple | Vector) -> Floats:
     Parameters
     ----------
     a : tuple of three arrays
-        The x, y and z components of the first vectors.
+        The x, y and z components of the first vector of each pair.
     b : tuple of three arrays or of three floats
         The components of the second vectors; three floats are one vector for all pairs.
 
     Returns
     -------
-    product : array
+    products : array
         The dot products.
     """
-    total: Floats = a[0] * b[0]
-    total += a[1] * b[1]  # in place, because this memory is in the CPU cache
-    total += a[2] * b[2]
-    return total
+    products: Floats = a[0] * b[0]
+    # Add in place: this array is already in the CPU cache.
+    products += a[1] * b[1]
+    products += a[2] * b[2]
+    return products
 
 
 def cross(a: Triple, b: Triple) -> Triple:
@@ -78,32 +79,32 @@ def cross(a: Triple, b: Triple) -> Triple:
     Parameters
     ----------
     a, b : tuples of three arrays
-        The x, y and z components of the first and of the second vectors.
+        The x, y and z components of the first and of the second vector of each pair.
 
     Returns
     -------
-    product : tuple of three arrays
+    products : tuple of three arrays
         The x, y and z components of the cross products.
     """
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def scale3(vectors: Triple, factor: Floats) -> Triple:
+def scale3(vectors: Triple, factors: Floats) -> Triple:
     """Multiply each vector by its own factor.
 
     Parameters
     ----------
     vectors : tuple of three arrays
         The x, y and z components of the vectors.
-    factor : array
+    factors : array
         One factor for each vector.
 
     Returns
     -------
-    scaled : tuple of three arrays
-        The x, y and z components of the products.
+    scaled_vectors : tuple of three arrays
+        The x, y and z components of the scaled vectors.
     """
-    return vectors[0] * factor, vectors[1] * factor, vectors[2] * factor
+    return vectors[0] * factors, vectors[1] * factors, vectors[2] * factors
 
 
 def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
@@ -118,33 +119,32 @@ def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
 
     Returns
     -------
-    selected : tuple of three (k,) arrays
+    selected_vectors : tuple of three (k,) arrays
         The x, y and z components of the selected vectors, in the order of `index`.
     """
-    # `take` is 1.5 times as fast as indexing by an array.
+    # `take` is 1.5 times as fast as indexing with an array.
     x, y, z = (row[index] if isinstance(index, slice) else row.take(index) for row in vectors)
     return x, y, z
 
 
 def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
-    """Repeat the value of each run for every element of the run.
+    """Expand one value per run to one value per element.
 
-    A run consists of consecutive elements that share one value.
+    A run consists of consecutive elements that share a value.
 
     Parameters
     ----------
     values : (runs,) array
-        One value for each run.
+        The value of each run.
     counts : (runs,) int array or None
         Number of elements in each run; None if every run has one element.
 
     Returns
     -------
-    repeated : (n,) array
-        One value for each element, run by run; n is the sum of `counts`.  If `counts` is None, this
-        is `values` itself.
+    element_values : (n,) array
+        The value of each of the n elements.  If `counts` is None, this is `values` itself.
     """
-    # This is four times as fast as `take`, which would also need the run of each element.
+    # `repeat` is four times as fast as looking up the value of each element's run.
     return values if counts is None else values.repeat(counts)
 
 
@@ -158,65 +158,66 @@ def indices(mask: NDArray[Any]) -> Ints:
 
     Returns
     -------
-    index : (k,) int array
+    nonzero_index : (k,) int array
         Indices into the flattened array, in ascending order.
     """
     # np.flatnonzero does the same, but takes five times as long for arrays with few elements.
-    index: Ints = mask.ravel().nonzero()[0]
-    return index
+    nonzero_index: Ints = mask.ravel().nonzero()[0]
+    return nonzero_index
 
 
-def segment_indices(counts: Ints, start: Ints | int = 0) -> tuple[Ints, Ints]:
-    """List the members of segments, and the segment to which each member belongs.
+def enumerate_ranges(counts: Ints, starts: Ints | int = 0) -> tuple[Ints, Ints]:
+    """Join ranges of consecutive integers, and return each integer with the index of its range.
 
-    The members of a segment are consecutive integers.
+    For example, counts (2, 3) and starts (7, 4) give range indices (0, 0, 1, 1, 1) and integers
+    (7, 8, 4, 5, 6).
 
     Parameters
     ----------
     counts : (m,) int array
-        Number of members of each of m segments.
-    start : (m,) int array or int
-        First member of each segment; an int applies to all segments.
+        Number of integers in each of m ranges.
+    starts : (m,) int array or int
+        First integer of each range; an int applies to all ranges.
 
     Returns
     -------
-    segment : (n,) int array
-        Index of each member's segment: 0, repeated counts[0] times, then 1, repeated counts[1]
-        times, and so on.  Here n is the sum of `counts`.
-    member : (n,) int array
-        The members: start[i], ..., start[i] + counts[i] - 1 for each segment i.
+    range_index : (n,) int array
+        Index of the range of each integer.
+    integers : (n,) int array
+        The integers, range by range.
     """
-    return np.arange(counts.size).repeat(counts), join_ranges(start, counts)
+    return np.arange(counts.size).repeat(counts), join_ranges(starts, counts)
 
 
-def join_ranges(start: Ints | int, counts: Ints) -> Ints:
+def join_ranges(starts: Ints | int, counts: Ints) -> Ints:
     """Join ranges of consecutive integers into one array.
+
+    For example, starts (7, 4) and counts (2, 3) give (7, 8, 4, 5, 6).
 
     Parameters
     ----------
-    start : (m,) int array or int
+    starts : (m,) int array or int
         First integer of each of m ranges; an int applies to all ranges.
     counts : (m,) int array
         Number of integers in each range.
 
     Returns
     -------
-    members : (n,) int array
-        The integers start[0], ..., start[0] + counts[0] - 1, then those of the second range, and so
-        on.  Here n is the sum of `counts`.
+    integers : (n,) int array
+        The integers, range by range.
     """
-    # Within a range, each member differs from its position in the result by the same offset.
-    offset = counts - counts.cumsum()
-    offset += start
-    members: Ints = offset.repeat(counts)
-    members += np.arange(members.size)
-    return members
+    # Within a range, every integer differs from its position in the result by the same offset.
+    offsets = counts - counts.cumsum()
+    offsets += starts
+    integers: Ints = offsets.repeat(counts)
+    integers += np.arange(integers.size)
+    return integers
 
 
-def run_starts(*arrays: NDArray[Any]) -> Bools:
-    """Mark the positions at which runs of equal elements start.
+def mark_run_starts(*arrays: NDArray[Any]) -> Bools:
+    """Mark the positions where runs start.
 
-    A run consists of consecutive positions at which every array is constant.
+    A run is a sequence of consecutive positions where each array is constant.
 
     Parameters
     ----------
@@ -229,16 +230,16 @@ def run_starts(*arrays: NDArray[Any]) -> Bools:
         True at the first position of each run.
     """
     is_start = np.ones(arrays[0].size, dtype=np.bool_)
-    differs = np.not_equal(arrays[0][1:], arrays[0][:-1], out=is_start[1:])
+    has_changed = np.not_equal(arrays[0][1:], arrays[0][:-1], out=is_start[1:])
     for array in arrays[1:]:
-        differs |= array[1:] != array[:-1]
+        has_changed |= array[1:] != array[:-1]
     return is_start
 
 
-def run_lengths(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
-    """Find the start and the length of each run of equal elements.
+def find_runs(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
+    """Find the start and the length of each run.
 
-    A run consists of consecutive positions at which every array is constant.
+    A run is a sequence of consecutive positions where each array is constant.
 
     Parameters
     ----------
@@ -247,17 +248,17 @@ def run_lengths(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
 
     Returns
     -------
-    start : (runs,) int array
+    starts : (runs,) int array
         First position of each run, in ascending order.
-    length : (runs,) int array
+    lengths : (runs,) int array
         Number of positions in each run.
     """
-    start = indices(run_starts(*arrays))
-    return start, np.append(start[1:], arrays[0].size) - start
+    starts = indices(mark_run_starts(*arrays))
+    return starts, np.append(starts[1:], arrays[0].size) - starts
 
 
 def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
-    """Divide items of different sizes into batches, and yield the slice of each batch.
+    """Divide items of different sizes into batches, and yield a slice for each batch.
 
     Parameters
     ----------
@@ -269,19 +270,19 @@ def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
     Yields
     ------
     batch : slice
-        Slice of consecutive items that starts where the previous batch ends.
+        Consecutive items; the first follows the last item of the previous batch.
     """
-    cumulative_size = sizes.cumsum()
+    total_sizes = sizes.cumsum()  # of each item and all items before it
     start = 0
     while start < sizes.size:
-        size_limit = cumulative_size[start] - sizes[start] + max_size
-        stop = max(start + 1, int(cumulative_size.searchsorted(size_limit, side="right")))
+        max_total_size = total_sizes[start] - sizes[start] + max_size
+        stop = max(start + 1, int(total_sizes.searchsorted(max_total_size, side="right")))
         yield slice(start, stop)
         start = stop
 
 
 def index_batches(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
-    """Yield an array of indices in batches of limited size.
+    """Divide an array of indices into batches.
 
     Parameters
     ----------
@@ -293,15 +294,14 @@ def index_batches(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
     Yields
     ------
     batch : (k,) int array
-        The next `max_count` elements of `index`; the last batch may have fewer.  Nothing is yielded
-        if `index` is empty.
+        The next `max_count` indices; the last batch may have fewer.
     """
     for start in range(0, index.size, max_count):
         yield index[start : start + max_count]
 
 
 def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
-    """Look up the elements of a table at the given rows and columns.
+    """Return the elements of a table at the given rows and columns.
 
     Parameters
     ----------
@@ -322,15 +322,15 @@ def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
 
 
 def put_2d(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
-    """Set the elements of a table at the given rows and columns to one value, in place.
+    """Set the elements of a table at the given rows and columns to one value.
 
     Parameters
     ----------
     table : (m, n) bool array
-        The table; must be contiguous in memory (C order).
+        The table, which is changed in place.  It must be contiguous in memory (C order).
     row, column : (k,) int arrays
         Row and column of each element to set.
     value : bool
-        The new value of these elements.
+        The new value of the elements.
     """
     table.reshape(-1)[row * table.shape[1] + column] = value

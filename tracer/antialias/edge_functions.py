@@ -32,7 +32,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, run_starts, scale3, take3
+from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, mark_run_starts, scale3, take3
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
@@ -114,7 +114,7 @@ class Lines(NamedTuple):
             The sorted lines without duplicates.
         """
         sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
-        return sorted_lines.take(indices(run_starts(*sorted_lines)))
+        return sorted_lines.take(indices(mark_run_starts(*sorted_lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
         """Keep at most `max_lines` lines of each cell.

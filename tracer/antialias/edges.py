@@ -27,11 +27,11 @@ from tracer.arrays import (
     Ints,
     Triple,
     dot,
+    enumerate_ranges,
     index_batches,
     indices,
     map3,
     scale3,
-    segment_indices,
     take3,
 )
 from tracer.geometry.camera import CameraFrame
@@ -172,7 +172,7 @@ def find_silhouette_pixels(
     fields = (np.concatenate(field) for field in zip(*intervals, strict=True))
     interval_row, interval_object, *ends = fields
     start_column, stop_column = (end.clip(*limits).astype(np.intp) for end in ends)
-    interval_index, column = segment_indices(stop_column - start_column, start_column)
+    interval_index, column = enumerate_ranges(stop_column - start_column, start_column)
     return interval_row[interval_index] + rows.start, column, interval_object[interval_index]
 
 

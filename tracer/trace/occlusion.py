@@ -44,10 +44,10 @@ from tracer.arrays import (
     Floats,
     Ints,
     batches,
+    enumerate_ranges,
+    find_runs,
     indices,
     put_2d,
-    run_lengths,
-    segment_indices,
     take3,
     take_2d,
 )
@@ -117,7 +117,7 @@ class Packets(NamedTuple):
         """
         packet_index = columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
-        parent_column, child_index = segment_indices(child_count, child_start)
+        parent_column, child_index = enumerate_ranges(child_count, child_start)
         expanded = columns.take(parent_column, axis=1)
         expanded[1] = child_index
         return expanded
@@ -310,7 +310,7 @@ class _EdgeSet:
         """
         keys = np.unique(np.concatenate(self._keys))
         pair_key = keys // self._shape[2]  # encodes the light and the hit
-        run_start, edge_count = run_lengths(pair_key)
+        run_start, edge_count = find_runs(pair_key)
         is_run_crowded = edge_count > _MAX_EDGES_PER_HIT
         self.is_crowded.ravel()[pair_key[run_start[is_run_crowded]]] = True
         self._keys = [keys[~is_run_crowded.repeat(edge_count)]]
@@ -538,7 +538,7 @@ def _build_row_packets(
         any of its hits faces the light.
     """
     run_size = np.diff(hits.run_start)
-    run_index, first_in_run = segment_indices(-(-run_size // max_hits))
+    run_index, first_in_run = enumerate_ranges(-(-run_size // max_hits))
     first_in_run *= max_hits
     first_hit = hits.run_start[run_index] + first_in_run
     hit_count = np.minimum(run_size[run_index] - first_in_run, max_hits)
@@ -590,7 +590,7 @@ def _build_square_packets(
     order = square_key.argsort(kind="stable")
     depth_layer = hits.prepared.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
-    first_child, child_count = run_lengths(square_key[order], depth_layer[order])
+    first_child, child_count = find_runs(square_key[order], depth_layer[order])
     return _merge_row_packets(row_packets, first_child, child_count), row_packets
 
 

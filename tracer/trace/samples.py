@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, indices, run_starts, segment_indices
+from tracer.arrays import Floats, Ints, enumerate_ranges, indices, mark_run_starts
 from tracer.geometry.camera import CameraFrame
 from tracer.world.prepared_scene import PreparedScene, Shape
 
@@ -72,7 +72,7 @@ def find_object_spans(
     candidate = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
     first_row = rows.searchsorted(bounds.top[candidate] - pad - height)
     stop_row = rows.searchsorted(bounds.bottom[candidate] + pad, side="right")
-    span_candidate, row = segment_indices(np.maximum(stop_row - first_row, 0), first_row)
+    span_candidate, row = enumerate_ranges(np.maximum(stop_row - first_row, 0), first_row)
     position = candidate[span_candidate]
     object_index = position + shape.objects.start
     left, right = shape.row_extent(object_index, rows[row], height)
@@ -231,7 +231,7 @@ class Scattered(NamedTuple):
         else:
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
-        is_row_start = run_starts(np.floor(y))
+        is_row_start = mark_run_starts(np.floor(y))
         return cls(y, x, indices(is_row_start), _sort_key(is_row_start.cumsum(), x)), order
 
     @property
@@ -304,7 +304,7 @@ class Scattered(NamedTuple):
         )
         start = self.key.searchsorted(_sort_key(row + 1, left))
         stop = self.key.searchsorted(_sort_key(row + 1, right), side="right")
-        span_index, sample_index = segment_indices(np.maximum(stop - start, 0), start)
+        span_index, sample_index = enumerate_ranges(np.maximum(stop - start, 0), start)
         return object_index[span_index], sample_index, sample_index, None
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, indices, join_ranges, repeat_runs, run_starts
+from tracer.arrays import Bools, Floats, Ints, indices, join_ranges, mark_run_starts, repeat_runs
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
@@ -162,11 +162,11 @@ class _Intersections(NamedTuple):
             Index of the first hit of each run, in ascending order.
         """
         is_planar = self.shape.is_planar
-        is_start = run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
+        is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
             x, y = samples.positions(self.sample)
-            layer = frame.depth_layer(depth, _RUN_WIDTH)
-            is_start |= run_starts(self.object_index, np.floor(y), np.floor(x / _RUN_WIDTH), layer)
+            run_keys = np.floor(y), np.floor(x / _RUN_WIDTH), frame.depth_layer(depth, _RUN_WIDTH)
+            is_start |= mark_run_starts(self.object_index, *run_keys)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
             is_start[1:] |= np.diff(self.sample) > 1  # a nearer object hides the object in between

@@ -55,10 +55,10 @@ from tracer.arrays import (
     Floats,
     Ints,
     batches,
+    enumerate_ranges,
+    find_runs,
     indices,
     join_ranges,
-    run_lengths,
-    segment_indices,
 )
 from tracer.geometry.rounding import DIRECTION_ROUNDING, MIN_DIVISOR, POSITION_ROUNDING
 
@@ -337,7 +337,7 @@ def _choose_patches(
     origin, size : (2, patches) float arrays
         Minimum u and v of each patch, and the extents of the patch in u and v.
     """
-    octant_start, _ = run_lengths(octant)
+    octant_start, _ = find_runs(octant)
     patch_of_octant = np.full(octant_count, -1)
     patch_of_octant[octant[octant_start]] = np.arange(octant_start.size)
     origins_and_sizes = []
@@ -594,11 +594,11 @@ def _find_overlaps(
     column_count, row_count = last_column - first_column + 1, last_row - first_row + 1
     for batch in batches(column_count * row_count, _CELLS_PER_BATCH):
         # A strip consists of the cells that one rectangle overlaps in one column.
-        strip_rectangle, column = segment_indices(column_count[batch], first_column[batch])
+        strip_rectangle, column = enumerate_ranges(column_count[batch], first_column[batch])
         strip_rectangle += batch.start
         strip_column = patch.take(strip_rectangle) * side + column
         strip_start = strip_column * side + first_row.take(strip_rectangle)
-        strip_index, cell_index = segment_indices(row_count.take(strip_rectangle), strip_start)
+        strip_index, cell_index = enumerate_ranges(row_count.take(strip_rectangle), strip_start)
         is_first_column = column == first_column.take(strip_rectangle)
         place = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip_index)
         place |= (cell_index == strip_start.take(strip_index)) * np.uint8(_FIRST_ROW)

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, run_starts
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, mark_run_starts
 from tracer.geometry.box import Boxes
 from tracer.geometry.camera import ScreenBounds, camera_frame
 from tracer.geometry.rounding import POSITION_ROUNDING
@@ -267,5 +267,5 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
     sorted_index = np.lexsort((surfaces.file_index, geometry_hash))
     is_duplicate = np.empty(sorted_index.size, dtype=np.bool_)
-    is_duplicate[sorted_index] = ~run_starts(*geometry[:, sorted_index])
+    is_duplicate[sorted_index] = ~mark_run_starts(*geometry[:, sorted_index])
     return is_duplicate
