@@ -29,9 +29,9 @@ _MAX_ASPECT = 1.05
 # Maximum number of (light, surface) pairs for which lights inside surfaces are searched for.
 _MAX_PAIRS = BATCH_SIZE
 
-# In rectangles of more than this many pixels, one in `_EXAMINATION_STEP` pixels is examined for
+# In a part of a picture with more than this many pixels, one in `_ROW_STEP` rows is examined for
 # clipping.  Examining all of them took 8 % of the time of a picture of one sphere.
-_MIN_ESTIMATED_PIXELS, _EXAMINATION_STEP = 4096, 7
+_MIN_ESTIMATED_PIXELS, _ROW_STEP = 4096, 16
 
 
 class SceneWarning(UserWarning):
@@ -55,8 +55,8 @@ class Exposure(NamedTuple):
 
     Notes
     -----
-    In rectangles of more than `_MIN_ESTIMATED_PIXELS` pixels, the numbers of lit and clipped pixels
-    are estimates from one in `_EXAMINATION_STEP` pixels.
+    In parts of a picture that have more than `_MIN_ESTIMATED_PIXELS` pixels, the numbers of lit and
+    clipped pixels are estimates from one in `_ROW_STEP` rows.
     """
 
     pixel_count: int = 0
@@ -80,12 +80,13 @@ class Exposure(NamedTuple):
         exposure : Exposure
             The counts.
         """
-        pixels = radiance.reshape(-1, 3)
-        step = _EXAMINATION_STEP if len(pixels) > _MIN_ESTIMATED_PIXELS else 1
-        red, green, blue = pixels[::step].T
+        pixel_count = radiance[..., 0].size
+        row_step = _ROW_STEP if pixel_count > _MIN_ESTIMATED_PIXELS else 1
+        red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
         max_component = np.maximum(np.maximum(red, green), blue)
-        lit_count = step * int(np.count_nonzero(max_component)) or int(radiance.any())
-        return cls(len(pixels), lit_count, step * int(np.count_nonzero(max_component > 1)))
+        ratio = pixel_count / max_component.size
+        lit_count = round(ratio * np.count_nonzero(max_component)) or int(radiance.any())
+        return cls(pixel_count, lit_count, round(ratio * np.count_nonzero(max_component > 1)))
 
 
 def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
