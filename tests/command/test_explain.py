@@ -126,14 +126,16 @@ def test_a_warning_is_about_the_line_that_renders_the_scene():
 
 
 def test_exposure_of_a_large_picture_is_estimated():
-    image = np.zeros((200, 300, 3))
-    assert Exposure.from_radiance(image) == Exposure(60_000)
+    image = np.zeros((1600, 40, 3))
+    assert Exposure.from_radiance(image) == Exposure(64_000)
     image[-1, -1] = 0.5  # is not among the examined pixels
-    assert Exposure.from_radiance(image) == Exposure(60_000, lit_count=1)
-    image[:100, :, 1] = 0.5
-    image[:20, :, 2] = 1.5
+    assert Exposure.from_radiance(image) == Exposure(64_000, lit_count=1)
+    image[:800, :, 1] = 0.5
+    image[:160, :, 2] = 1.5
     part = Exposure.from_radiance(image)
-    assert part == pytest.approx((60_000, 30_000, 6_000), rel=0.01)
+    assert part == pytest.approx((64_000, 32_000, 6_400), rel=0.01)
+    image[0::16, :, 1], image[0::16, :, 2] = 0, 0  # the estimate sees only black rows
+    assert Exposure.from_radiance(image) == Exposure(64_000, lit_count=1)
 
 
 def test_exposure_of_a_small_picture_is_exact():
