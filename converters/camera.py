@@ -103,8 +103,8 @@ def _normalize(vector: Sequence[float] | Floats) -> Floats:
     unit_vector : (3,) float array
         The unit vector with the same direction.
     """
-    scaled = np.asarray(vector) / np.abs(vector).max()  # no square overflows or underflows
-    unit_vector: Floats = scaled / np.linalg.norm(scaled)
+    scaled_vector = np.asarray(vector) / np.abs(vector).max()  # no square overflows or underflows
+    unit_vector: Floats = scaled_vector / np.linalg.norm(scaled_vector)
     return unit_vector
 
 
@@ -119,8 +119,8 @@ def compute_bounding_box(surfaces: Surfaces) -> Floats:
     Returns
     -------
     corners : (2, 3) float array
-        The minimum coordinates in the first row, and the maximum coordinates in the second.  All
-        are 0 if there are no surfaces.
+        The minimum coordinates in the first row, and the maximum coordinates in the second.  If
+        there are no surfaces, all coordinates are 0.
     """
     radii = surfaces.radius[:, None]
     low = np.concatenate([surfaces.center - radii, surfaces.min_pt])
@@ -131,8 +131,8 @@ def compute_bounding_box(surfaces: Surfaces) -> Floats:
 def sample_visible_points(scene: Scene) -> Floats:
     """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
 
-    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a finer grid is tried, at most
-    twice.
+    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a finer grid is tried.  Three
+    grids are tried at most.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def sample_visible_points(scene: Scene) -> Floats:
     Returns
     -------
     points : (n, 3) float array
-        The points where rays of the last grid hit surfaces; n = 0 if all rays miss.
+        The points where rays of the last grid hit surfaces.  If all rays miss, n is 0.
     """
     for rays_per_side in _RAYS_PER_SIDE:
         y, x = (np.indices((rays_per_side, rays_per_side)).reshape(2, -1) + 0.5) / rays_per_side

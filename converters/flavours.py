@@ -1,7 +1,7 @@
 """Convert a scene to a file for Mitsuba 3, in one of two flavours.
 
-*exact*: this project's own plugins compute the same picture as the tracer.  *stock*: Mitsuba's
-built-in plugins compute a similar picture.
+In the *exact* flavour, this project's own plugins compute the same picture as the tracer.  In the
+*stock* flavour, Mitsuba's built-in plugins compute a similar picture.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tracer import Phong, PointLight, Scene, Shader, Surfaces
 DEFAULT_SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
 
-# Numbers may overflow in computations: an error is raised when an infinite number is written.
+# Computations may overflow: writing an infinite number raises an error.
 _IGNORE_OVERFLOW = np.errstate(all="ignore")
 
 # Size, in Mitsuba's units, to which scenes are scaled: float32 is most accurate near the origin.
@@ -38,14 +38,14 @@ _SCENE_SIZE = 10.0
 _TOLERANCE_ROUNDINGS = 32
 
 # A scene for Mitsuba's built-in plugins keeps its coordinates if the size of its visible part is
-# between the first two numbers, and its distance from the origin is at most this size times the
-# third number.
+# between the first two numbers, and the distance of this part from the origin is at most the third
+# number times its size.
 _MIN_KEPT_SIZE, _MAX_KEPT_SIZE, _MAX_KEPT_DISTANCE = 0.1, 1e6, 10.0
 
 # Maximum radius of a sphere in a stock scene.  Hits on it have an error of 1e-7 of the radius, and
 # Mitsuba starts shadow rays 1e-4 above the surface.  The scene is scaled down for larger spheres,
-# but at most by _MIN_SHRINKAGE, so that shadow rays do not start above its small objects.
-_MAX_RADIUS, _MIN_SHRINKAGE = 300.0, 1e-4
+# but at most by _MIN_SHRINK_FACTOR, so that shadow rays do not start above its small objects.
+_MAX_RADIUS, _MIN_SHRINK_FACTOR = 300.0, 1e-4
 
 # Half the thickness of a flat box, relative to the largest coordinate in the scene.
 _MIN_HALF_THICKNESS = 1e-6
@@ -120,7 +120,7 @@ def choose_normalisation(scene: Scene) -> Normalisation:
     """Choose a translation and scaling that fit the visible part of a scene into a cube.
 
     The cube is centred at the origin, and its edges are 10 units long.  If no surface is visible,
-    all surfaces are fitted into the cube.
+    the whole scene is fitted into the cube.
 
     Parameters
     ----------
@@ -142,9 +142,8 @@ def choose_normalisation(scene: Scene) -> Normalisation:
 def _choose_stock_normalisation(scene: Scene) -> Normalisation:
     """Choose the translation and scaling of a scene for Mitsuba's built-in plugins.
 
-    The scene keeps its coordinates if they suit float32, that is, if its visible part is neither
-    very small, nor very large, nor far from the origin.  A scene with very large spheres is scaled
-    down.
+    The scene keeps its coordinates if its visible part is neither very small, nor very large, nor
+    far from the origin.  A scene with very large spheres is scaled down.
 
     Parameters
     ----------
@@ -164,18 +163,18 @@ def _choose_stock_normalisation(scene: Scene) -> Normalisation:
         normalisation = Normalisation(np.zeros(3), 1.0)
     largest_radius = normalisation.scale * float(scene.surfaces.radius.max(initial=0))
     if largest_radius > _MAX_RADIUS:
-        shrinkage = max(_MAX_RADIUS / largest_radius, _MIN_SHRINKAGE)
-        normalisation = normalisation._replace(scale=normalisation.scale * shrinkage)
+        shrink_factor = max(_MAX_RADIUS / largest_radius, _MIN_SHRINK_FACTOR)
+        normalisation = normalisation._replace(scale=normalisation.scale * shrink_factor)
     return normalisation
 
 
 def _make_film(scene: Scene) -> Element:
-    """Create the Mitsuba film, which stores the picture of a scene as linear radiance.
+    """Create the Mitsuba film for the picture of a scene, in linear radiance.
 
     Parameters
     ----------
     scene : Scene
-        The scene, which defines the width and height of the picture.
+        The scene.  Its width and height are those of the picture.
 
     Returns
     -------
@@ -192,8 +191,7 @@ def _convert_surfaces(
 ) -> list[Element]:
     """Convert all surfaces of a scene to Mitsuba shapes.
 
-    A flat box is given a small thickness, because Mitsuba cannot invert the transform of a flat
-    cube.
+    A flat box gets a small thickness, because Mitsuba cannot invert the transform of a flat cube.
 
     Parameters
     ----------
@@ -214,14 +212,15 @@ def _convert_surfaces(
         make_plugin("shape", "sphere", make_vector("point", "center", center), radius=radius)
         for center, radius in zip(normalisation(surfaces.center).tolist(), radii, strict=True)
     ]
-    half_size = (surfaces.max_pt - surfaces.min_pt) * (normalisation.scale / 2)
+    half_sizes = (surfaces.max_pt - surfaces.min_pt) * (normalisation.scale / 2)
     largest_coordinate = np.abs(normalisation(compute_bounding_box(surfaces))).max()
-    half_size[half_size == 0] = _MIN_HALF_THICKNESS * largest_coordinate
+    half_sizes[half_sizes == 0] = _MIN_HALF_THICKNESS * largest_coordinate
     # Scale and move Mitsuba's cube, which extends from -1 to 1 along each axis.
     centers = (normalisation(surfaces.min_pt) + normalisation(surfaces.max_pt)) / 2
-    for scale, center in zip(half_size.tolist(), centers.tolist(), strict=True):
+    for half_size, center in zip(half_sizes.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
-        to_world.extend([make_vector("scale", None, scale), make_vector("translate", None, center)])
+        to_world.append(make_vector("scale", None, half_size))
+        to_world.append(make_vector("translate", None, center))
         shapes.append(make_plugin("shape", "cube", to_world))
     for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
         shape.append(Element("ref", id=bsdf_names[shader_index]))
@@ -229,7 +228,7 @@ def _convert_surfaces(
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Choose a BSDF name for each shader; equal shaders get the same name.
+    """Name the BSDFs of a scene, one for all shaders that are equal.
 
     Parameters
     ----------
@@ -241,11 +240,10 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
     bsdf_names : list of str
         For each shader, the name of its BSDF.
     shader_of_name : dict of str to Shader
-        For each name, its shader.  Shaders that no surface uses are omitted.
+        For each name, the shader.  Shaders that no surface uses are omitted.
     """
-    name_of_shader: dict[Shader, str] = {}
-    for shader in surfaces.shaders:
-        name_of_shader.setdefault(shader, f"bsdf{len(name_of_shader)}")
+    distinct_shaders = dict.fromkeys(surfaces.shaders)
+    name_of_shader = {shader: f"bsdf{index}" for index, shader in enumerate(distinct_shaders)}
     bsdf_names = [name_of_shader[shader] for shader in surfaces.shaders]
     used_shaders = (surfaces.shaders[index] for index in np.unique(surfaces.shader_index))
     return bsdf_names, {name_of_shader[shader]: shader for shader in used_shaders}
@@ -257,7 +255,7 @@ in the exact flavour.
 Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
 plugins. Where it is installed, Python's mitsuba.load_file reads it after mitsuba.set_variant of a
 variant that ends in _rgb, and "import converters.plugins".
-{moved}"""
+{normalisation}"""
 
 
 @_IGNORE_OVERFLOW
@@ -271,12 +269,12 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
     scene : Scene
         The scene to convert.
     samples : int
-        Number of samples per pixel.  If it is 1, the sample is at the pixel's centre.
+        Number of samples per pixel.  A single sample is at the pixel's centre.
 
     Returns
     -------
     document : Document
-        The converted scene; its `str` is the text of the file.
+        The converted scene.  Its `str` is the text of the file.
 
     Raises
     ------
@@ -302,11 +300,11 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
         bsdf.append(make_vector("vector", "specular", phong.specular))
         elements.append(bsdf)
     elements += _convert_surfaces(scene.surfaces, normalisation, bsdf_names)
-    return Document(_EXACT_COMMENT.format(moved=normalisation), elements)
+    return Document(_EXACT_COMMENT.format(normalisation=normalisation), elements)
 
 
 def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
-    """Convert a scene's camera to "window", this project's Mitsuba sensor.
+    """Create the Mitsuba sensor "window", one of this project's plugins, for a scene's camera.
 
     Parameters
     ----------
@@ -320,12 +318,12 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     Returns
     -------
     sensor : Element
-        The sensor.  Its rays start on a box around the scene, where float32 is accurate.
+        The sensor.  Its rays start on a box around the scene, because float32 is accurate there.
     """
     window = compute_window(scene.camera)
     right, down, _ = window.axes
-    # The box is slightly larger than the scene, so that no ray starts on a surface.
-    (low, high), margin = normalisation(compute_bounding_box(scene.surfaces)), 1e-3 * _SCENE_SIZE
+    low, high = normalisation(compute_bounding_box(scene.surfaces))
+    margin = 1e-3 * _SCENE_SIZE  # so that no ray starts on a surface
     return make_plugin(
         "sensor",
         "window",
@@ -343,8 +341,8 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
 def make_pixels_square(scene: Scene) -> Scene:
     """Make the pixels of a scene's picture square by changing the number of rows.
 
-    The number of rows is rounded to an integer of at least 1, and the height of the camera's window
-    is adjusted to it.
+    The number of rows is rounded to an integer of at least 1.  The height of the camera's window is
+    adjusted to this number.
 
     Parameters
     ----------
@@ -354,12 +352,12 @@ def make_pixels_square(scene: Scene) -> Scene:
     Returns
     -------
     square_scene : Scene
-        A copy of the scene with square pixels; `scene` itself if its pixels are square already.
+        A copy of the scene with square pixels, or `scene` itself if its pixels are square.
 
     Raises
     ------
     ConversionError
-        If there would be more than 2^28 pixels.
+        If the picture would have more than 2^28 pixels.
     """
     camera = scene.camera
     row_count = scene.width * camera.view_height / camera.view_width
@@ -399,21 +397,20 @@ divided by {:g}, lights multiplied.
 def convert_stock(scene: Scene, samples: int = 64) -> Document:
     """Convert a scene to a similar Mitsuba scene that needs only Mitsuba's built-in plugins.
 
-    This is the "stock" flavour.  Its pixels are square, its lights fall off with distance, and its
-    highlights have a different shape.
+    This is the "stock" flavour.  The pixels become square, the lights fall off with distance, and
+    the highlights have a different shape.
 
     Parameters
     ----------
     scene : Scene
         The scene to convert.
     samples : int
-        Number of samples per pixel.  It may be rounded up, so that each light gets the same number
-        of samples.
+        Number of samples per pixel.  It may be rounded up, so that all lights get the same number.
 
     Returns
     -------
     document : Document
-        The converted scene; its `str` is the text of the file.
+        The converted scene.  Its `str` is the text of the file.
 
     Raises
     ------
@@ -423,15 +420,15 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     normalisation, square_scene = _choose_stock_normalisation(scene), make_pixels_square(scene)
     divisor = choose_reflectance_divisor(scene.surfaces)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
-    points = sample_visible_points(scene)
-    if not len(points):
-        points = compute_bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
+    visible_points = sample_visible_points(scene)
+    if not len(visible_points):
+        visible_points = compute_bounding_box(scene.surfaces).mean(axis=0, keepdims=True)
     sample_count = _round_up_samples(samples, len(scene.lights))
     elements = [
         # Direct light only; for each sample, Mitsuba chooses one light.
         make_plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
         _make_stock_sensor(square_scene, normalisation, sample_count),
-        *(_convert_light(light, normalisation, divisor, points) for light in scene.lights),
+        *(_convert_light(light, normalisation, divisor, visible_points) for light in scene.lights),
         *(_convert_shader(shader, name, divisor) for name, shader in shader_of_name.items()),
         *_convert_surfaces(scene.surfaces, normalisation, bsdf_names),
     ]
@@ -445,33 +442,33 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     return Document(_STOCK_COMMENT.format(notes=notes), elements)
 
 
-def _round_up_samples(samples: int, light_count: int) -> int:
-    """Round up the number of samples per pixel, so that all lights get equally many.
+def _round_up_samples(min_samples: int, light_count: int) -> int:
+    """Round up the number of samples per pixel, so that all lights get the same number of samples.
 
-    Mitsuba's sampler "multijitter" chooses all lights equally often if the number of samples is
-    divisible by (1) the number of lights, and (2) its own square root, rounded down.
+    With Mitsuba's "multijitter" sampler, this requires that the number of samples is divisible by
+    (1) the number of lights, and (2) its own square root, rounded down.
 
     Parameters
     ----------
-    samples : int
+    min_samples : int
         Requested number of samples per pixel.
     light_count : int
         Number of lights.
 
     Returns
     -------
-    count : int
-        The smallest such number that is at least `samples`; `samples` itself if there are no
-        lights, or fewer samples than lights.
+    samples : int
+        The smallest number that meets both conditions and is at least `min_samples`.  If there are
+        no lights, or more lights than requested samples, it is `min_samples`.
     """
-    count = samples
-    while light_count and samples >= light_count and (count % light_count or count % isqrt(count)):
-        count += 1
-    return count
+    samples = min_samples
+    while 0 < light_count <= min_samples and (samples % light_count or samples % isqrt(samples)):
+        samples += 1
+    return samples
 
 
 def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
-    """Convert a scene's camera to "perspective", Mitsuba's built-in sensor.
+    """Create Mitsuba's built-in sensor "perspective" for the camera of a scene.
 
     Parameters
     ----------
@@ -490,12 +487,12 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     Raises
     ------
     ConversionError
-        If the field of view is 0, or close to 180 degrees, when rounded to float32.
+        If the field of view, in float32, is 0 or close to 180 degrees.
     """
     window = compute_window(scene.camera)
     right, down, forward = window.axes
     # Mitsuba's camera looks along +z, with +x to the left and +y up.
-    transform = np.column_stack([-right, -down, forward, normalisation(window.eye)])
+    to_world = np.column_stack([-right, -down, forward, normalisation(window.eye)])
     offset_right, offset_down, distance = window.center
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
@@ -508,12 +505,12 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     return make_plugin(
         "sensor",
         "perspective",
-        make_transform("to_world", [*transform, (0, 0, 0, 1)]),
+        make_transform("to_world", [*to_world, (0, 0, 0, 1)]),
         _make_film(scene),
         make_plugin("sampler", "multijitter", sample_count=samples),
         fov_axis="x",
         fov=fov,
-        # Rounded to 12 digits, so that an offset of 0 stays 0 despite rounding errors.
+        # Round to 12 digits, so that an offset of 0 stays 0 despite rounding errors.
         principal_point_offset_x=round(float(offset_right / window.width), 12),
         principal_point_offset_y=round(float(offset_down / window.height), 12),
         # Objects between the eye and the window are visible, too.
@@ -527,8 +524,8 @@ def _convert_light(
 ) -> Element:
     """Convert a light to a Mitsuba point light, which falls off with the squared distance.
 
-    At one distance, the Mitsuba light is as strong as the original.  This distance is chosen to
-    minimise the sum of the squared irradiance errors at the given points.
+    At one distance, the Mitsuba light is as strong as the original.  This distance minimises the
+    sum of the squared errors of the irradiance at the given points.
 
     Parameters
     ----------
@@ -537,18 +534,18 @@ def _convert_light(
     normalisation : Normalisation
         The translation and scaling to apply to the light and to the points.
     divisor : float
-        Number by which all reflectances are divided; the intensity is multiplied by it.
+        Number by which all reflectances are divided, and the intensity is multiplied.
     points : (n, 3) float array
         Points of visible surfaces, in the coordinates of the scene.
 
     Returns
     -------
     emitter : Element
-        A plugin of type "point", with a comment that gives the distance.
+        A plugin of type "point", with a comment that states this distance.
     """
     position = normalisation(np.array(light.position))
     squared_distance = ((normalisation(points) - position) ** 2).sum(axis=1)
-    # Dividing by the largest square avoids overflow; the minimum of 1e-12 avoids division by 0.
+    # Divide by the largest square to avoid overflow.  The minimum of 1e-12 avoids division by 0.
     largest_square = float(squared_distance.max()) or 1.0
     falloff = 1 / np.maximum(squared_distance / largest_square, 1e-12)
     best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())
@@ -560,7 +557,7 @@ def _convert_light(
 
 
 def choose_reflectance_divisor(surfaces: Surfaces) -> float:
-    """Choose a number by which to divide all reflectances: Mitsuba allows none above 1.
+    """Choose the number by which to divide all reflectances, as Mitsuba allows none above 1.
 
     Parameters
     ----------
@@ -570,10 +567,10 @@ def choose_reflectance_divisor(surfaces: Surfaces) -> float:
     Returns
     -------
     divisor : float
-        The largest reflectance of the shaders that surfaces use, but at least 1.
+        The largest reflectance of all shaders in use, but at least 1.
     """
     used_shaders = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
-    return max([1.0, *(float(np.max(_to_reflectances(shader))) for shader in used_shaders)])
+    return max([1.0, *(float(np.max(_compute_reflectances(shader))) for shader in used_shaders)])
 
 
 def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
@@ -592,8 +589,8 @@ def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
     return isinstance(shader, Phong) and any(shader.specular)
 
 
-def _to_reflectances(shader: Shader) -> tuple[Floats, Floats]:
-    """Convert the colours of a shader to reflectances of Mitsuba's built-in BSDFs.
+def _compute_reflectances(shader: Shader) -> tuple[Floats, Floats]:
+    """Compute the reflectances of the built-in Mitsuba BSDFs that represent a shader.
 
     A shader with a highlight becomes a blend of two BSDFs.  Their reflectances are doubled, because
     the blend halves both.
@@ -606,8 +603,8 @@ def _to_reflectances(shader: Shader) -> tuple[Floats, Floats]:
     Returns
     -------
     diffuse, specular : (3,) float arrays
-        Linear RGB reflectances of the diffuse BSDF, and of the Beckmann BSDF that replaces the
-        highlight (black if there is no highlight).  They may exceed 1.
+        Linear RGB reflectances of the diffuse BSDF, and of the Beckmann BSDF for the highlight.
+        Both may exceed 1.  If there is no highlight, `specular` is black.
     """
     diffuse = np.array(shader.diffuse)
     if not _has_highlight(shader):
@@ -631,17 +628,15 @@ def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
     Returns
     -------
     bsdf : Element
-        A diffuse BSDF; for a shader with a highlight, a blend of a diffuse and a Beckmann BSDF.
+        A diffuse BSDF.  If the shader has a highlight, a blend of a diffuse and a Beckmann BSDF.
     """
-    diffuse, specular = _to_reflectances(shader)
+    diffuse, specular = _compute_reflectances(shader)
+    bsdf = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))
     if _has_highlight(shader):
         # With this roughness, the Beckmann lobe is as wide as the highlight.
         roughness = (2 / (shader.exponent + 2)) ** 0.5
         color = make_color("specular_reflectance", specular / divisor)
-        lobe_type = {"material": "none", "distribution": "beckmann"}
-        lobe = make_plugin("bsdf", "roughconductor", color, **lobe_type, alpha=roughness)
-        matte = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))
-        bsdf = make_plugin("bsdf", "blendbsdf", matte, lobe, weight=0.5)
-    else:
-        bsdf = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))
+        lobe_options = {"material": "none", "distribution": "beckmann"}
+        lobe = make_plugin("bsdf", "roughconductor", color, **lobe_options, alpha=roughness)
+        bsdf = make_plugin("bsdf", "blendbsdf", bsdf, lobe, weight=0.5)
     return make_plugin("bsdf", "twosided", bsdf, name=name)

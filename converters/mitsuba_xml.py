@@ -1,7 +1,7 @@
 """Build Mitsuba scene files as trees of XML elements.
 
-Mitsuba computes with float32.  Numbers beyond the range of float32 would become infinite, so they
-are refused.
+Mitsuba computes with float32.  A number beyond the range of float32 would become infinite, so it
+raises an error.
 """
 
 from __future__ import annotations
@@ -49,31 +49,32 @@ class Document:
         return f"{HEAD}, {self.comment.strip()}\n-->{_format_element(self.root)}\n"
 
 
-def _format_element(element: Element[Any], line_break: str = "\n") -> str:
-    """Format an XML element and all its descendants, about twice as fast as ElementTree does.
+def _format_element(element: Element[Any], line_start: str = "\n") -> str:
+    """Format an XML element and all its descendants as text.
 
-    Attribute values are not escaped, because converted scenes contain none that need escaping.
+    This is about twice as fast as ElementTree.  Attribute values are not escaped, because no value
+    in a converted scene needs it.
 
     Parameters
     ----------
     element : Element
         The element, or a comment.
-    line_break : str
-        A line break, followed by the indentation of the element.
+    line_start : str
+        The line break and the indentation that precede the element.
 
     Returns
     -------
     text : str
-        The lines of the element, each preceded by a line break.
+        The lines of the element.  Each line follows a line break.
     """
     if element.tag is Comment:
-        return f"{line_break}<!--{element.text}-->"
+        return f"{line_start}<!--{element.text}-->"
     attributes = "".join([f' {name}="{value}"' for name, value in element.items()])
-    start_tag = f"{line_break}<{element.tag}{attributes}"
+    start_tag = f"{line_start}<{element.tag}{attributes}"
     if not len(element):
         return f"{start_tag} />"
-    children = "".join([_format_element(child, line_break + "    ") for child in element])
-    return f"{start_tag}>{children}{line_break}</{element.tag}>"
+    children = "".join([_format_element(child, line_start + "    ") for child in element])
+    return f"{start_tag}>{children}{line_start}</{element.tag}>"
 
 
 def make_plugin(
@@ -83,25 +84,25 @@ def make_plugin(
     name: str | None = None,
     **parameters: bool | int | float | str,
 ) -> Element:
-    """Create the XML element of a Mitsuba plugin.
+    """Create the XML element for a Mitsuba plugin.
 
     Parameters
     ----------
     tag : str
         Kind of the plugin, such as "sensor" or "bsdf".
     plugin_type : str
-        Mitsuba's name for the plugin, such as "perspective" or "diffuse".
+        Mitsuba's name for the type of the plugin, such as "perspective" or "diffuse".
     *children : Element
-        Child elements: parameters with several numbers, and nested plugins.
+        Child elements: nested plugins, and parameters that consist of several numbers.
     name : str, optional
-        Identifier by which other plugins refer to this one.
+        Name by which other plugins refer to this one.
     **parameters : bool, int, float or str
         Parameters with a single value.
 
     Returns
     -------
     element : Element
-        The new element, which contains an element for each parameter, followed by the children.
+        The new element.  It contains an element for each parameter, and then the children.
 
     Raises
     ------
@@ -109,23 +110,23 @@ def make_plugin(
         If a number is beyond the range of float32.
     """
     element = Element(tag, {"type": plugin_type} | ({} if name is None else {"id": name}))
-    for key, value in parameters.items():
-        text = _format_number(key, value) if isinstance(value, float) else str(value)
+    for parameter, value in parameters.items():
+        text = _format_number(parameter, value) if isinstance(value, float) else str(value)
         text = text.lower() if isinstance(value, bool) else text
-        SubElement(element, _PARAMETER_TAGS[type(value)], name=key, value=text)
+        SubElement(element, _PARAMETER_TAGS[type(value)], name=parameter, value=text)
     element.extend(children)
     return element
 
 
 def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Element:
-    """Create the XML element of a point or vector, with the attributes x, y and z.
+    """Create the XML element for a point or vector, with the attributes x, y and z.
 
     Parameters
     ----------
     tag : str
         Tag of the element, such as "point", "vector" or "translate".
     name : str or None
-        Name of the parameter; None for a step of a transform, which has no name.
+        Name of the parameter.  None for a part of a transform, because such a part has no name.
     components : iterable of three floats
         The components x, y and z.
 
@@ -145,14 +146,14 @@ def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Elem
 
 
 def make_color(name: str, color: Iterable[float]) -> Element:
-    """Create the XML element of a colour.
+    """Create the XML element for a colour.
 
     Parameters
     ----------
     name : str
         Name of the parameter.
     color : iterable of three floats
-        Linear red, green and blue.
+        Linear red, green and blue components.
 
     Returns
     -------
@@ -167,14 +168,14 @@ def make_color(name: str, color: Iterable[float]) -> Element:
     return Element("rgb", name=name, value=_format_numbers(name, color))
 
 
-def make_transform(name: str, rows: Iterable[Iterable[float]]) -> Element:
-    """Create the XML element of a transform from its matrix.
+def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element:
+    """Create the XML element for a transform that is given by a matrix.
 
     Parameters
     ----------
     name : str
         Name of the parameter.
-    rows : iterable of four iterables of four floats
+    matrix_rows : iterable of four iterables of four floats
         The rows of the matrix.
 
     Returns
@@ -188,7 +189,8 @@ def make_transform(name: str, rows: Iterable[Iterable[float]]) -> Element:
         If a number is beyond the range of float32.
     """
     element = Element("transform", name=name)
-    SubElement(element, "matrix", value=_format_numbers(name, (x for row in rows for x in row)))
+    numbers = (number for row in matrix_rows for number in row)
+    SubElement(element, "matrix", value=_format_numbers(name, numbers))
     return element
 
 
@@ -221,7 +223,7 @@ def _format_number(name: str, value: float) -> str:
 
 
 def _format_numbers(name: str, values: Iterable[float]) -> str:
-    """Format several numbers as one text, separated by spaces.
+    """Format several numbers as one string, separated by spaces.
 
     Parameters
     ----------
@@ -233,7 +235,7 @@ def _format_numbers(name: str, values: Iterable[float]) -> str:
     Returns
     -------
     text : str
-        For each number, the shortest text that denotes the same float64 number.
+        The shortest text for each number that denotes the same float64 number.
 
     Raises
     ------

@@ -47,15 +47,15 @@ class Window(mi.Sensor):
             _to_vector(props[name]) for name in ("eye", "corner", "right", "down", "low", "high")
         )
 
-    def sample_ray(self, time, sample1, position, sample3, active=True):
+    def sample_ray(self, time, wavelength, position, aperture, active=True):
         """Compute the ray from the eye through a point of the picture, in float64.
 
-        Mitsuba calls this method.  The ray starts where it enters the box around the scene, or at
-        the eye if the eye is inside the box.
+        Mitsuba calls this method.  The ray starts where it enters the box around the scene.  If the
+        eye is inside the box, the ray starts at the eye.
 
         Parameters
         ----------
-        time, sample1, sample3, active
+        time, wavelength, aperture, active
             Not used.
         position : mitsuba.Point2f
             The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
@@ -65,25 +65,26 @@ class Window(mi.Sensor):
         ray : mitsuba.Ray3f
             The ray, with a direction of unit length.
         weight : mitsuba.Spectrum
-            1
+            Always 1.
         """
         x, y = mi.Float64(position.x), mi.Float64(position.y)
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
-        # The slab method.  The inverse of 0 is huge but finite, because infinity times 0 is NaN.
+        # Intersect the box by the slab method.  The inverse of 0 must be finite, because infinity
+        # times 0 is NaN.
         inverse = dr.rcp(dr.select(direction == 0, 1e-300, direction))
         to_low, to_high = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
         start_distance = dr.maximum(dr.max(dr.minimum(to_low, to_high)), 0)
         ray = mi.Ray3f(mi.Point3f(self.eye + start_distance * direction), mi.Vector3f(direction))
         return ray, mi.Spectrum(1)
 
-    def sample_ray_differential(self, time, sample1, position, sample3, active=True):
+    def sample_ray_differential(self, time, wavelength, position, aperture, active=True):
         """Compute the ray from the eye through a point of the picture, as a `RayDifferential3f`.
 
-        Mitsuba calls this method.  The ray is that of `sample_ray`, and has no differentials.
+        Mitsuba calls this method.  It returns the same ray as `sample_ray`, without differentials.
 
         Parameters
         ----------
-        time, sample1, sample3, active
+        time, wavelength, aperture, active
             Not used.
         position : mitsuba.Point2f
             The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
@@ -93,9 +94,9 @@ class Window(mi.Sensor):
         ray : mitsuba.RayDifferential3f
             The ray, with a direction of unit length.
         weight : mitsuba.Spectrum
-            1
+            Always 1.
         """
-        ray, weight = self.sample_ray(time, sample1, position, sample3, active)
+        ray, weight = self.sample_ray(time, wavelength, position, aperture, active)
         return mi.RayDifferential3f(ray), weight
 
 
@@ -122,18 +123,18 @@ class UnattenuatedPoint(mi.Emitter):
         Parameters
         ----------
         hit : mitsuba.Interaction3f
-            The point that is lit; only its position and time are used.
+            The point to be lit.  Only its position and time are used.
         sample : mitsuba.Point2f
-            Not used: there is only one direction.
+            Not used, because there is only one direction.
         active : mitsuba.Bool
             Whether the result is needed.
 
         Returns
         -------
         light_sample : mitsuba.DirectionSample3f
-            Position of the light, and its direction and distance from the hit.
+            The position of the light, and its direction and distance from the hit.
         intensity : mitsuba.Spectrum
-            The light's intensity, or 0 where `active` is False.
+            The intensity of the light; 0 where `active` is False.
         """
         light_sample = mi.DirectionSample3f()
         light_sample.p = self.position
@@ -142,7 +143,7 @@ class UnattenuatedPoint(mi.Emitter):
         light_sample.pdf = 1
         light_sample.uv = mi.Point2f(0)
         to_light = self.position - hit.p
-        # Dividing by the largest component keeps the squares from overflowing for distant lights.
+        # Divide by the largest component, so that the squares cannot overflow for distant lights.
         largest_component = dr.max(dr.abs(to_light))
         to_light /= dr.select(largest_component > 0, largest_component, 1)
         scaled_length = dr.norm(to_light)
@@ -151,22 +152,23 @@ class UnattenuatedPoint(mi.Emitter):
         light_sample.n = mi.Normal3f(-light_sample.d)
         return light_sample, dr.select(active, self.intensity, 0)
 
-    def eval(self, si, active=True):
+    def eval(self, hit, active=True):
         """Return a radiance of 0, because no ray can hit a point light."""
         return mi.Spectrum(0)
 
 
 class BlinnPhong(mi.BSDF):
-    """A two-sided Mitsuba BSDF for Blinn-Phong shading: kd n.l + ks (n.h)^exponent.
+    """A two-sided Mitsuba BSDF for Blinn-Phong shading.
 
-    Here n is the normal, l the direction to the light, and h the half vector between the directions
-    to the light and to the eye.
+    The shading is kd n.l + ks (n.h)^exponent.  Here kd and ks are the diffuse and specular colours,
+    n is the normal, l the direction to the light, and h the half vector between the directions to
+    the light and to the eye.
 
     Parameters
     ----------
     props : mitsuba.Properties
-        The parameters of the plugin: the linear RGB vectors `diffuse` (kd) and `specular` (ks), and
-        the number `exponent`.
+        The parameters of the plugin: the linear RGB vectors `diffuse` and `specular`, and the
+        number `exponent`.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -179,19 +181,20 @@ class BlinnPhong(mi.BSDF):
         self.m_flags = flags
 
     def eval(self, context, hit, to_light, active=True):
-        """Evaluate Blinn-Phong shading, kd n.l + ks (n.h)^exponent, for two directions.
+        """Compute the Blinn-Phong shading of a point that is lit from a given direction.
 
-        Mitsuba calls this method, and expects the BSDF multiplied by the cosine n.l.  Here kd and
-        ks are the diffuse and specular colours, n is the normal, l the direction to the light, and
-        h the half vector between the directions to the light and to the eye.
+        Mitsuba calls this method, and expects the product of the BSDF and the cosine n.l.  This
+        product is kd n.l + ks (n.h)^exponent, where kd and ks are the diffuse and specular colours,
+        n is the normal, l the direction to the light, and h the half vector between the directions
+        to the light and to the eye.
 
         Parameters
         ----------
         context : mitsuba.BSDFContext
             Not used.
         hit : mitsuba.SurfaceInteraction3f
-            The point on the surface.  `hit.wi` is the direction to the eye, in the local frame of
-            the surface, whose z axis is the normal.
+            The point on the surface.  `hit.wi` is the direction to the eye, in a local frame whose
+            z axis is the normal.
         to_light : mitsuba.Vector3f
             Direction to the light, in the same frame.
         active : mitsuba.Bool
@@ -199,17 +202,17 @@ class BlinnPhong(mi.BSDF):
 
         Returns
         -------
-        reflected : mitsuba.Spectrum
-            The shading; 0 where the light and the eye are on different sides of the surface, or
-            `active` is False.
+        shading : mitsuba.Spectrum
+            The shading.  It is 0 where the light and the eye are on different sides of the surface,
+            and where `active` is False.
         """
         half_vector = dr.normalize(hit.wi + to_light)
-        # The sine gives n.h accurately even where float32 would round the cosine itself to 1.
+        # Compute the cosine n.h from its sine: in float32, a cosine close to 1 would round to 1.
         squared_cosine = 1 - mi.Float64(dr.square(half_vector.x) + dr.square(half_vector.y))
         highlight = mi.Float(dr.power(dr.maximum(squared_cosine, 0), 0.5 * self.exponent))
-        reflected = self.diffuse * dr.abs(to_light.z) + self.specular * highlight
+        shading = self.diffuse * dr.abs(to_light.z) + self.specular * highlight
         is_same_side = hit.wi.z * to_light.z > 0
-        return dr.select(active & is_same_side, reflected, 0)
+        return dr.select(active & is_same_side, shading, 0)
 
 
 class EveryLight(mi.SamplingIntegrator):
@@ -218,7 +221,7 @@ class EveryLight(mi.SamplingIntegrator):
     Shadow rays go from the light to the hit.  All shapes are closed and convex, so the shape at
     the hit lies below the hit's tangent plane, and a shape that blocks the light lies above it.  A
     hit is therefore lit unless the shadow ray first meets a shape more than a tolerance above the
-    plane.  This needs no offset from the surface, which would move the edges of shadows.
+    plane.  No offset from the surface is needed: it would move the edges of shadows.
 
     Parameters
     ----------
@@ -238,7 +241,7 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Compute the radiance along a ray from the eye: the direct light of every emitter.
+        """Add the direct light of all emitters to compute the radiance along a ray from the eye.
 
         Mitsuba calls this method.
 
@@ -260,7 +263,7 @@ class EveryLight(mi.SamplingIntegrator):
         is_valid : mitsuba.Bool
             Whether the ray hits a surface.
         aovs : list
-            Empty: there are no other outputs.
+            An empty list, because this integrator has no other outputs.
         """
         hit = scene.ray_intersect(ray, active)
         is_hit = hit.is_valid()
@@ -274,8 +277,8 @@ class EveryLight(mi.SamplingIntegrator):
             to_light = light_sample.d
             reflectance = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(to_light), is_hit)
             is_frontlit = is_hit & dr.any(reflectance > 0)
-            # The shadow ray starts slightly in front of the light, which may lie on a surface.  If
-            # the light is outside the scene's bounding box, the ray starts just outside the box.
+            # Start the shadow ray slightly in front of the light, which may lie on a surface.  If
+            # the light is outside the bounding box of the scene, start just outside the box.
             inverse = dr.rcp(dr.select(dr.abs(to_light) > 1e-20, to_light, 1e-20))
             to_low, to_high = (box.min - hit.p) * inverse, (box.max - hit.p) * inverse
             exit_distance = dr.min(dr.maximum(to_low, to_high))
@@ -302,7 +305,7 @@ for register, plugin, name in (
 if "_reload" not in globals():
 
     def _reload(_old: str | None, _new: str | None) -> None:
-        """Execute this module again, to define its plugins for the new Mitsuba variant."""
+        """Execute this module again, which defines its plugins for the new Mitsuba variant."""
         importlib.reload(sys.modules[__name__])
 
     mi.detail.add_variant_callback(_reload)

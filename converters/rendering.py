@@ -60,8 +60,8 @@ def render_mitsuba(
     Returns
     -------
     image : (h, w, 3) float array
-        Linear RGB radiance; w is the scene's width.  With the flavour "exact", h is the scene's
-        height; with "stock", it may differ.
+        Linear RGB radiance.  The width w is that of the scene.  The height h is that of the scene
+        in the flavour "exact", but may differ in the flavour "stock".
 
     Raises
     ------
@@ -86,15 +86,15 @@ def load_into_mitsuba(text: str, variant: str | None = None) -> Callable[[], Ren
     Parameters
     ----------
     text : str
-        Text of a Mitsuba scene file, from `convert`.
+        Text of a Mitsuba scene file, such as `convert` returns.
     variant : str, optional
         Name of the Mitsuba variant; by default, the fastest that works on this machine.
 
     Returns
     -------
     render_loaded : callable
-        A function without parameters that renders the scene and returns a `Rendering`: the image,
-        the variant and the time.  It can be called repeatedly.
+        A function that takes no arguments, renders the scene, and returns a `Rendering`.  It can
+        be called repeatedly.
 
     Raises
     ------
@@ -109,9 +109,9 @@ def load_into_mitsuba(text: str, variant: str | None = None) -> Callable[[], Ren
     scene = mi.load_string(text)
 
     def render_loaded() -> Rendering:
-        start = perf_counter()
+        start_time = perf_counter()
         image = np.array(mi.render(scene), dtype=np.float64)
-        return Rendering(image, chosen_variant, perf_counter() - start)
+        return Rendering(image, chosen_variant, perf_counter() - start_time)
 
     return render_loaded
 
@@ -129,7 +129,7 @@ def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
     Raises
     ------
     OSError
-        If the file cannot be written, or a file that is not an EXR exists at the path.
+        If the file cannot be written, or the path names an existing file of another format.
     """
     ensure_variant()
     stream = mi.MemoryStream()

@@ -1,13 +1,13 @@
-"""Convert scene files to scenes for Mitsuba 3, and render these.
+"""Convert scene files to files for Mitsuba 3, or render them with Mitsuba.
 
 python -m converters.to_mitsuba SCENE.xml ...            writes NAME.mitsuba.xml
 python -m converters.to_mitsuba --render SCENE.xml ...   writes NAME.mitsuba.png and .exr
 
-Each takes --flavour:
-  stock  for the plain mitsuba command, in one file (default when converting). Its lights fall off
-         with distance, and its highlights are similar, not the same
-  exact  the same picture (default of --render), by small plugins of this project: loads with
-         mitsuba.load_file after "import converters.plugins"
+Both take the option --flavour:
+  stock  a similar picture, for the plain mitsuba command: lights fall off with distance, and
+         highlights differ (default without --render)
+  exact  the same picture, with small plugins of this project: mitsuba.load_file reads the file
+         after "import converters.plugins" (default with --render)
 
 Converting needs no Mitsuba; --render needs it ("pip install .[reference]").
 """
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     exit_status : int
         0, or `FAILED` (1) if a scene could not be read, converted or rendered, or a file could not
-        be written.  An error in one scene does not keep the others from being processed.
+        be written.  In this case, the other scenes have still been processed.
 
     Raises
     ------
@@ -63,20 +63,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SystemExit
         If the arguments are wrong.
     """
-    parser = _build_parser()
+    parser = _make_parser()
     options = parser.parse_args(arguments)
-    process_scene, default_flavour, ending, find_output_paths = (
-        (_render_file, "exact", ".mitsuba.png", _derive_picture_paths)
-        if options.render
-        else (_convert_file, "stock", ".mitsuba.xml", lambda output_path: (output_path,))
-    )
+    process_scene = _render_file if options.render else _convert_file
+    default_flavour = "exact" if options.render else "stock"
+    ending = ".mitsuba.png" if options.render else ".mitsuba.xml"
+    list_files = _derive_picture_paths if options.render else lambda path: (path,)
     options.flavour = options.flavour or default_flavour
     suffix = ending if options.flavour == default_flavour else f".{options.flavour}{ending}"
     scenes = skip_converted_scenes(options.scenes)
     # A path such as / has no name, but is accepted here: reading it fails with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
+    scene_names = [*map(str, scenes)]
     output_paths = choose_output_paths(
-        parser, [*map(str, scenes)], options.output, default_paths, find_output_paths
+        parser, scene_names, options.output, default_paths, list_files
     )
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
-    """Set Mitsuba's variant, and print its name and the reason for choosing it.
+    """Set Mitsuba's variant, and print its name and why it was chosen.
 
     Parameters
     ----------
@@ -127,13 +127,13 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
     path : str or path-like
         Path of the scene file, for the message.
     participle : str
-        Past participle for the message, such as "rendered" for "cannot be rendered".
+        Past participle for the message, for example "rendered" for "cannot be rendered".
 
     Raises
     ------
     Failure
-        If the block raises OSError, MemoryError, ImportError, RuntimeError or ValueError.
-        (`ConversionError`, which the converter raises, is a ValueError.)
+        If the block raises OSError, MemoryError, ImportError, RuntimeError or ValueError.  The
+        converter's own `ConversionError` is a ValueError.
     """
     with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
@@ -143,9 +143,9 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Remove converted scenes from a list of paths, and print a line for each removed path.
+    """Return the paths that are not converted scenes, and print a line for each of the others.
 
-    The shell pattern *.xml matches the results of earlier conversions, too.
+    Converted scenes must be skipped because the shell pattern *.xml matches them, too.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     Returns
     -------
     kept_paths : list of Path
-        The other paths, in the same order.  Paths of files that cannot be read are kept.
+        The remaining paths, in the same order.  Paths of files that cannot be read are kept.
     """
     kept_paths = []
     for path in paths:
@@ -165,9 +165,8 @@ def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
                 with Path(path).open("rb") as file:
                     first_bytes = file.read(len(HEAD))
         if first_bytes == HEAD.encode():
-            print_line(
-                sys.stdout, make_printable(f"{path}: skipped, because it is a converted scene")
-            )
+            notice = f"{path}: skipped, because it is a converted scene"
+            print_line(sys.stdout, make_printable(notice))
         else:
             kept_paths.append(Path(path))
     return kept_paths
@@ -184,8 +183,8 @@ def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
 
     Returns
     -------
-    png, exr : Path
-        The paths.  One of them is `output_path` if `output_path` has the suffix .png or .exr.
+    png_path, exr_path : Path
+        The paths.  If `output_path` ends in .png or .exr, it is one of them.
     """
     path = Path(output_path)
     if path.suffix.lower() == ".exr":
@@ -204,34 +203,22 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         The command-line parser, to which SCENE.xml, -o and --variant are added.
     """
     parser.add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=parse_path,
-        metavar="PATH",
-        help="the file to write, or a folder if there are several scenes;"
-        " a folder that ends in / is created if it is missing",
-    )
-    parser.add_argument(
-        "--variant", help="Mitsuba's variant (default: the fastest that works on this machine)"
-    )
+    output_help = "the file to write, or a folder for the results of several scenes;"
+    output_help += " a missing folder is created if PATH ends in /"
+    parser.add_argument("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
+    variant_help = "Mitsuba's variant (default: the fastest that works on this machine)"
+    parser.add_argument("--variant", help=variant_help)
 
 
-def _build_parser() -> CommandParser:
-    """Build the command-line parser of `python -m converters.to_mitsuba`."""
+def _make_parser() -> CommandParser:
+    """Create the command-line parser of `python -m converters.to_mitsuba`."""
     parser = CommandParser(__name__)
     add_scene_arguments(parser)
     parser.add_argument("--flavour", choices=("stock", "exact"), help="see above")
-    parser.add_argument(
-        "--samples",
-        type=parse_positive_int,
-        metavar="N",
-        help="samples per pixel, which may be rounded up (default: 64 in the stock flavour; one,"
-        " at the pixel's centre, in the exact flavour)",
-    )
-    parser.add_argument(
-        "--render", action="store_true", help="render with Mitsuba: a PNG and an EXR"
-    )
+    samples_help = "samples per pixel, which may be rounded up (default: 64 for stock; 1 for exact,"
+    samples_help += " at the pixel's centre)"
+    parser.add_argument("--samples", type=parse_positive_int, metavar="N", help=samples_help)
+    parser.add_argument("--render", action="store_true", help="render to a PNG and an EXR file")
     return parser
 
 
@@ -245,8 +232,8 @@ def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespa
     output_path : Path
         Path of the file to write.
     options : argparse.Namespace
-        The parsed command line: `flavour` is "stock" or "exact", and `samples` is the number of
-        samples per pixel, or None for the default.
+        The parsed command line.  `flavour` is "stock" or "exact".  `samples` is the number of
+        samples per pixel; None stands for the default.
 
     Raises
     ------
@@ -269,17 +256,17 @@ def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespa
 
 
 def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
-    """Render a scene file with Mitsuba to a PNG and an EXR, and print a line with their paths.
+    """Render a scene file with Mitsuba to a PNG and an EXR file, and print their paths.
 
     Parameters
     ----------
     scene_path : Path
         Path of the scene file.
     output_path : Path
-        Path of the PNG or of the EXR; the other picture is written next to it.
+        Path of the PNG or the EXR file.  The other file is written next to it.
     options : argparse.Namespace
-        The parsed command line: `flavour` is "stock" or "exact".  `samples` is the number of
-        samples per pixel, and `variant` is Mitsuba's variant; None stands for the default.
+        The parsed command line.  `flavour` is "stock" or "exact".  `samples` is the number of
+        samples per pixel, and `variant` is Mitsuba's variant; either is None for the default.
 
     Raises
     ------
@@ -293,9 +280,9 @@ def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespac
         scene = load_scene(scene_path)
     with mitsuba_errors_as_failure(scene_path, "rendered"):
         image = render_mitsuba(scene, options.samples, options.variant, options.flavour)
-    png, exr = _derive_picture_paths(str(output_path))
-    for picture_path, write_picture in ((png, write_png), (exr, write_exr)):
+    png_path, exr_path = _derive_picture_paths(str(output_path))
+    for picture_path, write_picture in ((png_path, write_png), (exr_path, write_exr)):
         with errors_as_failure(picture_path, "written", "choose another with -o"):
             write_picture(picture_path, image)
     height, width, _ = image.shape
-    print_line(sys.stdout, make_printable(f"{png} and {exr.name}: {width} x {height}"))
+    print_line(sys.stdout, make_printable(f"{png_path} and {exr_path.name}: {width} x {height}"))

@@ -1,4 +1,4 @@
-"""Choose the fastest Mitsuba variant that this machine can run: LLVM if it works, otherwise scalar.
+"""Choose the fastest Mitsuba variant that works on this machine: LLVM if possible, or else scalar.
 
 The variant ``llvm_ad_rgb`` needs the shared library libLLVM.  If the library is missing, Mitsuba
 reports an error.  But with some versions of LLVM (15 and 16, for example), the first kernel aborts
@@ -74,14 +74,15 @@ class Choice(NamedTuple):
 def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     """Find the fastest Mitsuba variant that works on this machine.
 
-    A child process tests the LLVM variant, because an unusable libLLVM may abort the process.
+    A child process tests the LLVM variant, because an unusable libLLVM may abort any process that
+    uses it.
 
     Parameters
     ----------
     kernel : str
         Python code that the child process executes; it must fail if LLVM is unusable.
     timeout : float
-        Seconds after which the child process is stopped and LLVM is considered unusable.
+        Seconds after which the child process is stopped, and LLVM counts as unusable.
 
     Returns
     -------
@@ -89,15 +90,11 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
         The LLVM variant if the child process exits with status 0; otherwise the scalar variant.
     """
     setup = _CHILD_SETUP.format(seconds=ceil(timeout) + 1)
-    # Without a home folder, the child finds no cached kernels, which could hide a bad libLLVM.
+    command = [sys.executable, "-c", setup + kernel]
+    # Kernels that are cached in the home folder could hide a bad libLLVM.
+    env = os.environ | {"HOME": os.devnull}
     try:
-        child = subprocess.run(
-            [sys.executable, "-c", setup + kernel],
-            env=os.environ | {"HOME": os.devnull},
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-        )
+        child = subprocess.run(command, env=env, capture_output=True, text=True, timeout=timeout)
     except subprocess.TimeoutExpired:
         return Choice(SCALAR, "the libLLVM found here hangs")
     if child.returncode == 0:
@@ -109,7 +106,7 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     return Choice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
 
 
-_cached_choice = cache(find_fastest_variant)
+_find_once = cache(find_fastest_variant)
 
 
 def use_variant(variant: str | None = None) -> Choice:
@@ -130,14 +127,12 @@ def use_variant(variant: str | None = None) -> Choice:
     ImportError
         If the requested variant does not work on this machine, or is not an RGB variant.
     """
-    choice = _cached_choice()
+    choice = _find_once()
     if variant is not None and variant != choice.variant:
         rgb_variants = [name for name in mi.variants() if name.endswith("_rgb")]
         if variant not in rgb_variants:
-            names = ", ".join(rgb_variants)
-            raise ImportError(
-                f"{variant or repr(variant)} is not an RGB variant; choose one of {names}"
-            )
+            remedy = f"choose one of {', '.join(rgb_variants)}"
+            raise ImportError(f"{variant or repr(variant)} is not an RGB variant; {remedy}")
         if variant == LLVM:
             raise ImportError(f"{LLVM} does not work here: {choice.reason}")
         choice = Choice(variant, "requested")
@@ -148,7 +143,7 @@ def use_variant(variant: str | None = None) -> Choice:
 def ensure_variant() -> None:
     """Set the fastest Mitsuba variant that works, unless a variant is already set.
 
-    Most Mitsuba operations require that a variant is set.
+    Most Mitsuba operations fail if no variant is set.
     """
     if mi.variant() is None:
         use_variant()
