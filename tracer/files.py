@@ -20,49 +20,49 @@ _part_files: set[str] = set()
 
 @contextmanager
 def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
-    """Write a file in a with block, and put it in place only if the block ends without an error.
+    """Open a new file for a with block, and put it in place if the block raises no error.
 
     At the end of the block, the new file replaces the file at `path`, and receives its permissions.
     After an error in the block, the new file is deleted, and the file at `path` is unchanged.  If
-    `path` is a symbolic link, the file that it refers to is replaced.
+    `path` is a symbolic link, the target of the link is replaced.
 
     Parameters
     ----------
     path : str or path-like
-        Path of the file.  A file that already exists there must be writable, and must either be
-        empty or begin with `magic`.
+        Path of the file.  If a file already exists there, it must be writable, and it must be empty
+        or begin with `magic`.
     magic : bytes
-        The first bytes of all files of this kind.  If empty, a file of any kind is replaced.
+        The first bytes of all files of this kind.  If empty, files of all kinds are replaced.
 
     Yields
     ------
     file : binary file
-        The new file, empty and open for writing.  Its attribute `name` is its temporary path, or
-        its file descriptor if it has no path.
+        The new file, which is empty and open for writing.  Its attribute `name` is its temporary
+        path, or its file descriptor if it has no path.
 
     Raises
     ------
     OSError
-        If the file cannot be written, or `path` names something other than a regular file, such as
-        a folder.
+        If the file cannot be written, or `path` names a folder or something else that is not a
+        regular file.
     FileExistsError
-        If a file of another kind exists at `path`.  (This is a subclass of OSError.)
+        If a file of another kind exists at `path`.  This is a subclass of OSError.
     """
     target_path, old_mode = os.path.realpath(path), None
     with suppress(FileNotFoundError):
         old_mode = os.stat(target_path).st_mode
         if not stat.S_ISREG(old_mode):
             raise OSError(errno.EINVAL, "not a regular file", target_path)
-        # Opened for writing, because a file without write permission must not be replaced.
+        # Open it for writing, because a file without write permission must not be replaced.
         with open(target_path, "r+b") as old_file:
             if old_file.read(len(magic)) not in (magic, b""):
                 raise FileExistsError(errno.EEXIST, "a file of another kind is there", target_path)
     folder = os.path.dirname(target_path)
-    # Not derived from the file's name, which may already have the maximum length.
+    # The name is random, because a name derived from that of the file could be too long.
     part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
     _part_files.add(part_path)
     try:
-        with _create_unnamed_file(folder, part_path) as file:
+        with _create_temporary_file(folder, part_path) as file:
             yield file
             if not os.fstat(file.fileno()).st_nlink:
                 descriptor_path = f"/proc/self/fd/{file.fileno()}"
@@ -80,13 +80,13 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
         _part_files.discard(part_path)
 
 
-def _create_unnamed_file(folder: str, fallback_path: str) -> IO[bytes]:
-    """Create an unnamed file or, where unnamed files are not supported, one at `fallback_path`.
+def _create_temporary_file(folder: str, fallback_path: str) -> IO[bytes]:
+    """Create a temporary file, which has no name if the system supports unnamed files.
 
     Parameters
     ----------
     folder : str
-        Folder in whose file system the file is created.
+        Folder that will contain the file when it is complete.
     fallback_path : str
         Path of the file if it must have a name.
 
@@ -98,7 +98,7 @@ def _create_unnamed_file(folder: str, fallback_path: str) -> IO[bytes]:
     Raises
     ------
     OSError
-        If neither kind of file can be created.
+        If the file cannot be created.
     """
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # some file systems do not support unnamed files

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def make_printable(text: str) -> str:
-    """Escape the unprintable characters in a text: a line break becomes ``\\n``, for example.
+    """Escape the unprintable characters in a text, such as line breaks.
 
     The result is a single line without control characters, so it is safe to show in a terminal.
     """
@@ -14,10 +14,10 @@ def make_printable(text: str) -> str:
 
 
 def shorten(text: str) -> str:
-    """Shorten a text to at most 40 characters, replacing the end of a longer text with "..."."""
+    """Shorten a text to at most 40 characters, and replace what is cut off by "..."."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
 def quote(text: str) -> str:
-    """Shorten a text to at most 40 characters, escape unprintable ones, and put it in quotes."""
+    """Shorten a text as `shorten` does, escape unprintable characters, and put it in quotes."""
     return repr(shorten(text))

@@ -21,34 +21,34 @@ class CommandParser(argparse.ArgumentParser):
 
     Parameters
     ----------
-    module : str
+    module_name : str
         Full name of the command's module, which has been imported.
     prog : str, optional
-        How users call the command; by default, ``python -m module``.
+        How users call the command; by default, ``python -m MODULE_NAME``.
     """
 
-    def __init__(self, module: str, prog: str | None = None) -> None:
+    def __init__(self, module_name: str, prog: str | None = None) -> None:
         formatter = argparse.RawDescriptionHelpFormatter
-        super().__init__(prog=prog or f"python -m {module}", formatter_class=formatter)
-        self._module = module
+        super().__init__(prog=prog or f"python -m {module_name}", formatter_class=formatter)
+        self._module_name = module_name
 
     def format_help(self) -> str:
         """Return the help text: usage, the module's docstring, and the options."""
-        import ast  # importing it takes milliseconds
+        import ast  # only now, because the import takes milliseconds
 
-        # Read from the source, because `python -OO` discards docstrings.
-        with open(sys.modules[self._module].__file__ or "", encoding="utf-8") as file:
+        # Read the docstring from the source, because `python -OO` discards docstrings.
+        with open(sys.modules[self._module_name].__file__ or "", encoding="utf-8") as file:
             self.description = ast.get_docstring(ast.parse(file.read()))
         return super().format_help()
 
     def error(self, message: str) -> NoReturn:
-        """Print a message about wrong usage, and end the process with exit status 2.
+        """Print an error about wrong usage, and end the process with exit status 2.
 
         Parameters
         ----------
         message : str
-            What is wrong.  Unprintable characters are escaped.  If the cause may be a file whose
-            name begins with "-", a suggested fix is added.
+            What is wrong.  Unprintable characters are escaped.  A suggested fix is added if a file
+            name that begins with "-" may be the cause.
         """
         if message.endswith("expected one argument"):
             message += "; a value that begins with - is joined to its option by ="
@@ -59,7 +59,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def parse_path(argument: str) -> str:
-    """Check that a command-line argument, the path of a file, is not empty.
+    """Return a command-line argument that is a path, after checking that it is not empty.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def is_folder(path: str) -> bool:
 def make_output_folder(output: str | None) -> None:
     """Create the output folder if the option -o names one that does not exist.
 
-    Missing parent folders are created, too.  If the option names a file, nothing is done.
+    Missing parent folders are created, too.  If the option names a file, nothing happens.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def make_output_folder(output: str | None) -> None:
 
 
 def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
-    """Return the absolute path of a file, with all symbolic links resolved.
+    """Return the absolute path of a file, in which all symbolic links are resolved.
 
     Parameters
     ----------
@@ -145,8 +145,8 @@ def resolve_path(path: str | os.PathLike[str], *, exit_status: int = 1) -> str:
     Failure
         If the path is relative, and the working folder has been deleted.
     """
-    where, remedy = "the working folder", "change to another"
-    with errors_as_failure(where, "found", remedy, exit_status=exit_status):
+    subject, remedy = "the working folder", "change to another"
+    with errors_as_failure(subject, "found", remedy, exit_status=exit_status):
         return os.path.realpath(path)
 
 
@@ -162,25 +162,24 @@ def choose_output_paths(
     Parameters
     ----------
     parser : CommandParser
-        Prints an error and ends the process with exit status 2 if two results would be written to
-        the same file, a result would replace a scene, or `output` is a file but there are several
-        scenes.
+        Prints an error and ends the process with exit status 2 if a result would replace a scene or
+        another result, or if `output` is a file but there are several scenes.
     scenes : sequence of str
         Paths of the scene files.
     output : str or None
         The value of the option -o: a file, or a folder for the results of several scenes.  None if
         the option was not given.
     default_paths : sequence of str
-        For each scene, the path of its result if the option -o was not given.  If that option names
-        a folder, the last component of the default path is the result's name in that folder.
+        For each scene, the path of its result if the option -o was not given.  In a folder that -o
+        names, the result gets the same file name.
     list_files : callable
-        Called with the path of a result, it returns the paths of all files that the result consists
-        of.  By default, a result is a single file.
+        Function that takes the path of a result and returns the paths of all its files.  By
+        default, a result is a single file.
 
     Returns
     -------
     result_paths : list of str
-        The path of the result of each scene.
+        For each scene, the path of its result.
 
     Raises
     ------

@@ -126,12 +126,12 @@ class Batch:
     ----------
     settings : Settings
         The settings that all pictures have in common.
-    processes : int
-        Maximum number of processes, including the calling one.
+    max_processes : int
+        Maximum number of processes, including the calling process.
     """
 
-    def __init__(self, settings: Settings, processes: int) -> None:
-        self._settings, self._pool = settings, WorkerPool(processes - 1, end_on_signals)
+    def __init__(self, settings: Settings, max_processes: int) -> None:
+        self._settings, self._pool = settings, WorkerPool(max_processes - 1, end_on_signals)
         # The scenes to render; None in a worker process, which renders only single scenes.
         self._distribution: Distribution[Job, Report] | None = None
         # Numbers of finished pictures, and of their pixels.
@@ -153,16 +153,15 @@ class Batch:
             Whether all pictures were written.
         """
         self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
-        # At the end, there are fewer scenes than processes, so large scenes are shared.
+        # The last scenes are fewer than the processes, so all processes share the large ones.
         worker_count = self._pool.worker_count
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
-        job_queue = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
-        job_queue[unshared_count:] = jobs[unshared_count:]
-        # This process repeats what a worker could not do, for example because it had too little
-        # memory.
+        queued_jobs = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
+        queued_jobs[unshared_count:] = jobs[unshared_count:]
+        # If a worker fails, for example because it lacks memory, this process repeats its job.
         render_in_worker = partial(_render_in_worker, self._settings)
         self._distribution = Distribution(
-            self._try_render, render_in_worker, job_queue, worker_count
+            self._try_render, render_in_worker, queued_jobs, worker_count
         )
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._distribution, strict=True):
@@ -216,8 +215,8 @@ class Batch:
         Raises
         ------
         Failure
-            If the scene cannot be read or rendered, or the picture cannot be written; or if this is
-            a worker process, but all processes should share the picture.
+            If the scene cannot be read or rendered, or the picture cannot be written.  In a worker
+            process, also if all processes should share the picture.
         """
         start_time, (samples, size, file_format, quiet) = perf_counter(), self._settings
         scene, exposure = read_scene(job.scene_path, size), Exposure()
@@ -261,17 +260,17 @@ class Batch:
         warning_lines = (make_printable(f"{job.scene_path}: warning: {text}") for text in warnings)
         return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
 
-    def _show_progress(self, rendered_fraction: float, rendered_pixels: int) -> None:
+    def _show_progress(self, rendered_fraction: float, rendered_pixel_count: int) -> None:
         """Show how many pictures and pixels are finished, including part of the current picture.
 
         Parameters
         ----------
         rendered_fraction : float
             Rendered fraction of the current picture, from 0 to 1.
-        rendered_pixels : int
-            Number of pixels of the current picture that are rendered.
+        rendered_pixel_count : int
+            Number of rendered pixels of the current picture.
         """
-        note = f"{(self._pixel_count + rendered_pixels) / 1e6:.3g} million pixels"
+        note = f"{(self._pixel_count + rendered_pixel_count) / 1e6:.3g} million pixels"
         self._progress.update(self._finished_count + rendered_fraction, note)
 
 
@@ -293,11 +292,10 @@ def _render_in_worker(settings: Settings, job: Job) -> Report:
     Raises
     ------
     Failure
-        If the scene cannot be rendered, or the picture cannot be written; or if the main process
-        must render the scene, because all processes should share the picture, or the scene comes
-        from standard input, which a worker process cannot read.
+        If the scene cannot be read or rendered, or the picture cannot be written.  A worker cannot
+        read standard input.  It also fails if all processes should share the picture.
     """
-    return Batch(settings, processes=1)._render_to_file(job)
+    return Batch(settings, max_processes=1)._render_to_file(job)
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:

@@ -68,8 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        The command-line arguments without the name of the command.  By default, those of this
-        process.
+        The command-line arguments, without the name of the command.  By default, the arguments of
+        this process.
 
     Returns
     -------
@@ -167,16 +167,16 @@ def _choose_format(parser: CommandParser, arguments: argparse.Namespace) -> str:
     Returns
     -------
     file_format : str
-        A key of `FORMATS`; "png" if neither option determines the format.
+        A key of `FORMATS`.  If neither option determines the format, "png".
     """
     output = arguments.output or ""
-    formats = [arguments.format] if arguments.format else list(FORMATS)
+    valid_formats = [arguments.format] if arguments.format else list(FORMATS)
     stem, suffix = os.path.splitext(output)
     if is_folder(output) or not suffix:
-        return formats[0]
-    if suffix[1:].lower() not in formats:
-        suffixes = ", ".join(f".{name}" for name in formats)
-        parser.error(f"-o {output}: pictures end in {suffixes}; name it {stem}.{formats[0]}")
+        return valid_formats[0]
+    if suffix[1:].lower() not in valid_formats:
+        suffixes = ", ".join(f".{name}" for name in valid_formats)
+        parser.error(f"-o {output}: pictures end in {suffixes}; name it {stem}.{valid_formats[0]}")
     return suffix[1:].lower()
 
 
@@ -191,8 +191,8 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     arguments : Namespace
         The parsed arguments of the command.
     file_format : str
-        Format of the pictures, a key of `FORMATS`.  A picture whose name is not given by the option
-        -o is named after its scene and the format, for example SCENE.xml.png.
+        Format of the pictures: a key of `FORMATS`.  Without the option -o, it is added to the name
+        of the scene file, for example in SCENE.xml.png.
 
     Returns
     -------
@@ -232,7 +232,7 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
 def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int:
     """Print, for each scene, how the colour of the requested pixel is computed.
 
-    If this fails for a scene, the failure is printed to standard error, and the next scene follows.
+    If this fails for a scene, an error is printed, and the other scenes are still explained.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
     """
     if arguments.output or arguments.format or arguments.watch or arguments.samples > 1:
         parser.error("--pixel cannot be combined with -o, --format, --samples or --watch")
-    from tracer.picture.explanation import explain  # small pictures must not wait for the import
+    from tracer.picture.explanation import explain  # only now, because rendering does not need it
 
     def print_explanation(path: str) -> None:
         scene = read_scene(path, arguments.size)
@@ -286,10 +286,10 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     if not quiet:
         scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"
         print_line(sys.stderr, f"watching {scenes_text}; press Ctrl-C to end")
-    old_versions = {job: _file_version(job.scene_path) for job in jobs}
+    old_versions = {job: _get_file_version(job.scene_path) for job in jobs}
     rendered_versions = dict[Job, object]()
     while quiet or not (sys.stdout is None or sys.stdout.closed):
-        versions = {job: _file_version(job.scene_path) for job in jobs}
+        versions = {job: _get_file_version(job.scene_path) for job in jobs}
         # An editor may write a file in pieces, so wait until it stops changing.
         stable_versions = {job: versions[job] for job in jobs if versions[job] == old_versions[job]}
         changed_jobs = [
@@ -303,10 +303,10 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     return 0
 
 
-def _file_version(path: str) -> tuple[int, int, int] | None:
-    """Return the modification time, size and inode number of a file, which change when it is saved.
+def _get_file_version(path: str) -> tuple[int, int, int] | None:
+    """Return the modification time, size and inode number of a file, or None if it is missing.
 
-    If the file cannot be accessed, return None.
+    At least one of the numbers changes when the file is saved.
     """
     try:
         file_status = os.stat(path)

@@ -18,32 +18,33 @@ _NO_MEMORY = "not enough memory"
 
 
 class Failure(Exception):  # noqa: N818
-    """The failure of a task.  ``str(failure)`` is the line for the user: ``where: what; remedy``.
+    """The failure of a task.  Its `str` is the line for the user: ``SUBJECT: PROBLEM; REMEDY``.
 
     Parameters
     ----------
-    where : str
-        The file or stream concerned.  If empty, the line is ``what; remedy``.
-    what : str
+    subject : str
+        The file or stream concerned.  If empty, the line is ``PROBLEM; REMEDY``.
+    problem : str
         What failed and why, for example "cannot be written: No space left on device".
     remedy : str
-        What the user can do about the failure.  If empty, the line is ``where: what``.
+        What the user can do about the failure.  If empty, the line is ``SUBJECT: PROBLEM``.
     exit_status : int
         Exit status of a command that fails only for this reason.
     """
 
-    def __init__(self, where: str, what: str, remedy: str = "", exit_status: int = 1) -> None:
-        super().__init__(where, what, remedy, exit_status)  # so that it can be pickled
-        self.where, self.what, self.remedy, self.exit_status = where, what, remedy, exit_status
+    def __init__(self, subject: str, problem: str, remedy: str = "", exit_status: int = 1) -> None:
+        super().__init__(subject, problem, remedy, exit_status)  # so that it can be pickled
+        self.subject, self.problem = subject, problem
+        self.remedy, self.exit_status = remedy, exit_status
 
     def __str__(self) -> str:
-        text = f"{make_printable(self.where)}: {self.what}" if self.where else self.what
+        text = f"{make_printable(self.subject)}: {self.problem}" if self.subject else self.problem
         return f"{text}; {self.remedy}" if self.remedy else text
 
 
 @contextmanager
 def errors_as_failure(
-    where: str | os.PathLike[str],
+    subject: str | os.PathLike[str],
     participle: str,
     remedy: str = "",
     *,
@@ -53,28 +54,28 @@ def errors_as_failure(
 ) -> Iterator[None]:
     """Convert errors in a with block to a Failure if their cause is outside the program.
 
-    The text of the failure is ``WHERE: cannot be PARTICIPLE: reason; REMEDY``.  The text of a
+    The text of the failure is ``SUBJECT: cannot be PARTICIPLE: reason; REMEDY``.  The text of a
     SceneFileError is kept, because it contains a complete line for each error in the scene.
 
     Parameters
     ----------
-    where : str or path-like
+    subject : str or path-like
         The file or stream that the block uses.
     participle : str
         What the block does with the file, for example "read", "written" or "compared".
     remedy : str
         What the user can do about the failure, for example "choose another with -o".
     memory_remedy : str
-        Replaces `remedy` if the error is a lack of memory.
+        What the user can do instead if there is not enough memory.
     exit_status : int
         Exit status of a command that fails only for this reason.
     error_types : tuple of exception classes
-        Classes of errors to convert in addition to OSError, MemoryError and SceneFileError.
+        Classes of errors to convert, in addition to OSError, MemoryError and SceneFileError.
 
     Raises
     ------
     Failure
-        If the block raises an error of these classes, or a Failure, which is passed on unchanged.
+        If the block raises an error of these classes.  A Failure in the block is not changed.
     BrokenPipeError
         If the block raises it.  It is not converted, because a command must end silently when the
         reader of its output has gone away.
@@ -92,22 +93,21 @@ def errors_as_failure(
             raise
         reason = describe_cause(error)
         remedy = memory_remedy if reason == _NO_MEMORY else remedy
-        what = f"cannot be {participle}: {reason}"
-        raise Failure(os.fspath(where), what, remedy, exit_status) from error
+        problem = f"cannot be {participle}: {reason}"
+        raise Failure(os.fspath(subject), problem, remedy, exit_status) from error
 
 
 def describe_cause(error: BaseException) -> str:
     """Describe the cause of an error in one line, for example "No such file or directory".
 
-    For a RuntimeError that was raised from another error, that error is described.  For a
-    MemoryError, or a ChildProcessError (because the system ends processes that take too much
-    memory), the line is "not enough memory".  For any other OSError, it is the system's message.
-    Otherwise, it is the text of the error, or the name of its class if the text is empty.
-    Unprintable characters are escaped.
+    The line is "not enough memory" for a MemoryError or ChildProcessError, and the message of the
+    system for any other OSError.  Otherwise, it is the text of the error; if the text is empty, the
+    name of its class.  Unprintable characters are escaped.
     """
-    # Dr.Jit raises chains of RuntimeErrors.
+    # Dr.Jit raises chains of RuntimeErrors: only the first error in a chain states the cause.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:
         error = error.__cause__
+    # The system ends child processes that take too much memory.
     if isinstance(error, (MemoryError, ChildProcessError)):
         return _NO_MEMORY
     text = (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())

@@ -32,25 +32,25 @@ def run(module_name: str) -> NoReturn:
 
     The exit status is the one that `main` returns or passes to `sys.exit`, except in these cases:
 
-    - the failure's own status if `main` raises a Failure;
-    - 1 if there is not enough memory, or the standard output cannot be written;
+    - the status of the Failure, if `main` raises one;
+    - 1 if there is not enough memory, or standard output cannot be written;
     - 2 if a package is missing;
     - 130 if a signal ends the command;
-    - 141 if the reader of standard output goes away.  In this case nothing is printed.
+    - 141 if the reader of standard output goes away.
 
-    A Failure, a missing package or a lack of memory is reported in one line instead of a traceback.
+    A Failure, a missing package or a lack of memory is reported in one line, without a traceback.
 
     Parameters
     ----------
     module_name : str
-        Name of the module.  Its function `main` takes no arguments, and returns an exit status;
-        None counts as 0.
+        Name of the module.  Its function `main` takes no arguments, and returns an exit status.  If
+        it returns None, the exit status is 0.
     """
     end_on_signals()
-    # No matrix product here is worth OpenBLAS's threads; starting them would take as long as
-    # rendering a small picture.  The variable is read when NumPy is imported.
+    # Starting the threads of OpenBLAS would take as long as rendering a small picture.  NumPy reads
+    # the variable when it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Importing creates tens of thousands of objects, none of which is garbage: collect rarely.
+    # Collect garbage rarely: importing creates tens of thousands of objects, but no garbage.
     gc.set_threshold(50_000)
     exit_status = FAILED
     try:
@@ -64,7 +64,7 @@ def run(module_name: str) -> NoReturn:
     except BrokenPipeError:
         exit_status = _UNREAD
     except (ImportError, MemoryError, SystemError) as error:
-        # NumPy's own message is a page of advice; the first cause names the library at fault.
+        # NumPy's own message is a page of advice, but the first cause names the library at fault.
         first_cause: BaseException = error
         while cause := first_cause.__cause__ or first_cause.__context__:
             first_cause = cause
@@ -73,30 +73,30 @@ def run(module_name: str) -> NoReturn:
         print_line(sys.stderr, make_printable(f"the command cannot start: {reason}; {remedy}"))
     except SystemExit as error:
         exit_status = error.code if isinstance(error.code, int) else FAILED
-    # os._exit flushes nothing, and the status must show that a result could not be printed.
+    # Flush the streams here, because os._exit does not, and an error must change the exit status.
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None and not stream.closed:
                 stream.flush()
         except OSError as error:
             exit_status = exit_status or (_UNREAD if isinstance(error, BrokenPipeError) else FAILED)
-    # An orderly exit would destroy NumPy's modules one by one, and add a tenth to the time of a
-    # small picture.
+    # An orderly exit would destroy NumPy's modules one by one, which takes a tenth as long as
+    # rendering a small picture.
     os._exit(exit_status)
 
 
 def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | Failure:
     """Call a function; if it raises a Failure, print the failure to standard error and return it.
 
-    A command that processes many files calls this for each file, so that a failure for one file
-    does not keep it from processing the others.
+    A command that processes many files calls this for each file, so that it continues after a
+    failure.
 
     Parameters
     ----------
     function : callable
         The function to call.
     *arguments : object
-        Its arguments.
+        The arguments of the function.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown, and ignore errors.
 
-    Use this for notices, because a command must not fail if a notice cannot be printed.
+    This is for notices: a command must not fail if a notice cannot be printed.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def print_or_raise(stream: TextIO | None, text: str) -> None:
             printable_line = text.encode(encoding, "backslashreplace").decode(encoding)
             print(printable_line, file=stream, flush=True)
     except OSError:
-        # Text that remains in the stream's buffer would raise the error again at the end.
+        # Discard the buffer of the stream: printing it at the end would raise the error again.
         with suppress(OSError):
             stream.close()
         raise
@@ -160,19 +160,19 @@ def print_or_raise(stream: TextIO | None, text: str) -> None:
 def end_on_signals() -> None:
     """Install signal handlers that end this process immediately, without a message.
 
-    The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  A signal that is already ignored,
-    for example under nohup or in a script's background job, stays ignored.  When a signal arrives,
-    this process removes its part files (incomplete output files), and ends with exit status 130.
+    The signals are SIGINT, SIGTERM, SIGHUP, SIGQUIT and SIGXCPU.  When one arrives, this process
+    removes its part files (incomplete output files), and ends with exit status 130.  A signal that
+    is already ignored, for example under nohup, stays ignored.
     """
     for signal_name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU"):
         signal_number = getattr(signal, signal_name, None)  # not all systems have the last three
         if signal_number is not None and signal.getsignal(signal_number) != signal.SIG_IGN:
-            signal.signal(signal_number, _end_now)
+            signal.signal(signal_number, _handle_signal)
 
 
-def _end_now(_signal_number: int, _frame: object) -> NoReturn:
-    """Handle a signal: remove part files (incomplete output files), and end this process."""
-    # A KeyboardInterrupt is not raised, because it would be lost in a finalizer or after a fork,
-    # and NumPy or a plugin might turn it into a different error.
+def _handle_signal(_signal_number: int, _frame: object) -> NoReturn:
+    """Remove part files (incomplete output files), and end this process because of a signal."""
+    # Raise no KeyboardInterrupt: it would be lost in a finalizer or after a fork, and NumPy or a
+    # plugin might turn it into a different error.
     remove_part_files()
     os._exit(INTERRUPTED)

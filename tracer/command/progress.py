@@ -51,12 +51,12 @@ class Progress:
             self._bar.close()
 
     def update(self, finished_work: float, note: str = "") -> None:
-        """Show the amount of finished work in the bar, except during the first second of work.
+        """Show the amount of finished work.  During the first second of work, nothing is shown.
 
         Parameters
         ----------
         finished_work : float
-            Total amount of finished work, in the unit of the bar's total.
+            Amount of all finished work, in the unit of `total`.
         note : str
             Text to show next to the bar.
         """
@@ -73,13 +73,12 @@ class Progress:
         Parameters
         ----------
         seconds : float
-            Time that the work has taken so far, to be shown as the elapsed time.
+            Time that the work has taken so far.  The bar shows it as the elapsed time.
 
         Returns
         -------
         bar : tqdm.tqdm or False
             The bar; False if tqdm is not installed, or its environment variables are invalid.
-            Neither should make a command fail.
         """
         with suppress(ImportError, ValueError):
             from tqdm import tqdm  # importing it takes longer than rendering a small picture
@@ -87,14 +86,14 @@ class Progress:
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
             options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
             bar = tqdm(total=self._total, unit=self._unit, **options)
-            # Estimate the remaining time from all the time so far, and show the first update.
+            # Let the elapsed time begin when the work began, and show the next update.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False
 
 
 def track(items: Iterable[_Item], total: int, unit: str) -> Iterator[_Item]:
-    """Yield items unchanged, and show a progress bar if processing them takes over a second.
+    """Yield items, and show a progress bar if processing them takes longer than a second.
 
     Parameters
     ----------
