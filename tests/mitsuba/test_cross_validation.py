@@ -41,10 +41,10 @@ def test_tracer_live_mitsuba_and_the_stored_picture_agree(name):
         assert result.verdict == "agrees", result.format_report()
         assert (name == "touching") == bool(result.is_tie.any())
         assert result.is_edge.mean() <= 0.003
-    excluded = now.excluded | then.excluded
+    is_excluded = now.is_excluded | then.is_excluded
     # Variants of Mitsuba may decide ties differently: such pixels do not count in SSIM either.
-    shown = np.where(excluded[:, :, None], then.mitsuba.image, now.mitsuba.image)
-    measured = measure_differences(shown, then.mitsuba.image, excluded)
+    shown = np.where(is_excluded[:, :, None], then.mitsuba.image, now.mitsuba.image)
+    measured = measure_differences(shown, then.mitsuba.image, is_excluded)
     assert check.describe_exceeded_tolerances(measured) == []
     assert measured.max <= check.EXACT.difference
 
