@@ -181,7 +181,8 @@ def _make_film(scene: Scene) -> Element:
     film : Element
         A plugin of type "hdrfilm".  Its box filter averages the samples of each pixel separately.
     """
-    box_filter, width, height = make_plugin("rfilter", "box"), scene.width, scene.height
+    box_filter = make_plugin("rfilter", "box")
+    width, height = scene.width, scene.height
     pixel_format = {"pixel_format": "rgb", "component_format": "float32"}
     return make_plugin("film", "hdrfilm", box_filter, width=width, height=height, **pixel_format)
 
@@ -228,7 +229,7 @@ def _convert_surfaces(
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Name the BSDFs of a scene, one for all shaders that are equal.
+    """Choose a name for the BSDF of each shader.  Equal shaders share a BSDF.
 
     Parameters
     ----------
@@ -304,7 +305,7 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
 
 
 def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
-    """Create the Mitsuba sensor "window", one of this project's plugins, for a scene's camera.
+    """Create this project's Mitsuba sensor, "window", for the camera of a scene.
 
     Parameters
     ----------
@@ -468,7 +469,7 @@ def _round_up_samples(min_samples: int, light_count: int) -> int:
 
 
 def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
-    """Create Mitsuba's built-in sensor "perspective" for the camera of a scene.
+    """Create Mitsuba's built-in sensor, "perspective", for the camera of a scene.
 
     Parameters
     ----------

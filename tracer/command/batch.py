@@ -10,7 +10,7 @@ large, or that is one of the last and not small.  The main process, which is tha
 then renders the scene, and shares the tiles of the picture with the workers.
 
 All workers come from one pool for the whole command.  The pool is started only if the remaining
-work takes longer than to start it.  A worker that dies costs time, but no picture, because the
+work takes longer than starting it.  A worker that dies costs time, but no picture, because the
 main process repeats whatever a worker has not finished (see `Distribution`).
 """
 

@@ -304,9 +304,9 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
 
 
 def _get_file_version(path: str) -> tuple[int, int, int] | None:
-    """Return the modification time, size and inode number of a file, or None if it is missing.
+    """Return the modification time, size and inode number of a file, to detect changes.
 
-    At least one of the numbers changes when the file is saved.
+    If the file cannot be accessed, return None.
     """
     try:
         file_status = os.stat(path)

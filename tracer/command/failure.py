@@ -75,7 +75,7 @@ def errors_as_failure(
     Raises
     ------
     Failure
-        If the block raises an error of these classes.  A Failure in the block is not changed.
+        If the block raises an error of these classes.  A Failure of the block is passed on.
     BrokenPipeError
         If the block raises it.  It is not converted, because a command must end silently when the
         reader of its output has gone away.
