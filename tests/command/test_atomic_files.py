@@ -33,7 +33,7 @@ def write(path: Path, data: bytes = MAGIC) -> None:
         file.write(data)
 
 
-def contents(folder: Path) -> list[bytes]:
+def read_files(folder: Path) -> list[bytes]:
     """Return the contents of all files in a folder."""
     return [path.read_bytes() for path in folder.iterdir()]
 
@@ -44,7 +44,7 @@ def test_a_failure_halfway(target, error):
         file.write(MAGIC)
         file.flush()
         raise error
-    assert contents(target.parent) == [PRECIOUS]
+    assert read_files(target.parent) == [PRECIOUS]
 
 
 @pytest.mark.parametrize("size", [20, 100_000], ids=["smaller than the buffer", "larger"])
@@ -59,7 +59,7 @@ def test_a_full_disk(target, size):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old_limit)
         signal.signal(signal.SIGXFSZ, handler)
-    assert contents(target.parent) == [PRECIOUS]
+    assert read_files(target.parent) == [PRECIOUS]
 
 
 def test_a_file_that_may_not_be_written(target, monkeypatch):
@@ -73,7 +73,7 @@ def test_a_file_that_may_not_be_written(target, monkeypatch):
     monkeypatch.setattr("tracer.files.open", refuse, raising=False)
     with pytest.raises(PermissionError):
         write(target)
-    assert contents(target.parent) == [PRECIOUS]
+    assert read_files(target.parent) == [PRECIOUS]
 
 
 @pytest.mark.parametrize("text", [b"<scene>", MAGIC[:-1], b"\n"])
@@ -81,10 +81,10 @@ def test_a_file_of_another_kind_stays(target, text):
     target.write_bytes(text)
     with pytest.raises(FileExistsError, match="a file of another kind is there"):
         write(target)
-    assert contents(target.parent) == [text]
+    assert read_files(target.parent) == [text]
     target.write_bytes(b"")  # an empty file contains nobody's work
     write(target)
-    assert contents(target.parent) == [MAGIC]
+    assert read_files(target.parent) == [MAGIC]
 
 
 def test_permissions_are_kept_and_a_link_stays_one(target):
@@ -124,11 +124,11 @@ def test_a_killed_writer_leaves_nothing_behind(tmp_path):
     with start_process(tmp_path / "target", python=("-c", WRITER)) as process:
         assert process.stdout.readline() == "begun\n"
         process.kill()
-    assert contents(tmp_path) == []
+    assert read_files(tmp_path) == []
 
 
 def test_two_writers_leave_one_complete_file(target):
     with open_atomically(target, MAGIC) as first, open_atomically(target, MAGIC) as second:
         first.write(MAGIC + b"1")
         second.write(MAGIC + b"2")
-    assert contents(target.parent) == [MAGIC + b"1"]
+    assert read_files(target.parent) == [MAGIC + b"1"]

@@ -95,7 +95,7 @@ def test_a_working_folder_that_is_gone(main, arguments, status, tmp_path, monkey
     assert (str(caught.value), caught.value.exit_status) == (text, status)
 
 
-def caused(error: Exception, cause: Exception) -> Exception:
+def set_cause(error: Exception, cause: Exception) -> Exception:
     """Return an error with its cause, as Dr.Jit raises it."""
     error.__cause__ = cause
     return error
@@ -108,7 +108,7 @@ def caused(error: Exception, cause: Exception) -> Exception:
         (MemoryError(), "a.png: cannot be read: not enough memory; M"),
         (ChildProcessError(), "a.png: cannot be read: not enough memory; M"),
         (KeyError(), "a.png: cannot be read: KeyError; R"),
-        (caused(RuntimeError("loop"), KeyError("two\n words")),
+        (set_cause(RuntimeError("loop"), KeyError("two\n words")),
          "a.png: cannot be read: 'two\\n words'; R"),
         (SceneFileError(["a.xml:3: wrong", "a.xml:5: wrong"]), "a.xml:3: wrong\na.xml:5: wrong"),
         (Failure("b", "first", "F", 3), "b: first; F"),

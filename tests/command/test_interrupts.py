@@ -85,7 +85,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def running_processes() -> set[str]:
+def list_processes() -> set[str]:
     """Return the ids of all running processes that commands of these tests have started."""
     ids, mark = set(), f"INTERRUPTED_BY={os.getpid()}".encode()
     for path in Path("/proc").glob("[0-9]*/environ"):
@@ -134,7 +134,7 @@ def interrupt(command: str, moment: float, number: int, folder: Path) -> int:
             send(process.pid, INTERRUPTS[number % 5])
     out, err = process.communicate(timeout=60)
     assert drop_jit(err) == "", moment
-    wait_until(lambda: not running_processes())
+    wait_until(lambda: not list_processes())
     if process.returncode != 130:  # the command had ended: its results are complete
         assert process.returncode in (0, 1, 3)
         assert out
@@ -185,7 +185,7 @@ def test_spawned_workers_end_without_a_warning(folder):
         assert process.stdout.readline().startswith("large.xml.png: ")
         process.send_signal(signal.SIGTERM)
         assert (process.wait(20), process.stderr.read()) == (130, "")
-    wait_until(lambda: not running_processes())
+    wait_until(lambda: not list_processes())
 
 
 @pytest.mark.parametrize(
@@ -197,10 +197,10 @@ def test_the_child_that_tests_libllvm_ends_with_its_parent(send, signal_number, 
     with start_process(
         python=["-m", "hanging_llvm"], cwd=folder, env=environment, start_new_session=True
     ) as process:
-        wait_until(lambda: len(running_processes()) == 2)
+        wait_until(lambda: len(list_processes()) == 2)
         time.sleep(0.2)  # the child handles signals only after its start
         send(process.pid, signal_number)
-    wait_until(lambda: not running_processes())
+    wait_until(lambda: not list_processes())
 
 
 @needs_two
@@ -212,7 +212,7 @@ def test_ctrl_c_while_spawned_workers_start(delay, folder):
         time.sleep(delay)
         os.killpg(process.pid, signal.SIGINT)
         assert (process.wait(20), process.stderr.read()) == (130, "")
-    wait_until(lambda: not running_processes())
+    wait_until(lambda: not list_processes())
 
 
 def test_watching_many_scenes_ends_with_its_workers(folder):
@@ -224,7 +224,7 @@ def test_watching_many_scenes_ends_with_its_workers(folder):
                 write_ball(folder / name, 300, 400)
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 130
-    wait_until(lambda: not running_processes())
+    wait_until(lambda: not list_processes())
     assert not [*folder.glob(".*")]
 
 

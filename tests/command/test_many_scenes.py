@@ -24,8 +24,8 @@ def scenes(tmp_path: Path) -> list[Path]:
     return [write_ball(tmp_path / f"{k:02}.xml", 440 - 10 * k, 400) for k in range(40)]
 
 
-def codes(path: Path) -> tuple[tuple[int, int], bytes]:
-    """Return the size and the codes of the picture of a scene."""
+def read_codes(path: Path) -> tuple[tuple[int, int], bytes]:
+    """Return the size and the 8-bit codes of the picture of a scene."""
     with Image.open(f"{path}.png") as picture:
         return picture.size, picture.tobytes()
 
@@ -77,7 +77,7 @@ def test_whole_scenes_are_distributed_and_large_ones_are_shared(
     paths = [write_ball(tmp_path / f"{k}.xml", *size) for k in range(count)]
     assert cli.main([*map(str, paths), "--quiet"]) == 0
     assert {*submitted} == expected
-    assert len({codes(path) for path in paths}) == 1
+    assert len({read_codes(path) for path in paths}) == 1
 
 
 def test_a_large_scene_among_many_is_shared(scenes, submitted, monkeypatch):
@@ -85,7 +85,7 @@ def test_a_large_scene_among_many_is_shared(scenes, submitted, monkeypatch):
     write_ball(scenes[30], 4000, 2000)
     assert cli.main([*map(str, scenes), "--quiet"]) == 0
     assert {*submitted} == {"render_encoded_tile", "_render_in_worker"}
-    assert codes(scenes[30])[0] == (4000, 2000)
+    assert read_codes(scenes[30])[0] == (4000, 2000)
 
 
 def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
@@ -93,7 +93,7 @@ def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
     path = scenes[0]
     settings = Settings(samples=1, size=None, file_format="png", quiet=True)
     report = batch._render_in_worker(settings, Job(str(path), f"{path}.png"))
-    (width, height), _ = codes(path)
+    (width, height), _ = read_codes(path)
     assert report == batch.Report(pixel_count=width * height)
     with pytest.raises(Failure, match="all processes should share this picture"):
         batch._render_in_worker(settings, Job(str(path), f"{path}.png", min_shared_seconds=0))
@@ -125,7 +125,7 @@ def test_standard_input_among_many_scenes(scenes):
     arguments = [*scenes[:20], "-", *scenes[20:], "-o", "new/", "--processes", 2, "--quiet"]
     ended = run(*arguments, cwd=scenes[0].parent, input=SCENE.format(7, 5))
     assert ended == (0, "", "")
-    assert codes(scenes[0].parent / "new" / "-")[0] == (7, 5)
+    assert read_codes(scenes[0].parent / "new" / "-")[0] == (7, 5)
 
 
 @needs_two

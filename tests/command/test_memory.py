@@ -39,15 +39,15 @@ def test_a_rendered_scene_is_freed_without_garbage_collection(samples):
     """A cycle of references would keep its memory until Python looks for cycles."""
     scene = scene_of(Sphere(center=(0, 0, -3)), size=(40, 30), lights=(3, 4, 5))
 
-    def prepared_count() -> int:
+    def count_prepared_scenes() -> int:
         return sum(isinstance(instance, PreparedScene) for instance in gc.get_objects())
 
     gc.collect()
-    before = prepared_count()
+    before = count_prepared_scenes()
     gc.disable()
     try:
         render(scene, samples)
-        assert prepared_count() == before
+        assert count_prepared_scenes() == before
     finally:
         gc.enable()
 

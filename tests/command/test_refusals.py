@@ -50,7 +50,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def read_files(folder: Path) -> dict[str, bytes]:
     """Return the contents of all files below a folder, by path."""
     return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
@@ -64,7 +64,7 @@ def test_the_table_is_complete():
 )
 def test_a_command_is_refused(folder, capsys, monkeypatch, command, status, message):
     """The command prints one message, exits with a status, and changes no file."""
-    before, (name, *arguments) = contents(folder), command.split()
+    before, (name, *arguments) = read_files(folder), command.split()
     monkeypatch.setattr("sys.argv", command.split())
     try:
         actual_status, printed = MAIN[name](arguments), capsys.readouterr().err
@@ -75,4 +75,4 @@ def test_a_command_is_refused(folder, capsys, monkeypatch, command, status, mess
         # The line with the message follows a summary of the usage.
         actual_status, printed = usage_error.code, f"{usage.rpartition(': error: ')[2]}{output}"
     assert (actual_status, printed) == (int(status), f"{message}\n")
-    assert contents(folder) == before
+    assert read_files(folder) == before

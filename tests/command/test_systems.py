@@ -22,8 +22,8 @@ STORED = Path(__file__).with_name("codes.png")
 """Pictures of three scenes, 96 x 54 pixels each, one below the other."""
 
 
-def codes() -> NDArray[np.uint8]:
-    """Render the three scenes on this system, and return their codes as in `STORED`."""
+def render_codes() -> NDArray[np.uint8]:
+    """Render the three scenes on this system, and return their 8-bit codes as in `STORED`."""
     scenes = (tracer.load_scene(ROOT / "scenes" / f"{name}.xml") for name in NAMES)
     sized = (replace(scene, width=96, height=54) for scene in scenes)
     return np.concatenate([tracer.to_codes(tracer.render(scene)) for scene in sized])
@@ -52,11 +52,11 @@ def test_a_picture_is_replaced(tmp_path):
 def test_codes_are_those_of_other_systems():
     """Roundings of exp and log may differ in the last place between systems."""
     with Image.open(STORED) as picture:
-        difference = np.abs(np.asarray(picture).astype(int) - codes()).max(axis=2)
+        difference = np.abs(np.asarray(picture).astype(int) - render_codes()).max(axis=2)
     assert difference.shape == (3 * 54, 96)
     assert (difference > 0).sum() <= 3
     assert difference.max() <= 1
 
 
 if __name__ == "__main__":
-    Image.fromarray(codes()).save(STORED)
+    Image.fromarray(render_codes()).save(STORED)

@@ -183,7 +183,7 @@ def test_a_stock_highlight_has_the_right_height():
 # The content of the trees
 
 
-def number(document, path: str, name: str = "value") -> float:
+def read_number(document, path: str, name: str = "value") -> float:
     """Return a number in the first element of a converted scene that a path matches."""
     return float(document.root.find(path).get(name))
 
@@ -207,15 +207,15 @@ def test_boxes_keep_their_thickness_wherever_they_are():
 
 
 def test_lights_get_the_same_number_of_samples_each():
-    """The number is also a number of whole rows, as Mitsuba's multijitter needs."""
+    """Mitsuba's multijitter also needs a number that its own rounded square root divides."""
     for light_count, samples, expected in ((3, 64, 72), (3, 2, 2), (2, 9, 12), (0, 7, 7)):
         scene = replace(TINY, lights=[*TINY.lights][:1] * light_count)
-        assert number(convert_stock(scene, samples), ".//*[@name='sample_count']") == expected
+        assert read_number(convert_stock(scene, samples), ".//*[@name='sample_count']") == expected
 
 
 def test_a_stock_scene_beside_an_enormous_ball_stays_large_enough_for_shadow_rays():
     ground = Sphere(center=(0, -1e12 - 1, 0), radius=1e12)
-    assert number(convert_stock(close_up(Sphere(radius=0.5), ground)), ".//shape/float") > 1e-5
+    assert read_number(convert_stock(close_up(Sphere(radius=0.5), ground)), ".//shape/float") > 1e-5
 
 
 def test_shapes_are_in_the_order_of_the_file():
@@ -232,8 +232,8 @@ def test_several_exact_samples_are_jittered():
 def test_the_near_plane_is_nearer_than_a_distant_window():
     camera = Camera(view_point=(0, 0, 4), proj_distance=4000, view_width=3000, view_height=3000)
     document = convert_stock(replace(close_up(Sphere()), camera=camera))
-    assert number(document, ".//*[@name='near_clip']") < 3
-    assert number(document, ".//*[@name='far_clip']") > 5
+    assert read_number(document, ".//*[@name='near_clip']") < 3
+    assert read_number(document, ".//*[@name='far_clip']") > 5
 
 
 @pytest.mark.parametrize("z", [-1.0, 50.0])
