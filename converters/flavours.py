@@ -111,8 +111,8 @@ class Normalisation(NamedTuple):
     def __str__(self) -> str:
         center = ", ".join(f"{x:.6g}" for x in self.center)
         return (
-            "It is moved and scaled, for float32, which changes no picture:\n"
-            f"the point p of the scene file is {self.scale:.6g} (p - c), c = ({center}) here.\n"
+            "The scene is moved and scaled to suit float32, which does not change the picture:\n"
+            f"a point p of the scene file becomes {self.scale:.6g} (p - c), where c = ({center}).\n"
         )
 
 
@@ -253,9 +253,9 @@ def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
 _EXACT_COMMENT = """
 in the exact flavour.
 
-Shading, lights and camera are exactly those of the scene format, by this project's small Mitsuba
-plugins. Where it is installed, Python's mitsuba.load_file reads it after mitsuba.set_variant of a
-variant that ends in _rgb, and "import converters.plugins".
+Shading, lights and camera are exactly those of the scene format, thanks to Mitsuba plugins of this
+project. To load the file in Python, set a Mitsuba variant that ends in _rgb, import
+converters.plugins, and call mitsuba.load_file.
 {normalisation}"""
 
 
@@ -375,22 +375,22 @@ def make_pixels_square(scene: Scene) -> Scene:
 
 
 _STOCK_COMMENT = """
-with stock plugins only: it opens in the plain mitsuba command.
+in the stock flavour: the plain mitsuba command can render it.
 
-The geometry and the camera are exact. Approximate are
-- the lights: Mitsuba's fall off with the square of the distance, those of the scene format do
-  not fall off at all. The strength of each is right at one distance, which is given beside it;
-- highlights: a Beckmann lobe of the same height and width takes the place of Blinn-Phong's
-  (n.h)^p; it brightens towards the silhouettes.
+The geometry and the camera are exact, but these are approximations:
+- Lights: Mitsuba's lights fall off with the square of the distance; those of the scene format do
+  not. Each light is exact at one distance, which a comment beside it states.
+- Highlights: a Beckmann lobe of the same height and width replaces the Blinn-Phong highlight
+  (n.h)^p. It is brighter near silhouettes.
 {notes}"""
 
-_SQUARE_PIXELS_NOTE = """Its pixels are square: {0} x {1} of them show the window, to within half
-a pixel, not {0} x {2}.
+_SQUARE_PIXELS_NOTE = """The picture has {0} x {1} pixels instead of {0} x {2}, so that they are
+square. It shows the window to within half a pixel.
 """
 
 _DIVISOR_NOTE = """\
-Mitsuba allows no reflectance above 1, and where there are highlights above 1/2: all are
-divided by {:g}, lights multiplied.
+Mitsuba allows no reflectance above 1, or above 1/2 if there is a highlight. So all are
+divided by {:g}, and the intensities of the lights are multiplied by it.
 """
 
 
@@ -552,7 +552,7 @@ def _convert_light(
     best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())
     # Mitsuba's diffuse BSDF is the reflectance divided by pi.
     intensity = np.array(light.intensity) * (np.pi * divisor * best_squared_distance)
-    comment = Comment(f" right at a distance of {best_squared_distance**0.5:.4g} ")
+    comment = Comment(f" exact at a distance of {best_squared_distance**0.5:.4g} ")
     children = make_vector("point", "position", position), make_color("intensity", intensity)
     return make_plugin("emitter", "point", comment, *children)
 

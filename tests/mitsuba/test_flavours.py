@@ -151,7 +151,7 @@ def test_a_stock_light_is_exact_at_the_distance_that_its_comment_gives():
     ball = Sphere(radius=0.5, shader=Lambertian(diffuse=(0.63, 0.35, 0.07)))
     scene = close_up(ball, light=(300, 400, 500))
     comment = convert_stock(scene).root.find("emitter")[0].text
-    assert comment.startswith(" right at a distance of ")
+    assert comment.startswith(" exact at a distance of ")
     assert float(comment.split()[-1]) == pytest.approx(707, rel=2e-3)
     # Over a hit at 707 units the distance varies by 1 in 700, its square by 1 in 350; and
     # 256 samples blur what the exact picture takes at the pixel's centre, so look inside.
