@@ -204,18 +204,20 @@ def write_comparison(
     height, width = difference.shape
     zoom = -(-_MIN_PANEL // max(width, height))
     panel_width = max(zoom * width, _MIN_PANEL)  # wide enough for a title
-    panel_height = zoom * height + 2 * _LABEL_HEIGHT
-    size = 3 * panel_width + 4 * _MARGIN, panel_height + 2 * _MARGIN
+    top = _MARGIN + _LABEL_HEIGHT  # of the pictures
+    size = 3 * panel_width + 4 * _MARGIN, top + zoom * height + _LABEL_HEIGHT + _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
+    band_height = max(1, _PIXELS_PER_BAND // width)
     panels = zip((*images, difference_codes), titles, legends, strict=True)
     for panel_index, (codes, title, legend) in enumerate(panels):
-        panel = Image.new("RGB", (panel_width, panel_height), _PAPER_COLOR)
-        drawing = ImageDraw.Draw(panel)
-        drawing.text((0, 0), title, fill=_INK_COLOR, font=font)
-        drawing.text((0, panel_height - _LABEL_HEIGHT + 4), legend, fill=_INK_COLOR, font=font)
-        enlarged = codes.repeat(zoom, axis=0).repeat(zoom, axis=1)
-        panel.paste(Image.fromarray(enlarged), (0, _LABEL_HEIGHT))
-        sheet.paste(panel, (_MARGIN + panel_index * (panel_width + _MARGIN), _MARGIN))
+        left = _MARGIN + panel_index * (panel_width + _MARGIN)
+        for text, y in ((title, _MARGIN), (legend, top + zoom * height + 4)):
+            label = Image.new("RGB", (panel_width, _LABEL_HEIGHT), _PAPER_COLOR)
+            ImageDraw.Draw(label).text((0, 0), text, fill=_INK_COLOR, font=font)
+            sheet.paste(label, (left, y))
+        for start in range(0, height, band_height):
+            enlarged = codes[start : start + band_height].repeat(zoom, axis=0).repeat(zoom, axis=1)
+            sheet.paste(Image.fromarray(enlarged), (left, top + zoom * start))
     with open_atomically(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
@@ -255,16 +257,18 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
         Factor by which the difference is amplified: the largest 1, 2 or 5 times a power of ten for
         which 99.9 % of the amplified differences are at most 1.  0 if the pictures are equal.
     """
-    magnitude, codes = np.abs(difference), np.zeros((*difference.shape, 3), dtype=np.uint8)
-    shown_maximum = float(np.percentile(magnitude, _PERCENTILE)) or float(magnitude.max())
+    codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
+    shown_maximum = float(np.percentile(np.abs(difference), _PERCENTILE))
+    shown_maximum = shown_maximum or float(np.abs(difference).max())
     if shown_maximum == 0:
         return codes, 0.0
     power_of_ten = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gains = [factor * power_of_ten for factor in (1, 2, 5)]
     gain = max(gain for gain in gains if gain * shown_maximum <= 1)
-    amplified = np.clip(gain * difference, -1, 1)
-    for channel in range(3):  # one channel at a time, to save memory
-        brighter_code = 255 * _BRIGHTER_COLOR[channel] * amplified
-        darker_code = -255 * _DARKER_COLOR[channel] * amplified
-        codes[:, :, channel] = np.round(np.maximum(brighter_code, darker_code))
+    brighter_code, darker_code = (255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])).astype(
+        np.float32
+    )
+    for row_codes, row in zip(codes, difference, strict=True):  # row by row, to save memory
+        amplified = np.clip(gain * row, -1, 1)[:, None]
+        row_codes[:] = np.round(np.maximum(brighter_code * amplified, -darker_code * amplified))
     return codes, gain

@@ -21,7 +21,14 @@ Codes: TypeAlias = NDArray[np.uint8]
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TGA", "TIFF", "WEBP")
 # Maximum number of pixels.  Reading takes about 20 bytes per pixel, comparing about 60.
 _MAX_PIXELS = 9_000_000
+# Pictures are compressed in bands of rows, of at most about this number of pixels each.
+_PIXELS_PER_BAND = 500_000
 Image.MAX_IMAGE_PIXELS = None  # Pillow's own limit is higher, and prints a warning
+
+JPEG_BLOCK = 16
+"""Maximum side of a JPEG block in pixels: blocks, counted from the upper left corner of a picture,
+are compressed separately.  With chroma subsampling, the outermost pixels of a block depend on the
+neighbouring blocks, too."""
 
 _NOTE_OF_FORMAT = "is a {}, which changes levels: save it as PNG."
 _NOTE_OF_PALETTE = "has a palette, of 256 colours at most: save it as RGB."
@@ -170,9 +177,16 @@ def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
 
     def round_trip(codes: Codes) -> Codes:
         """Return the codes of a picture after it is saved as a JPEG in memory and reloaded."""
-        jpeg_file, picture = io.BytesIO(), Image.fromarray(codes)
-        picture.save(jpeg_file, "JPEG", qtables=quantization_tables, subsampling=subsampling)
-        return np.asarray(Image.open(jpeg_file))
+        reloaded = np.empty_like(codes)
+        band_height = JPEG_BLOCK * max(1, _PIXELS_PER_BAND // (JPEG_BLOCK * codes.shape[1]))
+        for start in range(0, len(codes), band_height):
+            # The neighbouring blocks are compressed, too, because they affect the outermost rows.
+            first_row, end = max(0, start - JPEG_BLOCK), start + band_height + JPEG_BLOCK
+            jpeg_file, band = io.BytesIO(), Image.fromarray(codes[first_row:end])
+            band.save(jpeg_file, "JPEG", qtables=quantization_tables, subsampling=subsampling)
+            rows = slice(start - first_row, start - first_row + band_height)
+            reloaded[start : start + band_height] = np.asarray(Image.open(jpeg_file))[rows]
+        return reloaded
 
     return round_trip
 
@@ -204,4 +218,4 @@ def level_difference(first_codes: Codes, second_codes: Codes, channel_axis: int 
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)
-    return np.asarray((high - low).max(channel_axis))
+    return np.asarray(np.subtract(high, low, out=high).max(channel_axis))

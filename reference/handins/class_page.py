@@ -43,16 +43,9 @@ def make_pair(
     """
     diagnosis = result.diagnosis
     return prepare_pair(
-        submitted_codes,
-        reference_codes,
-        *amplify_difference(difference),
-        name=str(result.picture),
-        is_good=result.agrees,
-        verdict=result.verdict,
-        left_name="hand-in",
-        right_name="right",
-        thumbnail=encode_png(submitted_codes, as_thumbnail=True),
-        notes=[str(diagnosis)],
+        submitted_codes, reference_codes, *amplify_difference(difference), name=str(result.picture),
+        is_good=result.agrees, verdict=result.verdict, left_name="hand-in", right_name="right",
+        thumbnail=encode_png(submitted_codes, as_thumbnail=True), notes=[str(diagnosis)],
         worst_pixel=result.worst if result.differing else None,
         figures=[
             ("kind", diagnosis and diagnosis.kind),

@@ -21,7 +21,7 @@ from reference.handins import symptoms
 from reference.handins.formulas import Array
 from reference.handins.mistakes import OF_PICTURE
 from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Submission
-from reference.pictures import Codes, Picture, level_difference, to_columns, to_picture
+from reference.pictures import Codes, Picture, level_difference, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
 AGREEING = ("identical", "rounding", "format")
@@ -195,11 +195,13 @@ class Solution:
         if symptom := symptoms.find_reference_within(picture.codes, self.codes):
             return _make_verdict(*symptom).preceded_by(size_sentence)
         if (width, height) == reference_size:
-            upright = {keyword: np.ascontiguousarray(turn_back(picture.codes))
-                       for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
+            upright = {
+                keyword: turn_back(picture.codes) for keyword, turn_back in _TURN_BACK.items()
+            }
             difference = {k: level_difference(upright[k], self.codes, 2).sum() for k in upright}
             keyword = min(upright, key=difference.__getitem__)
-            diagnosis = self._diagnose_at_equal_size(picture._replace(codes=upright[keyword]))
+            upright_codes = np.ascontiguousarray(upright[keyword])
+            diagnosis = self._diagnose_at_equal_size(picture._replace(codes=upright_codes))
             if diagnosis.kind != UNKNOWN:
                 sentence = self._renderer_for_size(*reference_size).mistakes[keyword].sentence
                 return diagnosis.with_mistake(keyword, sentence).preceded_by(size_sentence)
@@ -221,20 +223,14 @@ class Solution:
         Diagnosis
             The mistakes; or the verdict that the picture is right, or "unknown".
         """
-        codes, save = picture.codes, picture.save
-        height, width = codes.shape[:2]
-        renderer = self._renderer_for_size(height, width)
-        reference_codes = to_picture(renderer.reference_codes, width)
-        if diagnosis := diagnose_agreement(codes, reference_codes) or diagnose_single_color(codes):
+        codes, renderer = picture.codes, self._renderer_for_size(*picture.codes.shape[:2])
+        agreement = diagnose_agreement(to_columns(codes), renderer.reference_codes)
+        if diagnosis := agreement or diagnose_single_color(codes):
             return diagnosis
         codes = self.picture.save(codes) if self.picture.save else codes
         lossy_levels = max(picture.lossy_levels, self.picture.lossy_levels)
-        submission = Submission(
-            to_columns(codes),
-            renderer,
-            lossy_levels or _PICTURE_LEVELS * (self.scene is None),
-            save and (lambda columns: to_columns(save(to_picture(columns, width)))),
-        )
+        imprecision = lossy_levels or _PICTURE_LEVELS * (self.scene is None)
+        submission = Submission(to_columns(codes), renderer, imprecision, picture.save)
         if lossy_levels and submission.is_wrong.mean() < 0.01:
             return _make_verdict("format", "It is the right picture.")
         finding = submission.find_mistakes()
@@ -337,14 +333,15 @@ def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Arr
         Phrases such as "12 of 345 on sphere 1 (line 8) (darker), 6 on others".
     """
     surface_index = submission.renderer.surface_index
-    change = submission.codes.astype(np.int16) - submission.renderer.reference_codes
-    surfaces, counts = np.unique(surface_index[is_wrong], return_counts=True)
+    wrong_surface_index = surface_index[is_wrong]
+    change = submission.codes[:, is_wrong].astype(np.int16)
+    change -= submission.renderer.reference_codes[:, is_wrong]
+    surfaces, counts = np.unique(wrong_surface_index, return_counts=True)
     order, phrases = np.argsort(-counts, kind="stable"), []
     for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
         name = str(SurfaceRef.from_index(scene, int(surface))) if surface >= 0 else "the background"
-        shows_surface = surface_index == surface
-        note = _brightness_note(change[:, is_wrong & shows_surface])
-        phrases.append(f"{count:,} of {shows_surface.sum():,} on {name}{note}")
+        note = _brightness_note(change[:, wrong_surface_index == surface])
+        phrases.append(f"{count:,} of {(surface_index == surface).sum():,} on {name}{note}")
     if other_count := counts[order[_MAX_NAMED:]].sum():
         phrases.append(f"{other_count:,} on others")
     return ", ".join(phrases)
@@ -393,11 +390,15 @@ def _find_visible_surfaces(scene: Scene) -> Array:
     surface_index : (n,) int32 array
         Index of the surface in each pixel, row by row; -1 for the background.
     """
-    pixel_count = scene.width * scene.height
-    batches = np.array_split(np.arange(pixel_count), pixel_count // MAX_PIXELS + 1)
-    hits = (first_hits(scene, batch % scene.width + 0.5, batch // scene.width + 0.5)
-            for batch in batches)  # fmt: skip
-    return np.concatenate([hit.surface.astype(np.int32) for hit in hits])
+    surface_index = np.empty(scene.width * scene.height, dtype=np.int32)
+    for start in range(0, len(surface_index), MAX_PIXELS):
+        row, column = np.divmod(
+            np.arange(start, min(start + MAX_PIXELS, len(surface_index))), scene.width
+        )
+        surface_index[start : start + MAX_PIXELS] = first_hits(
+            scene, column + 0.5, row + 0.5
+        ).surface
+    return surface_index
 
 
 def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]:
@@ -424,15 +425,15 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
 
     Parameters
     ----------
-    submitted_codes, reference_codes : (h, w, 3) uint8 arrays
-        Codes of the two pictures.
+    submitted_codes, reference_codes : (3, n) uint8 arrays
+        Codes of the n pixels of the two pictures.
 
     Returns
     -------
     Diagnosis or None
         A diagnosis of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
-    levels = level_difference(submitted_codes, reference_codes, 2)
+    levels = level_difference(submitted_codes, reference_codes)
     count = int(np.count_nonzero(levels))
     if not count:
         return _make_verdict("identical", "The pictures are identical.")

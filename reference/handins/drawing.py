@@ -14,13 +14,9 @@ from typing import Any
 import numpy as np
 
 from reference.figures import decode_to_linear
+from reference.handins import mistakes
 from reference.handins.formulas import Array, Formulas, parameter_names, used_names
-from reference.handins.mistakes import (
-    REFERENCE_FORMULAS,
-    WHOLE_PICTURE_FORMULAS,
-    list_mistakes,
-    sample_position_formulas,
-)
+from reference.handins.mistakes import REFERENCE_FORMULAS, sample_position_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
@@ -195,7 +191,7 @@ class FormulaCache:
             If the formula cannot be computed from the inputs of this cache.
         """
         if self._fitting_cache:
-            for fitted_name in WHOLE_PICTURE_FORMULAS & used_names(replacements):
+            for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & used_names(replacements):
                 fitted_value = self._fitting_cache.get_value(fitted_name, replacements)
                 replacements = replacements | {fitted_name: _make_constant_function(fitted_value)}
         if "samples" in replacements:
@@ -251,41 +247,3 @@ def join_formulas(formula_sets: Sequence[Formulas]) -> Formulas:
     """
     joined = {name: formulas[name] for formulas in formula_sets for name in formulas}
     return joined if len(joined) == sum(map(len, formula_sets)) else {}
-
-
-@np.errstate(all="ignore")
-def render_with_mistakes(scene: Scene, *keywords: str, formula: str = "codes") -> Array:
-    """Render a scene as a tracer with the given mistakes would.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    *keywords : str
-        Keywords of the mistakes, such as "gamma-none", as in `list_mistakes(scene)`.  Without
-        keywords, the reference picture is rendered.
-    formula : str
-        Name of the formula to evaluate, such as "radiance"; by default, the 8-bit codes.
-
-    Returns
-    -------
-    (h, w, 3) array
-        The values of the formula at each pixel, with 0 in place of NaN.
-
-    Raises
-    ------
-    KeyError
-        If a keyword is unknown.
-    ValueError
-        If two mistakes replace the same formula and so exclude each other.
-    """
-    mistakes, pixel_count = list_mistakes(scene), scene.width * scene.height
-    replacements = join_formulas([mistakes[keyword].formulas for keyword in keywords])
-    if keywords and not replacements:
-        raise ValueError(f"{' and '.join(keywords)} change the same formula")
-    row, column = np.divmod(np.arange(pixel_count), scene.width)
-    size = {"width": scene.width, "height": scene.height}
-    pixels = {"i": column, "j": row, "submitted_codes": np.zeros((3, pixel_count), np.uint8)}
-    cache = FormulaCache(make_formula_inputs(scene) | size | pixels)
-    values = cache.get_value(formula, replacements)
-    return np.nan_to_num(values.T.reshape(scene.height, scene.width, 3))

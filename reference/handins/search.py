@@ -25,7 +25,7 @@ import numpy as np
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
 from reference.handins.formulas import Array, Formulas, used_names
-from reference.pictures import Codes, level_difference
+from reference.pictures import JPEG_BLOCK, Codes, level_difference, to_columns, to_picture
 from tracer import Scene
 
 # A cause is reported if it leaves at most this share of the wrong pixels unexplained, or at most
@@ -37,18 +37,19 @@ _MAX_UNEXPLAINED_SHARE, _MAX_UNEXPLAINED = 0.03, 10
 _MIN_RATIO = 5
 # Number of pixels at which the pictures with different mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
-# Number of pixels in the first round, and maximum number of causes after it.  Each further round
+# Maximum number of pixels in the first round, and of causes after it.  Each further round
 # has four times the pixels and a quarter of the causes, but no fewer than the last number.
 _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES = 240, 256, 16
 # A cause that is not the best may leave this many more pixels of a round unexplained by chance.
 # The search ends if the best cause leaves more than this share of the wrong pixels unexplained.
 _MAX_CHANCE_PIXELS, _MAX_HOPELESS_SHARE = 4, 0.75
 # Maximum number of pixels, and of pixels times surfaces, at which many causes are rendered.  A
-# random subset represents a larger picture.  After lossy compression, complete pictures are
-# rendered, of fewer causes.
+# random subset represents a larger picture.
 MAX_PIXELS, _MAX_INTERSECTIONS = 131_072, 2_000_000
-# Number of intersections in one batch of pixels: their arrays take about a megabyte each.
-_INTERSECTIONS_PER_BATCH = 100_000
+# Maximum number of items from which items are chosen; a random subset represents more.
+_MAX_CANDIDATES = 1_000_000
+# Number of intersections in one batch of pixels: their arrays stay in the CPU cache.
+_INTERSECTIONS_PER_BATCH = 25_000
 # In scenes with more surfaces, mistakes that concern a single surface are not tried in pairs.
 _MAX_PAIRED_SURFACES = 40
 # After lossy compression, differences of more levels count as this many.
@@ -92,7 +93,7 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
     stratum : (n,) int array
         The stratum of each of the n items.
     max_count : int
-        Maximum number of items to choose.
+        Maximum number of items to choose, at most `_MAX_CANDIDATES`.
 
     Returns
     -------
@@ -100,12 +101,17 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
         Indices of the chosen items; k is the smaller of n and `max_count`.  A smaller `max_count`
         gives the first items of the same array.
     """
-    item_index = np.arange(len(stratum), dtype=np.int32)  # int64 would take too much memory
-    shuffled_items = np.random.default_rng(1).permutation(item_index)
-    items_by_stratum = shuffled_items[np.argsort(stratum[shuffled_items], kind="stable")]
-    count = np.unique(stratum, return_counts=True)[1].astype(np.int32)
-    place_in_stratum = item_index - np.repeat(count.cumsum(dtype=np.int32) - count, count)
-    return items_by_stratum[np.argsort(place_in_stratum, kind="stable")[:max_count]]
+    shuffled_items = shuffle(len(stratum))[:_MAX_CANDIDATES]
+    order = np.argsort(stratum[shuffled_items], kind="stable")
+    count = np.unique(stratum[shuffled_items], return_counts=True)[1]
+    place_in_stratum = np.arange(len(order)) - np.repeat(count.cumsum() - count, count)
+    return shuffled_items[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
+
+
+def shuffle(count: int) -> Array:
+    """Return the integers from 0 to `count` - 1 in random order, which is always the same."""
+    # Arrays of int64 would take too much memory.
+    return np.random.default_rng(1).permutation(np.arange(count, dtype=np.int32))
 
 
 class MistakeRenderer:
@@ -136,6 +142,8 @@ class MistakeRenderer:
         The mistakes that can be rendered, by keyword, in the order of the table of mistakes.
     sample : (m,) int array
         Pixel indices in random order.  The first of them show all surfaces, lit and in shadow.
+    first_round_size : int
+        Number of pixels at which all causes are rendered; smaller in scenes with many surfaces.
     """
 
     def __init__(
@@ -145,11 +153,13 @@ class MistakeRenderer:
         self.reference_codes, self.surface_index = reference_codes, surface_index
         self.width, self.base_formulas = width, base_formulas
         self.pixel_count = reference_codes.shape[1]
-        self._blank_codes = np.zeros_like(reference_codes)
+        self._blank_codes = np.broadcast_to(np.uint8(0), reference_codes.shape)
         size = {"width": width, "height": self.pixel_count // width}
         self._inputs = make_formula_inputs(scene) | size
         table_scene = scene if isinstance(scene, Scene) else Scene(**size)
         self.surface_count = len(table_scene.surfaces)
+        share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
+        self.first_round_size = max(40, int(share * _FIRST_PIXELS))
         self.mistakes = mistakes.list_mistakes(table_scene)
         first_pixel = self.make_cache(np.array([0]), self._blank_codes)
         self.mistakes = {
@@ -161,7 +171,8 @@ class MistakeRenderer:
         if isinstance(scene, Scene):
             for is_lit in self.evaluate([base_formulas], subset, formula="lit")[0][:4]:
                 stratum = 2 * stratum + is_lit
-        self.sample = subset[choose_stratified(stratum, len(subset))]
+        sample_size = max(500, _MAX_INTERSECTIONS // max(20, 20 * self.surface_count))
+        self.sample = subset[choose_stratified(stratum, sample_size)]
 
     def formulas_for(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate a cause.
@@ -213,7 +224,7 @@ class MistakeRenderer:
 
     def split_pixels(self, pixels: Array) -> Iterator[Array]:
         """Divide an array of pixel indices into batches that take little memory to render."""
-        size = max(500, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
+        size = max(100, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
         return (pixels[start : start + size] for start in range(0, len(pixels), size))
 
     def evaluate(
@@ -269,7 +280,7 @@ class MistakeRenderer:
             and self.formulas_for(cause := (keyword, *variant))
         ]  # fmt: skip
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
-        pixels = next(self.split_pixels(self.sample[:_GROUPING_PIXELS]))
+        pixels = self.sample[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.formulas_for(cause) for cause in causes], pixels)
         # Some mistakes show only where another mistake raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
@@ -297,8 +308,7 @@ class MistakeRenderer:
         codes (pairs, 3, k) of each pair at k pixels.  Item 2 contains the indices (k,) of these
         pixels.
         """
-        share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
-        pixels = self.sample[: max(40, int(share * _FIRST_PIXELS))]
+        pixels = self.sample[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
         skipped = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
         skipped |= {*mistakes.ROUNDINGS}
@@ -346,7 +356,7 @@ class Submission:
         Number of levels by which the file format of the submitted picture, or of the reference
         picture, may have changed codes.
     save : callable, optional
-        Takes codes (3, n) and returns them as this file format alters them.
+        Takes the codes (h, w, 3) of a picture, and returns them as this file format alters them.
 
     Attributes
     ----------
@@ -363,32 +373,31 @@ class Submission:
 
     def __init__(
         self, codes: Array, renderer: MistakeRenderer, lossy_levels: int = 0,
-        save: Callable[[Array], Array] | None = None,
+        save: Callable[[Codes], Codes] | None = None,
     ) -> None:  # fmt: skip
         self.codes, self.renderer, self.lossy_levels = codes, renderer, lossy_levels
         self._save, reference_codes = save, renderer.reference_codes
-        levels = level_difference(save(reference_codes) if save else reference_codes, codes)
+        levels = level_difference(self._saved(reference_codes, renderer.width), codes)
         self.clearly_wrong_count = int((levels > 1).sum())
         # If at most two pixels differ by more than one level, differences of one level count, too.
         self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
         self.is_wrong = levels > self.tolerance
         self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
-        color = np.zeros(pixel_count, dtype=np.uint32)
-        for channel in codes:
-            color = color << 8 | channel
-        foreground_count = pixel_count - int(np.unique(color, return_counts=True)[1].max())
+        order = shuffle(pixel_count)
+        red, green, blue = codes[:, order[:MAX_PIXELS]].astype(np.uint32)
+        counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)[1]
+        foreground_count = pixel_count * (1 - counts.max() / len(red))
         max_share = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
         self._max_unexplained = max(_MAX_UNEXPLAINED, max_share)
-        order = np.random.default_rng(1).permutation(np.arange(pixel_count, dtype=np.int32))
-        self._wrong_and_right = order[self.is_wrong[order]], order[~self.is_wrong[order]]
+        is_wrong = self.is_wrong[order]
+        self._wrong_and_right = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
         max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
-        final_count = pixel_count if lossy_levels else max_pixels
-        self._final_pixels, self._final_weights = self._choose_pixels(final_count)
+        final = self._choose_blocks() if save else (*self._choose_pixels(max_pixels), 0)
+        self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
         brightest = reference_codes.sum(axis=0, dtype=np.int16).argmax()
-        pixels = np.append(next(renderer.split_pixels(renderer.sample)), brightest)
-        self.fitting_cache = renderer.make_cache(pixels, codes)
+        self.fitting_cache = renderer.make_cache(np.append(renderer.sample, brightest), codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
         """Choose random pixels: half of them wrong, and half of them right.
@@ -412,11 +421,50 @@ class Submission:
         chosen_wrong = wrong_pixels[: max(count // 2, count - len(right_pixels))]
         chosen_right = right_pixels[: count - len(chosen_wrong)]
         pixels = np.sort(np.concatenate([chosen_wrong, chosen_right]))
-        wrong_weight = len(wrong_pixels) / max(1, len(chosen_wrong))
-        right_weight = len(right_pixels) / max(1, len(chosen_right))
+        wrong_weight = self.wrong_count / max(1, len(chosen_wrong))
+        right_weight = (len(self.is_wrong) - self.wrong_count) / max(1, len(chosen_right))
         return pixels, np.where(self.is_wrong[pixels], wrong_weight, right_weight)
 
-    def _level_differences(self, causes: Sequence[Cause], pixels: Array) -> Array:
+    def _choose_blocks(self) -> tuple[Array, Array, int]:
+        """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
+
+        JPEG compresses each block separately.  The chosen blocks, put together into a smaller
+        picture, therefore change by compression as they do in the whole picture.  Only the
+        outermost pixels of blocks may change differently.
+
+        Returns
+        -------
+        pixels : (k,) int array
+            Indices of the pixels of the chosen blocks, in the order of the smaller picture.  All
+            pixels are chosen if the whole picture has at most `MAX_PIXELS`, or is narrower than a
+            block.
+        weights : (k,) float array
+            Number of pixels of the whole picture that each chosen pixel represents; 0 for the
+            outermost pixels of blocks.
+        width : int
+            Width of the smaller picture: that of a block, or of the whole picture.
+        """
+        pixel_count, width, side = self.renderer.pixel_count, self.renderer.width, JPEG_BLOCK
+        every_pixel = np.arange(pixel_count, dtype=np.int32)
+        if pixel_count <= MAX_PIXELS or min(width, pixel_count // width) < side:
+            return every_pixel, np.ones(pixel_count), width
+        picture = every_pixel.reshape(-1, width)
+        rows, columns = (size // side * side for size in picture.shape)
+        blocks: Array = picture[:rows, :columns].reshape(-1, side, columns // side, side)
+        blocks = blocks.swapaxes(1, 2).reshape(-1, side, side)
+        is_wrong = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)
+        chosen = choose_stratified(is_wrong, MAX_PIXELS // side**2)
+        represented_blocks = np.bincount(is_wrong) / np.bincount(is_wrong[chosen])
+        weights = np.zeros((len(chosen), side, side))
+        weights[:, 1:-1, 1:-1] = represented_blocks[is_wrong[chosen], None, None]
+        weights *= side**2 / (side - 2) ** 2
+        return blocks[chosen].ravel(), weights.ravel(), side
+
+    def _saved(self, columns: Codes, width: int) -> Codes:
+        """Return the codes (3, n) of a picture of a given width as the file format alters them."""
+        return to_columns(self._save(to_picture(columns, width))) if self._save else columns
+
+    def _level_differences(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
         """Compute how much the submitted picture differs from the picture of each cause.
 
         Parameters
@@ -424,8 +472,10 @@ class Submission:
         causes : sequence of tuples of str
             At least one cause: the keywords of mistakes that are made together.
         pixels : (k,) int array
-            Indices of the pixels to compare.  If these are all pixels of the picture, the rendered
-            pictures are compressed like the submitted one.
+            Indices of the pixels to compare.
+        width : int
+            Width of the picture that these pixels form, which is compressed like the submitted one;
+            0 if they form none.
 
         Returns
         -------
@@ -434,8 +484,8 @@ class Submission:
         """
         formula_sets = [self.renderer.formulas_for(cause) for cause in causes]
         pictures = self.renderer.evaluate(formula_sets, pixels, self.codes, self.fitting_cache)
-        if self._save and len(pixels) == self.renderer.pixel_count:
-            pictures = np.array([self._save(picture) for picture in pictures])
+        if width and self._save:
+            pictures = np.array([self._saved(picture, width) for picture in pictures])
         return level_difference(pictures, self.codes[:, pixels])
 
     def _measure(self, causes: Sequence[Cause]) -> None:
@@ -452,7 +502,7 @@ class Submission:
         """
         cached = self._counts_by_cause
         if unmeasured := [cause for cause in dict.fromkeys(causes) if cause not in cached]:
-            all_levels = self._level_differences(unmeasured, self._final_pixels)
+            all_levels = self._level_differences(unmeasured, self._final_pixels, self._final_width)
             limits = self.tolerance, self.lossy_levels
             for cause, levels in zip(unmeasured, all_levels, strict=True):
                 counts = ((levels > limit) @ self._final_weights for limit in limits)
@@ -510,11 +560,9 @@ class Submission:
             At most `_MIN_CAUSES` causes, the best first.  Empty if no cause explains a quarter of
             the wrong pixels.
         """
-        pixel_count, max_causes = _FIRST_PIXELS, _MAX_CAUSES
-        max_rendered = _MIN_CAUSES * MAX_PIXELS // len(self._final_pixels)
-        min_causes = max(1, min(_MIN_CAUSES, max_rendered))
-        while len(causes) > min_causes and pixel_count < len(self._final_pixels):
-            causes = self._run_round(causes, pixel_count, max(min_causes, max_causes))
+        pixel_count, max_causes = self.renderer.first_round_size, _MAX_CAUSES
+        while len(causes) > _MIN_CAUSES and pixel_count < len(self._final_pixels):
+            causes = self._run_round(causes, pixel_count, max(_MIN_CAUSES, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
         self._measure(causes[:_MIN_CAUSES])
         return sorted(causes[:_MIN_CAUSES], key=self._count_unexplained)
@@ -574,23 +622,20 @@ class Submission:
             pair_causes = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
             if pair_causes and _MIN_RATIO * self._count_unexplained(pair_causes[0]) <= min_count:
                 causes = pair_causes
-        if (
-            causes
-            and (count := self._count_unexplained_in_full(causes[0])) <= self._max_unexplained
-        ):
-            return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), count)
-        # A pair becomes the hint only if it leaves less than half as many pixels unexplained.
-        hint = min(causes[:1] or singles + pairs, default=(), key=lambda cause: (
+        # A pair is nearest only if it leaves less than half as many pixels unexplained.
+        nearest = min(causes[:1] or singles + pairs, default=(), key=lambda cause: (
             (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
-        count = self._count_unexplained_in_full(hint)
-        if 2 * count > self.wrong_count:
+        if 2 * self._count_unexplained(nearest) > self.wrong_count:
             return Finding((), self.wrong_count)
-        return Finding((), count, remove_variants(hint))
+        count = self._count_unexplained_in_full(nearest)
+        if causes and count <= self._max_unexplained:
+            return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), count)
+        return Finding((), count, remove_variants(nearest))
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count exactly how many pixels of the full picture a cause leaves unexplained."""
         every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
-        levels = self._level_differences([cause], every_pixel)
+        levels = self._level_differences([cause], every_pixel, self.renderer.width)
         return int((levels > self.tolerance).sum())
 
     def _select_best_pairs(self) -> list[Cause]:
@@ -634,6 +679,8 @@ class Submission:
             tracer, in which the mistakes give another picture, and that of a rounding mistake.
         """
         pair_count, keywords = self._count_unexplained(cause), remove_variants(cause)
+        if pair_count > self._max_unexplained:
+            return False  # the pair will not be reported
         for keyword in set(keywords).difference(mistakes.ROUNDINGS):
             others = tuple(other for other in cause if other != keyword)
             if self._count_unexplained(others) - pair_count < max(_MIN_RATIO * pair_count, 1):
@@ -641,9 +688,8 @@ class Submission:
         renderer, formulas_for = self.renderer, self.renderer.formulas_for
         if not renderer.surface_count or mistakes.CAMERA.isdisjoint(formulas_for(keywords)):
             return True
-        pixels = next(renderer.split_pixels(renderer.sample))
-        shown = renderer.evaluate([formulas_for(cause)], pixels, formula="shown_surface")[0]
-        surfaces = shown, renderer.surface_index[pixels]
+        shown = renderer.evaluate([formulas_for(cause)], renderer.sample, formula="shown_surface")
+        surfaces = shown[0], renderer.surface_index[renderer.sample]
         shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in surfaces)
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 import pytest
+from known_mistakes import render_with_mistakes
 from probe import Surface
 
 import tracer.geometry.camera
@@ -24,7 +25,6 @@ from converters.variant import SCALAR, use_variant
 from reference import check
 from reference.check import check_diffuse, check_scene, compare
 from reference.command import SCENES
-from reference.handins.drawing import render_with_mistakes
 from reference.regenerate import load_small_scene, read_stored_picture
 from tracer import Phong, Scene, Sphere, first_hits, render
 from tracer.arrays import Floats

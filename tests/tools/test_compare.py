@@ -10,9 +10,11 @@ import shutil
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -25,6 +27,9 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import compare_hand_in, main
 from reference.figures import measure_differences, select_largest_channel, write_comparison
+from reference.handins.diagnosis import Solution
+from reference.handins.formulas import Array
+from reference.handins.search import MistakeRenderer
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes
@@ -176,13 +181,40 @@ def test_one_picture(tmp_path: Path, compare: Compare) -> None:
 
 @pytest.mark.slow
 def test_a_large_picture_is_compared_in_limited_memory(tmp_path: Path) -> None:
-    """Through JPEG, all pixels are compared, and the page and the comparison picture show them."""
-    scene, size = tmp_path / "large.xml", "<image>2400 2400</image>"
+    """An unknown mistake in a JPEG picture of the largest size; all that can be is written."""
+    scene, size = tmp_path / "large.xml", "<image>3000 3000</image>"
     scene.write_text(SCENE.read_text().replace("<image>300 300</image>", size))
-    picture = save(tmp_path / "a.jpg", to_codes(render(load_scene(scene))), quality=90)
+    codes = to_codes(render(load_scene(scene)))
+    codes[1100:1400, 1200:1500] //= 2
+    picture = save(tmp_path / "a.jpg", codes, quality=90)
     arguments = picture, scene, "-o", tmp_path / "out.png", "--html", tmp_path / "page.html"
     command = sys.executable, "-m", "reference.compare", *map(str, arguments)
     assert peak_memory(*command) < 600  # MB
+
+
+def test_a_large_jpeg_is_searched_in_a_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of complete pictures, only the right one, and one more, are rendered and compressed."""
+    max_pixels, complete, evaluate = 4096, Counter[str](), MistakeRenderer.evaluate
+    codes = CODES.copy()
+    codes[110:140, 120:150] //= 2
+    picture = read_picture(save(tmp_path / "a.jpg", codes, quality=90))
+
+    def count_and_save(codes: Codes) -> Codes:
+        complete["compressed"] += codes[:, :, 0].size > max_pixels
+        return picture.save(codes)
+
+    def count_and_evaluate(*arguments: Any, **options: Any) -> Array:
+        _, formula_sets, pixels, *_ = arguments
+        complete["rendered"] += len(formula_sets) * (len(pixels) > max_pixels)
+        return evaluate(*arguments, **options)
+
+    monkeypatch.setattr("reference.handins.search.MAX_PIXELS", max_pixels)
+    monkeypatch.setattr(MistakeRenderer, "evaluate", count_and_evaluate)
+    diagnosis = Solution(load_scene(SCENE)).diagnose(picture._replace(save=count_and_save))
+    assert diagnosis.kind == "unknown"
+    assert (complete["compressed"] <= 2, complete["rendered"] <= 1) == (True, True)
 
 
 @pytest.mark.parametrize(("share", "status"), [(0.008, 0), (0.02, 1)])

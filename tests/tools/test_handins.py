@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import student
+from known_mistakes import render_with_mistakes
 from PIL import Image
 
 from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Solution
-from reference.handins.drawing import render_with_mistakes
 from reference.handins.folders import list_hand_ins, match_hand_ins
 from reference.handins.formulas import used_names
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
