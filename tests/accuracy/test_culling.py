@@ -52,11 +52,11 @@ def brute_force(scene: Scene) -> Floats:
 
 
 def _whole_rows(
-    shape: Shape, scene: PreparedScene, rows: Floats, columns: tuple[float, float], **_: float
+    shape: Shape, scene: PreparedScene, row_top: Floats, x_range: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Replace `find_object_spans`: every object covers every row."""
-    row, position = np.indices((rows.size, shape.objects.size)).reshape(2, -1)
-    left, right = np.full((row.size, 2), columns).T
+    row, position = np.indices((row_top.size, shape.objects.size)).reshape(2, -1)
+    left, right = np.full((row.size, 2), x_range).T
     return position + shape.objects.start, row, left, right
 
 

@@ -111,7 +111,7 @@ class Parser:
 
     Parameters
     ----------
-    read_child : callable
+    read_element : callable
         A function of an `Element`.  It is first called with the root, which has no children yet;
         then with each complete child of the root, which contains all its descendants.
     report_at : callable
@@ -133,9 +133,9 @@ class Parser:
     """
 
     def __init__(
-        self, read_child: Callable[[Element], None], report_at: Callable[[int, str, str], None]
+        self, read_element: Callable[[Element], None], report_at: Callable[[int, str, str], None]
     ) -> None:
-        self.read_child, self.report_at = read_child, report_at
+        self.read_element, self.report_at = read_element, report_at
         self.open_elements: list[Element] = []
         self.descendant_count, self.encoding = 0, ""
         self.byte_count, self.recent_bytes = 0, b""
@@ -148,7 +148,7 @@ class Parser:
         self.expat.StartDoctypeDeclHandler = self._handle_doctype
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a whole scene file, and call `read_child` for each child of its root element.
+        """Parse a whole scene file, and pass its root and each child of the root to `read_element`.
 
         Each parser can parse only one file.
 
@@ -161,7 +161,7 @@ class Parser:
         ------
         FatalError
             If the file is not well-formed XML, or exceeds a limit.  Elements before the error have
-            already been passed to `read_child`.
+            already been passed to `read_element`.
         TypeError
             If `file` returns text instead of bytes.
         """
@@ -237,17 +237,17 @@ class Parser:
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
-        before, after = self.recent_bytes[:position], self.recent_bytes[position:] + following_bytes
-        context = before, after, self.open_elements, self.encoding
-        remedy = suggest_syntax_fix(message, error.lineno, *context)
+        context = self.recent_bytes[:position], self.recent_bytes[position:] + following_bytes
+        elements, encoding = self.open_elements, self.encoding
+        remedy = suggest_syntax_fix(message, error.lineno, *context, elements, encoding)
         place = f"at column {error.offset + 1}"
         return FatalError(error.lineno, f"not XML: {message} {place}; {remedy}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
         """Handle a start tag: create an element, and add it to its parent.
 
-        The root of the file is passed to `read_child` immediately.  Its children are not added to
-        it, so that each child's memory can be freed after the child has been read.
+        The root is passed to `read_element` immediately.  The children of the root are not added to
+        the root, so that their memory can be freed.
 
         Parameters
         ----------
@@ -259,8 +259,8 @@ class Parser:
         Raises
         ------
         FatalError
-            If the element has more than `MAX_DESCENDANTS` attributes, or is one of more than
-            `MAX_DESCENDANTS` elements inside the same child of the root.
+            If the element has more than `MAX_DESCENDANTS` attributes, or the current child of the
+            root contains more than `MAX_DESCENDANTS` elements.
         """
         element = Element()
         element.tag, element.attrib = tag, attrib
@@ -271,7 +271,7 @@ class Parser:
             open_elements[-2].append(element)
             self.descendant_count += 1
         elif len(open_elements) == 1:
-            self.read_child(element)
+            self.read_element(element)
         else:
             self.descendant_count = 0
         if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_DESCENDANTS:
@@ -283,17 +283,17 @@ class Parser:
     def _handle_end_tag(self, _tag: str) -> None:
         """Handle an end tag: close the innermost open element.
 
-        A child of the root is passed to `read_child`, because it is now complete.
+        A child of the root is passed to `read_element`, because it is now complete.
         """
         element = self.open_elements.pop()
         if len(self.open_elements) == 1:
-            self.read_child(element)
+            self.read_element(element)
 
     def _handle_text(self, text: str) -> None:
         """Handle text between two tags: add it to the innermost open element.
 
-        White space between elements is ignored.  In an element that must contain only elements,
-        such as <camera>, the first other text is reported as an error.
+        White space between elements is ignored.  Other text inside an element such as <camera> is
+        an error.  Only the first such text is reported.
 
         Parameters
         ----------

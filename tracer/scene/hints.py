@@ -86,7 +86,7 @@ _EQUIVALENTS: dict[str, Sequence[str]] = {
 
 
 def suggest_syntax_fix(
-    message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
+    message: str, line: int, prefix: bytes, suffix: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
     """Suggest a fix for an XML syntax error.
 
@@ -96,8 +96,8 @@ def suggest_syntax_fix(
         The error message from expat, the XML parser.
     line : int
         Line of the error.
-    before, after : bytes
-        Bytes of the file just before the error, and bytes from the error on.
+    prefix, suffix : bytes
+        Part of the file that ends just before the error, and part that begins at the error.
     elements : sequence of Element
         Elements that are still open at the error, starting with the root.
     encoding : str
@@ -108,21 +108,21 @@ def suggest_syntax_fix(
     remedy : str
         The suggested fix, such as "close <light> of line 3".
     """
-    # The file is in UTF-8, but declares another encoding.  (To expat, "utf8" is an unknown one.)
-    if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
+    # The file is in UTF-8, but declares another encoding.  (Expat does not know the name "utf8".)
+    if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", suffix):
         return f'write encoding="UTF-8" in the first line, not {quote(encoding)}'
-    for expected_message, before_pattern, after_pattern, remedy in _SYNTAX_REMEDIES:
+    for expected_message, prefix_pattern, suffix_pattern, remedy in _SYNTAX_REMEDIES:
         if expected_message in ("", message):
-            match = re.search(rb"(?s:%b)\Z" % before_pattern, before)
-            if match and re.match(after_pattern, after):
-                character = after.decode(errors="replace")[:1] or " "
+            match = re.search(rb"(?s:%b)\Z" % prefix_pattern, prefix)
+            if match and re.match(suffix_pattern, suffix):
+                character = suffix.decode(errors="replace")[:1] or " "
                 description = f"{character!r} (U+{ord(character):04X})"
                 return remedy.format(line=line - match[0].count(b"\n"), character=description)
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
     innermost = f"<{shorten(elements[-1].tag)}> of line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
-        end_tag = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
+        end_tag = re.split(rb"[\s>]", suffix)[0].decode(errors="ignore")
         if all(end_tag != element.tag for element in elements):
             return f"only {innermost} can be closed here: no <{shorten(end_tag)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
@@ -144,8 +144,8 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | No
     Returns
     -------
     remedy : str
-        "did you mean ...?", with the most similar allowed name; if none is similar, a list of at
-        most `_MAX_LISTED` allowed names; if no name is allowed, "remove it".
+        A suggestion of the most similar name, such as 'did you mean "center"?'.  If no name is
+        similar, the remedy lists at most `_MAX_LISTED` allowed names, or is "remove it".
     similar_name : str or None
         The most similar allowed name, or None if none is similar.
     """
@@ -173,9 +173,8 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | Non
     -------
     remedy : str
         The suggested fix.
-    intended : str or None
-        What the author of the file probably meant: an allowed tag, or a phrase that names several
-        elements.  None if this is unclear.
+    intended_name : str or None
+        What the author of the file probably meant, such as "center"; None if this is unclear.
     """
     for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
         if not equivalent:

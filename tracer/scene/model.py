@@ -50,11 +50,11 @@ def normalize(vector: ArrayLike) -> Floats:
     unit_vector : (3,) float array
         The unit vector with the same direction.
     """
-    scaled = np.asarray(vector, dtype=np.float64)
+    components = np.asarray(vector, dtype=np.float64)
     # Scale the vector so that the squares of its large components neither overflow nor underflow.
     # Scaling by a power of two is exact, so that pictures of scaled scenes stay bit-identical.
-    scaled = np.ldexp(scaled, -int(np.frexp(np.abs(scaled).max())[1]))
-    return scaled / np.sqrt(scaled @ scaled)
+    components = np.ldexp(components, -int(np.frexp(np.abs(components).max())[1]))
+    return components / np.sqrt(components @ components)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,8 +104,8 @@ class Camera(Validated):
         Parameters
         ----------
         field_arrays : mapping of str to (n, 3) float array
-            The vectors of n cameras, by the names of their fields.  A row of NaN in "proj_normal"
-            stands for its default, `view_dir`.
+            For each field name, the vectors of n cameras.  In "proj_normal", a row of NaN stands
+            for the default, `view_dir`.
 
         Yields
         ------
@@ -219,7 +219,7 @@ class Phong(Validated):
 
 Shader: TypeAlias = Lambertian | Phong
 
-_SHADER = xml_field(schema.type_validator(Lambertian, Phong), "shader")
+_SHADER = xml_field(schema.require_type(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -289,7 +289,7 @@ class Box(Validated):
         name : str
             Name of the field with the error: "min_pt".
         message : str
-            What is wrong, with the coordinates.
+            What is wrong, including the coordinates.
         """
         min_pt, max_pt = field_arrays["min_pt"], field_arrays["max_pt"]
         for index in np.flatnonzero((min_pt > max_pt).any(axis=1)).tolist():
@@ -356,7 +356,7 @@ class Surfaces(Sequence[Sphere | Box]):
         self.shader_index = schema.copy_integers(shader_index, "shader_index")
         self.file_index = schema.copy_integers(file_index, "file_index")
         self.line = schema.copy_integers(line, "line").astype(np.int32)
-        validate_shaders = schema.list_validator(Lambertian, Phong)
+        validate_shaders = schema.require_list(Lambertian, Phong)
         self.shaders: tuple[Shader, ...] = validate_shaders(shaders, "shaders")
         # Numbers can be validated only if the lengths of the arrays match.
         schema.raise_if_any(self._find_array_errors())
@@ -372,17 +372,17 @@ class Surfaces(Sequence[Sphere | Box]):
         message : str
             Name of an array, and what is wrong with it.
         """
-        requirements = {"radius": (len(self.center), "as many as center")}
-        requirements |= {"max_pt": (len(self.min_pt), "as many as min_pt")}
-        per_surface = len(self), "one for each surface"
-        requirements |= dict.fromkeys(("shader_index", "file_index", "line"), per_surface)
+        requirements = {"radius": (len(self.center), "the length of center")}
+        requirements |= {"max_pt": (len(self.min_pt), "the length of min_pt")}
+        surface_requirement = len(self), "the number of surfaces"
+        requirements |= dict.fromkeys(("shader_index", "file_index", "line"), surface_requirement)
         for name, (required_length, reason) in requirements.items():
             if (length := len(getattr(self, name))) != required_length:
-                yield f"{name}: needs {required_length}, {reason}; has {length}"
+                yield f"{name}: must have length {required_length} ({reason}), not {length}"
         shader_index, shader_count = self.shader_index, len(self.shaders)
         is_invalid = (shader_index < 0) | (shader_index >= shader_count)
         for invalid_index in shader_index[is_invalid].tolist()[:1]:
-            yield f"shader_index: must be indices of {shader_count} shaders, not {invalid_index}"
+            yield f"shader_index: {invalid_index} is out of range for {shader_count} shaders"
         surface_count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(surface_count)):
             yield f"file_index: must be a permutation of 0 ... {surface_count - 1}"
@@ -399,10 +399,10 @@ class Surfaces(Sequence[Sphere | Box]):
         """
         field_arrays = {name: getattr(self, name) for name in ("center", "min_pt", "max_pt")}
         field_arrays["radius"] = self.radius[:, None]
-        first_of_type: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
-        for surface_type, first_index in first_of_type.items():
-            for type_index, name, message in schema.find_errors(surface_type, field_arrays):
-                yield self.file_index.item(first_index + type_index), f"{name}: {message}"
+        start_of_type: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
+        for surface_type, start_index in start_of_type.items():
+            for index, name, message in schema.find_errors(surface_type, field_arrays):
+                yield self.file_index.item(start_index + index), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
@@ -424,8 +424,8 @@ class Surfaces(Sequence[Sphere | Box]):
 
         Returns
         -------
-        packed : Surfaces
-            An equal sequence, whose numbers are stored in arrays.
+        surface_arrays : Surfaces
+            The same spheres and boxes, in the same order.
 
         Raises
         ------
@@ -434,11 +434,10 @@ class Surfaces(Sequence[Sphere | Box]):
         """
         if isinstance(surfaces, Surfaces):
             return surfaces
-        objects: tuple[Any, ...] = schema.list_validator(Sphere, Box)(surfaces, "surfaces")
-        # Identify shaders by id(): it is fast, and surfaces that share a shader object continue to
-        # share it.
-        shaders = {id(surface.shader): surface.shader for surface in objects}
-        shader_index = {shader_id: index for index, shader_id in enumerate(shaders)}
+        objects: tuple[Any, ...] = schema.require_list(Sphere, Box)(surfaces, "surfaces")
+        # Shaders are identified by id(), so surfaces that share a shader object still share it.
+        shader_of_id = {id(surface.shader): surface.shader for surface in objects}
+        index_of_id = {shader_id: index for index, shader_id in enumerate(shader_of_id)}
         # In the arrays, all spheres come before all boxes.
         file_index = sorted(range(len(objects)), key=lambda index: isinstance(objects[index], Box))
         sorted_surfaces = [objects[index] for index in file_index]
@@ -449,9 +448,9 @@ class Surfaces(Sequence[Sphere | Box]):
             radius=[sphere.radius for sphere in spheres],
             min_pt=[box.min_pt for box in boxes],
             max_pt=[box.max_pt for box in boxes],
-            shader_index=[shader_index[id(surface.shader)] for surface in sorted_surfaces],
+            shader_index=[index_of_id[id(surface.shader)] for surface in sorted_surfaces],
             file_index=file_index,
-            shaders=tuple(shaders.values()),
+            shaders=tuple(shader_of_id.values()),
             line=[surface.line or 0 for surface in sorted_surfaces],
         )
 
@@ -465,9 +464,9 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """For each surface, in file order, its index in the arrays: (S + B,) int array.
+        """Index of each surface in the arrays, in the order of the file: (S + B,) int array.
 
-        The arrays contain S spheres, then B boxes.  This is the inverse of `file_index`.
+        The arrays contain S spheres, then B boxes.  `file_index` is the inverse permutation.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)
@@ -544,8 +543,8 @@ class Scene(Validated):
         For a picture without pixels or with too many pixels, or values of the wrong type.
     """
 
-    camera: Camera = field(metadata=xml_field(schema.type_validator(Camera)))
-    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.list_validator(PointLight)))
+    camera: Camera = field(metadata=xml_field(schema.require_type(Camera)))
+    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.require_list(PointLight)))
     surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.from_objects(value)))
     width: int = field(metadata=xml_field(schema.validate_picture_side))
     height: int = field(metadata=xml_field(schema.validate_picture_side))

@@ -98,7 +98,7 @@ def load_scene(source: FileOrPath) -> Scene:
 
 
 class _Reader:
-    """A reader of one scene file, which collects its elements in tables and then creates the scene.
+    """A reader of one scene file: it collects the elements in tables, then creates the scene.
 
     Attributes
     ----------
@@ -119,8 +119,8 @@ class _Reader:
     surface_indices : iterator of int
         Indices for the surfaces that have not been read yet.
     shader_indices : dict of str to int
-        The index of each named shader.  A shader gets its index when its name first occurs, in a
-        reference or in a definition.
+        The index of each named shader.  A shader gets its index at its first reference or at its
+        definition, whichever comes first.
     definition_lines : array of int
         For each shader, the line that defines it, or 0 if its definition has not been read yet.
         Shader 0 is the default shader, white.
@@ -139,7 +139,7 @@ class _Reader:
         self.definition_lines = array("i", [1])
 
     def report_at(self, line: int, tag: str, message: str) -> None:
-        """Record an error in the given line of the file.
+        """Record an error at a line of the file.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class _Reader:
         self.errors.append((line, f"{shorten(tag)}: {message}"))
 
     def report(self, element: Element, message: str) -> None:
-        """Record an error in the line where an element begins.
+        """Record an error at the line where an element begins.
 
         Parameters
         ----------
@@ -189,7 +189,7 @@ class _Reader:
             errors.  Errors found before this one are in the list.
         """
         try:
-            Parser(self.read_child, self.report_at).parse(file)
+            Parser(self.read_element, self.report_at).parse(file)
         finally:
             tables = self.cameras, self.lights, *self.shaders.values(), *self.surfaces.values()
             # After too many errors, the numbers are not checked: the last row may be incomplete.
@@ -199,11 +199,11 @@ class _Reader:
         self.report_missing_elements()
         self.report_undefined_shaders()
 
-    def read_child(self, element: Element) -> None:
-        """Read the root element at the first call, and one of its children at each later call.
+    def read_element(self, element: Element) -> None:
+        """Read the next part of the file: first the root element, then its children one by one.
 
-        A child becomes a row in the table of cameras, lights, shaders or surfaces.  Its errors are
-        added to the list of errors.
+        Each child except <image> becomes a row in the table of cameras, lights, shaders or
+        surfaces.  Its errors are added to the list of errors.
 
         Parameters
         ----------
@@ -213,24 +213,23 @@ class _Reader:
         Raises
         ------
         FatalError
-            If the root element is not that of a scene file, or there are more than `MAX_ERRORS`
-            errors.
+            If the root is not <scene>, or there are more than `MAX_ERRORS` errors.
         """
         tag = element.tag
         if tag == "surface" and self.unique_elements:
             self.read_surface(element)
-        elif not self.unique_elements:
+        elif not self.unique_elements:  # the root has not been read yet
             self.read_root(element)
         elif tag == "shader":
             self.read_shader(element)
             if "name" not in element.attrib and not suggest_name("name", element.attrib)[1]:
                 self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
-            self.read_row(self.lights, element)
+            self.add_row(self.lights, element)
         elif tag in ("camera", "image"):
             if self.unique_elements.setdefault(tag, element) is not element:
                 self.report_duplicate(element, self.unique_elements[tag])
-            self.read_row(self.cameras, element) if tag == "camera" else self.read_image(element)
+            self.add_row(self.cameras, element) if tag == "camera" else self.read_image(element)
         else:
             root = self.unique_elements["scene"]
             self.intended_tags.add(self.report_unknown_element(element, root, _SCENE_TAGS))
@@ -252,17 +251,14 @@ class _Reader:
         if element.tag != "scene":
             raise FatalError(element.line, f"{shorten(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
-            message = "scene: has a version, so it is Mitsuba's; name the scene it was made from"
+            message = "scene: has a version, so it is for Mitsuba; use the scene it was made from"
             raise FatalError(element.line, message)
         self.report_unknown_attributes(element)
         self.unique_elements["scene"] = element
 
     def read_image(self, element: Element) -> None:
-        """Read the size of the picture from the element <image>, and store it in `empty_scene`.
-
-        If the element is invalid, its errors are added to the list of errors instead.
-        """
-        self.read_children(element, {})
+        """Read the picture size from <image> into `empty_scene`, or report the element's errors."""
+        self.match_children(element, {})
         number_pattern = r"\s*([-+]?\d{1,18})"
         match = re.fullmatch(rf"{number_pattern}\s{number_pattern}\s*", element.text, re.ASCII)
         if match is None:
@@ -280,9 +276,8 @@ class _Reader:
     def read_surface(self, element: Element) -> None:
         """Add a surface to the table for its type, such as "Sphere".
 
-        The surface may contain a shader or a reference to one.  Errors are added to the list of
-        errors, but references are not checked until the whole file has been read, because a shader
-        may be defined after the surface.
+        The surface may contain a shader, or a reference to a shader.  References are checked after
+        the whole file has been read, because the shader may be defined later in the file.
 
         Parameters
         ----------
@@ -292,13 +287,13 @@ class _Reader:
         table = self.surfaces.get(element.attrib.get("type", ""))
         if table is None:
             # The children are not checked, but shaders among them are still defined.
-            self.reject_type(element, self.surfaces)
+            self.report_type(element, self.surfaces)
             for child in element:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
             return
         table.index.append(next(self.surface_indices))
-        shader = self.read_row(table, element, "type").get("shader")
+        shader = self.add_row(table, element, "type").get("shader")
         table.shader_index.append(0 if shader is None else self.read_shader_or_reference(shader))
         table.shader_lines.append(0 if shader is None else shader.line)
 
@@ -317,21 +312,21 @@ class _Reader:
         """
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
-        index = self.find_shader_index(name)
+        index = self.get_shader_index(name)
         if name is not None and self.definition_lines[index]:
-            owner = f"the shader in line {self.definition_lines[index]}"
-            self.report(element, f"the name {quote(name)} is taken by {owner}; choose another")
+            definition = f"the shader in line {self.definition_lines[index]}"
+            self.report(element, f"the name {quote(name)} is taken by {definition}; choose another")
         else:
             self.definition_lines[index] = element.line
         if table is None:
-            self.reject_type(element, self.shaders, "name")
+            self.report_type(element, self.shaders, "name")
         else:
             table.index.append(index)
-            self.read_row(table, element, "name", "type")
+            self.add_row(table, element, "name", "type")
         return index
 
     def read_shader_or_reference(self, element: Element) -> int:
-        """Read the <shader> of a surface, which defines a shader or refers to one by name.
+        """Read the <shader> inside a surface: a definition, or a reference by name.
 
         Parameters
         ----------
@@ -346,22 +341,22 @@ class _Reader:
         name = element.attrib.get("ref")
         if name is not None:
             if len(element.attrib) > 1 or element:
-                self.read_children(element, {}, "ref")
+                self.match_children(element, {}, "ref")
         elif "name" in element.attrib and "type" not in element.attrib and not element:
             name = element.attrib["name"]
             remedy = f'to refer to a shader, write ref="{shorten(name)}"'
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
-        return self.find_shader_index(name)
+        return self.get_shader_index(name)
 
-    def find_shader_index(self, name: str | None) -> int:
-        """Return the index of a named shader, and assign the next free index to a new name.
+    def get_shader_index(self, name: str | None) -> int:
+        """Return the index of a shader, and assign the next free index to a new shader.
 
         Parameters
         ----------
         name : str or None
-            Name of the shader, or None for a shader without a name, which always gets a new index.
+            Name of the shader.  A shader without a name (None) is always new.
 
         Returns
         -------
@@ -374,8 +369,8 @@ class _Reader:
             self.definition_lines.append(0)
         return index
 
-    def read_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Add the numbers of an element to a table as a new row, and report errors in the element.
+    def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
+        """Add the numbers in an element to a table as a row, and report errors in the element.
 
         Parameters
         ----------
@@ -389,9 +384,9 @@ class _Reader:
         Returns
         -------
         children : dict of str to Element
-            Maps the name of each dataclass field to the child of the element that defines it.
+            The child elements, by the name of the dataclass field that they define.
         """
-        children, intended_names = self.read_children(element, table.field_of_tag, *attributes)
+        children, intended_names = self.match_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
         for field_name, column in table.columns.items():
             child = children.get(field_name)
@@ -404,10 +399,10 @@ class _Reader:
                 self.report(element, f"has no {tag}; add <{tag}>x y z</{tag}>")
         return children
 
-    def read_children(
+    def match_children(
         self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
     ) -> tuple[dict[str, Element], set[str | None]]:
-        """Find out which child of an element defines which dataclass field.
+        """Match the children of an element with the dataclass fields that they define.
 
         Unknown attributes, unknown children and duplicate children are reported as errors.
 
@@ -423,7 +418,7 @@ class _Reader:
         Returns
         -------
         children : dict of str to Element
-            Maps the name of each field to the child that defines it.
+            The child elements, by the name of the dataclass field that they define.
         intended_names : set of (str or None)
             The names that the author of the file probably meant by unknown attributes and tags.
             It contains None if the meaning of an attribute or tag is unclear.
@@ -450,8 +445,8 @@ class _Reader:
         element : Element
             The element.
         validator : Numbers
-            Validator of the dataclass field that the element defines.  Only its count of numbers is
-            used here; the numbers are validated later.
+            Validator of the dataclass field.  It gives the required count of numbers; the numbers
+            are validated later.
 
         Returns
         -------
@@ -459,7 +454,7 @@ class _Reader:
             The numbers, or a list of NaN of the required length if they are invalid.
         """
         if element or element.attrib:  # children and attributes are errors here
-            self.read_children(element, {})
+            self.match_children(element, {})
         numbers = parse_numbers(element.text, validator.count)
         if numbers:
             return numbers
@@ -473,7 +468,7 @@ class _Reader:
 
     # Errors in elements and attributes
 
-    def reject_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
+    def report_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
         """Report that the type of a shader or surface is missing or unknown.
 
         Unknown attributes are reported, too.
@@ -587,24 +582,24 @@ class _Reader:
 
         Call this after the whole file has been read.
         """
-        lines = self.definition_lines  # 0 if a shader is undefined
+        lines = self.definition_lines  # 0 for undefined shaders
         if 0 not in lines:
             return
         name_of_index = {index: name for name, index in self.shader_indices.items()}
-        defined = {name: lines[index] for index, name in name_of_index.items() if lines[index]}
-        line_of_normal_form = {normalize("NFC", name): line for name, line in defined.items()}
-        remedies: dict[str, str] = {}
+        line_of_name = {name: lines[index] for index, name in name_of_index.items() if lines[index]}
+        line_of_normal_form = {normalize("NFC", name): line for name, line in line_of_name.items()}
+        fixes: dict[str, str] = {}
         for table in self.surfaces.values():
             for line, index in zip(table.shader_lines, table.shader_index, strict=True):
                 if lines[index]:
                     continue
                 name = name_of_index[index]
-                if name not in remedies:
-                    can_search = defined and len(remedies) < _MAX_SEARCHES
-                    remedies[name] = suggest_name(name, defined)[0] if can_search else "define it"
+                if name not in fixes:
+                    can_search = line_of_name and len(fixes) < _MAX_SEARCHES
+                    fixes[name] = suggest_name(name, line_of_name)[0] if can_search else "define it"
                     if lookalike_line := line_of_normal_form.get(normalize("NFC", name)):
-                        remedies[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
-                message = f"no shader is named {quote(name)}; {remedies[name]}"
+                        fixes[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
+                message = f"no shader is named {quote(name)}; {fixes[name]}"
                 self.report_at(line, "shader", message)
 
     def make_scene(self) -> Scene:

@@ -112,14 +112,13 @@ class Validated:
         Parameters
         ----------
         field_arrays : mapping of str to (n, count) float array
-            The numbers of n objects, by the names of their fields: one row per object, with NaN
-            where an object has no value.
+            For each field name, the values of this field in n objects.  NaN marks a missing value.
 
         Returns
         -------
         errors : iterable of (int, str, str)
-            For each error, the index of the object, the name of the field, and the message.  Empty
-            unless a subclass overrides this method.
+            For each error, the index of the object, the name of the field, and the message.  The
+            base class finds no errors.
         """
         return ()
 
@@ -147,8 +146,8 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
     return instance
 
 
-# A function that tests which numbers in an array (n, count) are invalid, and a message about an
-# invalid number, with {} in place of the number.
+# A function that tests which numbers in an array (n, count) are invalid, and a message, in which {}
+# stands for the invalid number.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
 _MAX_TEXT = format_number(_MAX_VALUE)
@@ -170,8 +169,8 @@ class Numbers:
     count : int
         Number of numbers in the field.
     *rules : (callable, str)
-        Each rule is a pair of a function that tests which numbers in an array are invalid, and a
-        message about an invalid number, with {} in place of the number.
+        Each rule is a function and a message.  The function tests which numbers in an array are
+        invalid.  In the message, {} stands for the invalid number.
 
     Attributes
     ----------
@@ -189,7 +188,7 @@ class Numbers:
         Parameters
         ----------
         value : array_like
-            The value, which must consist of the required count of numbers.
+            A number, or a sequence of `count` numbers.
         name : str
             Name of the field, for messages.
 
@@ -201,7 +200,7 @@ class Numbers:
         Raises
         ------
         SceneError
-            If the count is wrong, or a number violates a rule of this validator.
+            If there are too few or too many numbers, or a number violates a rule.
         """
         array = _copy_floats(value, name)
         if array.size != self.count or array.ndim > 1:
@@ -212,12 +211,12 @@ class Numbers:
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Floats:
-        """Copy the values that a field has in many objects into an array, checking only the shape.
+        """Copy the values of a field in many objects into an array, and check only the shape.
 
         Parameters
         ----------
         values : (n, count) array_like, or (n,) array_like if `count` is 1
-            The values of the field in n objects; each value consists of `count` numbers.
+            The values of the field in n objects: `count` numbers for each.
         name : str
             Name of the field, for messages.
 
@@ -254,11 +253,11 @@ class Numbers:
             What is wrong with the row; only the first violated rule is reported.
         """
         message_of_row: dict[int, str] = {}
-        for find_invalid, template in self.rules:
-            is_invalid = find_invalid(rows)
+        for find_invalid_numbers, template in self.rules:
+            is_invalid = find_invalid_numbers(rows)
             for index in np.flatnonzero(is_invalid.any(axis=1)).tolist():
-                first_invalid = rows[index, is_invalid[index]][0]
-                message_of_row.setdefault(index, template.format(format_number(first_invalid)))
+                invalid_number = rows[index, is_invalid[index]][0]
+                message_of_row.setdefault(index, template.format(format_number(invalid_number)))
         yield from message_of_row.items()
 
 
@@ -289,15 +288,14 @@ def get_number_validators(dataclass: Any) -> dict[str, Numbers]:
 def find_errors(
     dataclass: type[Validated], field_arrays: Mapping[str, Floats]
 ) -> Iterator[tuple[int, str, str]]:
-    """Find invalid or contradictory numbers in many objects of one class.
+    """Find invalid and contradictory numbers in many objects of one class.
 
     Parameters
     ----------
     dataclass : subclass of Validated
         The class of the objects.
     field_arrays : mapping of str to (n, count) float array
-        The numbers of n objects, by the names of their fields: one row per object, with NaN where
-        an object has no value.
+        For each field name, the values of this field in n objects.  NaN marks a missing value.
 
     Yields
     ------
@@ -373,7 +371,7 @@ def validate_picture_side(value: int, name: str) -> int:
     return pixel_count
 
 
-def list_validator(*types: type) -> _Validator:
+def require_list(*types: type) -> _Validator:
     """Return a function that checks the types of all objects in a list.
 
     Parameters
@@ -403,7 +401,7 @@ def list_validator(*types: type) -> _Validator:
     return validate
 
 
-def type_validator(*types: type) -> _Validator:
+def require_type(*types: type) -> _Validator:
     """Return a function that checks the type of an object.
 
     Parameters
@@ -417,8 +415,8 @@ def type_validator(*types: type) -> _Validator:
         A function of an object and the name of a field.  It returns the object, or raises
         `SceneError` if the object is of another type.
     """
-    validate_list = list_validator(*types)
-    return lambda value, name: validate_list([value], name)[0]
+    check_list = require_list(*types)
+    return lambda value, name: check_list([value], name)[0]
 
 
 def _copy_floats(value: ArrayLike, name: str) -> Floats:

@@ -35,14 +35,13 @@ def parse_numbers(text: str, count: int) -> list[float]:
     text : str
         The text.
     count : int
-        How many numbers the text must contain, at least 1.
+        Required count of numbers, at least 1.
 
     Returns
     -------
     numbers : list of float
-        The numbers, or an empty list if the text is invalid: if (1) a word is not a decimal number,
-        (2) there are more or fewer than `count` words, or (3) float64 would round a nonzero number
-        to 0.
+        The numbers.  The list is empty if the text does not consist of exactly `count` decimal
+        numbers, or if float64 would round a nonzero number to 0.
     """
     words = text.split()
     try:
@@ -92,7 +91,7 @@ class Column:
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append a row with the numbers of the next object, which come from one XML element.
+        """Append the numbers of the next object as a row.
 
         Parameters
         ----------
@@ -101,7 +100,7 @@ class Column:
         line : int
             Line of the element in the file, or 0 if the element is absent.
         tag : str
-            Tag of the element, or any of its allowed tags if the element is absent.
+            Tag of the element, or any allowed tag if the element is absent.
         """
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
@@ -112,13 +111,13 @@ class Column:
         return np.reshape(self.numbers, (-1, self.validator.count))
 
     def list_values(self) -> Iterable[Any]:
-        """Return the value of the field in each row, in the form that the dataclass stores.
+        """List the value of the field in each row, in the form that the dataclass stores.
 
         Returns
         -------
         values : iterable
             A tuple of floats for each row, or a float if the field consists of one number.  If the
-            element is absent in all rows, the field's default for each row.
+            element is absent in all rows, each value is the field's default.
         """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
@@ -160,12 +159,12 @@ class Table:
         self.shader_index, self.shader_lines = array("i"), array("i")
 
     def to_arrays(self) -> dict[str, Floats]:
-        """Copy all numbers into float arrays, one for each field, with one row per object.
+        """Copy all numbers into float arrays: one array per field, one row per object.
 
         Returns
         -------
         arrays : dict of str to (n, count) float array
-            For each field name, the numbers of this field in n objects.
+            For each field name, the values of this field in n objects.
         """
         return {name: column.to_array() for name, column in self.columns.items()}
 

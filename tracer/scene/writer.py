@@ -37,14 +37,14 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
         target.writelines(lines)
         return
     path = os.fsdecode(target)
-    if os.path.isfile(path) and os.path.getsize(path) and not _is_scene(path):
+    if os.path.isfile(path) and os.path.getsize(path) and not _is_scene_file(path):
         raise FileExistsError(errno.EEXIST, "a file of another kind is there", path)
     with open_atomically(path, b"") as file:
         file.writelines(lines)
 
 
-def _is_scene(path: str) -> bool:
-    """Test whether the root element of a file is that of a scene file.
+def _is_scene_file(path: str) -> bool:
+    """Test whether a file is a scene file.
 
     Mitsuba's scene files have the same root element, but with an attribute `version`.
 
@@ -55,9 +55,8 @@ def _is_scene(path: str) -> bool:
 
     Returns
     -------
-    is_scene : bool
-        True if the root element is <scene> without the attribute `version`; False if it is another
-        element, or the file is not XML.
+    is_scene_file : bool
+        True if the file is XML, and its root element is <scene> without the attribute `version`.
 
     Raises
     ------

@@ -98,39 +98,36 @@ class Packets(NamedTuple):
     radius: Floats
     is_lit: Bools
 
-    def replace_by_children(self, columns: Ints) -> Ints:
-        """Replace each column that refers to a packet by one column per child of the packet.
+    def replace_by_children(self, packet_columns: Ints) -> Ints:
+        """Repeat each column for all children of its packet, and replace the packet by the child.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
         Parameters
         ----------
-        columns : (2, k) or (3, k) int array
-            Row 0 contains light indices, row 1 indices of packets of this level, and row 2, if
-            there is one, object indices.
+        packet_columns : (2, k) or (3, k) int array
+            Each column contains a light index, a packet index, and possibly an object index.
 
         Returns
         -------
-        expanded : (2, j) or (3, j) int array
-            One column for each of j children.  Row 1 contains the index of the child; the other
-            rows repeat the values of its packet.
+        child_columns : (2, j) or (3, j) int array
+            One column for each child, with the index of the child in place of the packet's.
         """
-        packet_index = columns[1]
+        packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
         parent_column, child_index = enumerate_ranges(child_count, child_start)
-        expanded = columns.take(parent_column, axis=1)
-        expanded[1] = child_index
-        return expanded
+        child_columns = packet_columns.take(parent_column, axis=1)
+        child_columns[1] = child_index
+        return child_columns
 
 
 def _find_occluders(
     hits: Hits, lights: Lights, faces_light: Bools, footprint: Floats | None = None
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
-    """Find the (light, hit, object) triples that need an exact shadow test.
+    """Find the objects that may block the light at each hit.
 
-    Triples whose object certainly does not block the segment from the hit to the light are
-    excluded.  Hits that are certainly in shadow are returned separately: those in a packet (a group
-    of neighbouring hits) that a single object shades entirely.
+    Hits that are certainly in shadow are yielded separately: those in a packet (a group of
+    neighbouring hits) that a single object shades entirely.
 
     Parameters
     ----------
@@ -141,36 +138,36 @@ def _find_occluders(
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.  Most other pairs are skipped.
     footprint : (n,) float array, optional
-        If given, also find the objects that block a segment to the light from any surface point
-        within this distance of the hit.
+        If given, also find the objects that may block the light at any surface point within this
+        distance of the hit.
 
     Yields
     ------
     shape : Spheres or Boxes
         The shape of all objects in the batch.
-    triples : (3, k) int array
+    candidates : (3, k) int array
         Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
         Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow, with
-        all points within `footprint` of them.  Later batches exclude these pairs.
+        all points within `footprint` of the hit.
     """
     if lights.grid is None or not faces_light.any():
         return
     levels = build_packet_levels(hits, faces_light, footprint)
-    for shape, triples in _query_grid(lights.grid, levels[0], hits.prepared.shapes):
+    for shape, candidates in _query_grid(lights.grid, levels[0], hits.prepared.shapes):
         shaded_pairs = np.zeros((2, 0), dtype=np.intp)
         for packets in levels:
-            triples, shaded_packets = _test_packets(packets, lights, shape, triples)
+            candidates, shaded_packets = _test_packets(packets, lights, shape, candidates)
             shaded_pairs = np.concatenate([shaded_pairs, shaded_packets], axis=1)
-            triples, shaded_pairs = map(packets.replace_by_children, (triples, shaded_pairs))
-        yield shape, triples, shaded_pairs
+            candidates, shaded_pairs = map(packets.replace_by_children, (candidates, shaded_pairs))
+        yield shape, candidates, shaded_pairs
 
 
 def _query_grid(
     grid: LightGrid, packets: Packets, shapes: Iterable[Shape]
 ) -> Iterator[tuple[Shape, Ints]]:
-    """Yield batches of the objects that may lie between packets and lights.
+    """Find the objects that may lie between packets and lights, in batches.
 
     A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
     structure that lists the objects that may lie between such a sphere and a light.
@@ -180,8 +177,7 @@ def _query_grid(
     grid : LightGrid
         The light grid of the lights.
     packets : Packets
-        The packets.  A (light, packet) pair is skipped if `packets.is_lit` is False when its batch
-        begins.
+        The packets.  Pairs of a light and a packet are skipped if `packets.is_lit` is False.
     shapes : iterable of Spheres and Boxes
         All objects, grouped by shape.
 
@@ -189,62 +185,62 @@ def _query_grid(
     ------
     shape : Spheres or Boxes
         The shape of all objects in the batch.
-    triples : (3, k) int array
+    candidates : (3, k) int array
         Row 0 contains light indices, row 1 packet indices, and row 2 indices of objects that may
         lie between the packet and the light.
     """
     for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
-        queried_packets = slice(start, start + _PACKETS_PER_QUERY)
-        center, radius = packets.center[:, queried_packets], packets.radius[queried_packets]
-        own_object = packets.object_index[queried_packets]
-        for triples in grid.query(center, radius, own_object, packets.is_lit[:, queried_packets]):
-            triples[1] += start
+        packet_slice = slice(start, start + _PACKETS_PER_QUERY)
+        center, radius = packets.center[:, packet_slice], packets.radius[packet_slice]
+        own_object, is_lit = packets.object_index[packet_slice], packets.is_lit[:, packet_slice]
+        for candidates in grid.query(center, radius, own_object, is_lit):
+            candidates[1] += start
             for shape in shapes:
-                shape_triples = triples.take(indices(shape.objects.contains(triples[2])), axis=1)
-                for batch in batches(packets.child_count[shape_triples[1]]):
-                    yield shape, shape_triples[:, batch]
+                group = candidates.take(indices(shape.objects.contains(candidates[2])), axis=1)
+                for batch in batches(packets.child_count[group[1]]):
+                    yield shape, group[:, batch]
 
 
 def _test_packets(
-    packets: Packets, lights: Lights, shape: Shape, triples: Ints
+    packets: Packets, lights: Lights, shape: Shape, candidates: Ints
 ) -> tuple[Ints, Ints]:
-    """Find packets that are in shadow entirely, and objects that may shade a part of a packet.
+    """Find the packets that a single object shades, and the objects that may shade other packets.
 
-    A packet is a group of neighbouring hits; its capsule contains the segments from all its hits to
-    a light.  An object shades no hit of the packet if it misses the capsule, and all hits if it
-    cuts right through the capsule.
+    A packet is a group of neighbouring hits.  A capsule contains the segments from all these hits
+    to a light.  An object that misses the capsule shades no hit of the packet; an object that cuts
+    right through the capsule shades all hits.
 
     Parameters
     ----------
     packets : Packets
-        All packets of one level.  If a packet is in shadow entirely, this function sets
-        `packets.is_lit` to False for the packet and the light.
+        The packets.  If an object shades all hits of a packet, this function sets `packets.is_lit`
+        to False for the packet and the light.
     lights : Lights
         The lights.
     shape : Spheres or Boxes
-        The shape of all objects in `triples`.
-    triples : (3, k) int array
+        The shape of all objects in `candidates`.
+    candidates : (3, k) int array
         Row 0 contains light indices, row 1 packet indices, and row 2 object indices.
 
     Returns
     -------
-    undecided : (3, j) int array
-        The columns of `triples` whose object may shade a part of the packet; packets that another
-        object shades entirely are excluded.
+    undecided_candidates : (3, j) int array
+        The columns of `candidates` whose object may shade some hits of the packet.  Packets that
+        an object shades entirely are excluded.
     shaded_packets : (2, i) int array
         Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
     """
     # An object in an earlier batch may shade the whole packet.
-    triples = triples.take(indices(take_2d(packets.is_lit, triples[0], triples[1])), axis=1)
-    light_index, packet_index, object_index = triples
+    candidates = candidates.take(indices(take_2d(packets.is_lit, *candidates[:2])), axis=1)
+    light_index, packet_index, object_index = candidates
     center, radius = take3(packets.center, packet_index), packets.radius[packet_index]
     light_position = take3(lights.position.T, light_index)
     may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
-    shaded_packets = triples[:2].take(indices(blocks_all), axis=1)
+    shaded_packets = candidates[:2].take(indices(blocks_all), axis=1)
     put_2d(packets.is_lit, shaded_packets[0], shaded_packets[1], False)
     # Another object in this batch may shade the whole packet.
     is_undecided = may_block & take_2d(packets.is_lit, light_index, packet_index)
-    return triples.take(indices(is_undecided), axis=1), shaded_packets
+    return candidates.take(indices(is_undecided), axis=1), shaded_packets
 
 
 class _EdgeSet:
@@ -271,9 +267,7 @@ class _EdgeSet:
         self._shape, self._keys = shape, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
-        """Add shadow edges to the set, but ignore those of crowded hits.
-
-        A hit is crowded if more than `_MAX_EDGES_PER_HIT` edges of one light may pass near it.
+        """Add shadow edges to the set, except edges of (light, hit) pairs that have too many.
 
         Parameters
         ----------
@@ -302,25 +296,24 @@ class _EdgeSet:
         return np.array(np.unravel_index(self._keys[0], self._shape))
 
     def _remove_duplicates(self) -> None:
-        """Sort the keys of shadow edges, and remove duplicates and the edges of crowded hits.
+        """Sort the keys of shadow edges, and remove duplicates and the edges of crowded pairs.
 
-        Each key is an integer that encodes a light, a hit and an occluder.  A hit is crowded if
-        more than `_MAX_EDGES_PER_HIT` shadow edges of one light may pass near it.  Such (light,
-        hit) pairs are recorded in `is_crowded`.
+        A key is an integer that encodes a light, a hit and an occluder.  A (light, hit) pair with
+        more than `_MAX_EDGES_PER_HIT` edges is crowded, and is recorded in `is_crowded`.
         """
         keys = np.unique(np.concatenate(self._keys))
         pair_key = keys // self._shape[2]  # encodes the light and the hit
-        run_start, edge_count = find_runs(pair_key)
-        is_run_crowded = edge_count > _MAX_EDGES_PER_HIT
-        self.is_crowded.ravel()[pair_key[run_start[is_run_crowded]]] = True
-        self._keys = [keys[~is_run_crowded.repeat(edge_count)]]
+        pair_start, edge_count = find_runs(pair_key)
+        is_pair_crowded = edge_count > _MAX_EDGES_PER_HIT
+        self.is_crowded.ravel()[pair_key[pair_start[is_pair_crowded]]] = True
+        self._keys = [keys[~is_pair_crowded.repeat(edge_count)]]
 
 
 def is_occluded(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
-    """Test whether an object blocks the straight segment between each hit and each light.
+    """Test whether each hit is in the shadow of another object, for each light.
 
-    The object on which the hit lies is not tested.  It blocks the light only if the surface faces
-    away from the light, where `faces_light` is False.
+    The object on which the hit lies is not tested.  This object blocks the light only where
+    `faces_light` is False.
 
     Parameters
     ----------
@@ -334,11 +327,12 @@ def is_occluded(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     Returns
     -------
     is_blocked : (lights, n) bool array
-        Whether an object blocks the segment; meaningless where `faces_light` is False.
+        Whether an object blocks the straight segment from the hit to the light; meaningless where
+        `faces_light` is False.
     """
     is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
-    for shape, triples, shaded_pairs in _find_occluders(hits, lights, faces_light):
-        light_index, hit_index, _ = triples[:, _test_segments(hits, lights, shape, triples)]
+    for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light):
+        light_index, hit_index, _ = candidates[:, _test_segments(hits, lights, shape, candidates)]
         put_2d(is_blocked, light_index, hit_index, True)
         put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
     return is_blocked
@@ -349,9 +343,9 @@ def find_shadow_edges(
 ) -> tuple[Bools, Ints, Bools]:
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
-    An edge is near a hit if it may cross the hit's footprint: the part of the surface, around the
-    hit, that is visible in a cell of the picture.  If one object shades the whole footprint from a
-    light, the edges of other shadows of this light are invisible there, and are excluded.
+    An edge is near a hit if it may cross the footprint of the hit: the small part of the surface
+    that is visible in one cell of the picture (a pixel or a part of it).  An edge is not visible
+    where an object shades the whole footprint from the same light.
 
     Parameters
     ----------
@@ -369,36 +363,35 @@ def find_shadow_edges(
     is_blocked : (lights, n) bool array
         Whether an object other than the hit's own blocks the segment from the hit to the light;
         meaningless where `faces_light` is False.
-    edge_triples : (3, m) int array
+    edges : (3, m) int array
         The visible edges, sorted by light, then by hit, then by occluder.  Row 0 contains light
-        indices, row 1 hit indices, and row 2 occluder indices.  If a hit has more than
-        `_MAX_EDGES_PER_HIT` edges of one light, these edges are omitted.
+        indices, row 1 hit indices, and row 2 occluder indices.  Edges of crowded hits are omitted.
     is_crowded : (n,) bool array
-        Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of one light.
+        Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of any one light.
     """
     is_blocked, in_umbra = np.zeros((2, *faces_light.shape), dtype=np.bool_)
     edge_set = _EdgeSet((*faces_light.shape, hits.prepared.position_error.size))
-    for shape, triples, shaded_pairs in _find_occluders(hits, lights, faces_light, footprint):
-        results = _test_footprints(hits, lights, shape, triples, footprint)
-        triples, blocks, covers, has_edge = results
-        put_2d(is_blocked, triples[0, blocks], triples[1, blocks], True)
-        put_2d(in_umbra, triples[0, covers], triples[1, covers], True)
+    for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, footprint):
+        results = _test_footprints(hits, lights, shape, candidates, footprint)
+        candidates, blocks, covers, has_edge = results
+        put_2d(is_blocked, candidates[0, blocks], candidates[1, blocks], True)
+        put_2d(in_umbra, candidates[0, covers], candidates[1, covers], True)
         put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
-        edge_set.add(triples[:, has_edge & take_2d(faces_light, triples[0], triples[1])])
-    edge_triples = edge_set.distinct()
-    is_visible = ~take_2d(in_umbra, edge_triples[0], edge_triples[1])
+        edge_set.add(candidates[:, has_edge & take_2d(faces_light, candidates[0], candidates[1])])
+    edges = edge_set.distinct()
+    is_visible = ~take_2d(in_umbra, edges[0], edges[1])
     is_crowded = np.any(edge_set.is_crowded & ~in_umbra, axis=0)
-    return is_blocked | in_umbra, edge_triples[:, is_visible], is_crowded
+    return is_blocked | in_umbra, edges[:, is_visible], is_crowded
 
 
 def _test_footprints(
-    hits: Hits, lights: Lights, shape: Shape, triples: Ints, footprint: Floats
+    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, footprint: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test whether each object shades its hit, and all or part of the footprint of the hit.
+    """Test whether each object shades its hit, and whether it shades the footprint of the hit.
 
-    The footprint is the part of the surface, around the hit, that is visible in a cell of the
+    The footprint is the part of the surface, around the hit, that is visible in one cell of the
     picture.  Each object is tested unchanged, grown by the radius of the footprint, and shrunk by
-    this radius.  The first row of this table that matches determines the result:
+    this radius.  The first row of this table that applies determines the result:
 
     ===================  ======================================  ======================
     shadow in footprint  condition                               result
@@ -413,26 +406,25 @@ def _test_footprints(
     nowhere              otherwise                               all False
     ===================  ======================================  ======================
 
-    The first row also tests the unchanged object, because a hit inside the object may be outside
-    the shrunk object, which then seems to block light from within the object.  The first row
-    excludes lights on the surface: such a light reaches one side of the tangent plane at the light,
-    and this plane may cross the footprint.
+    The shrunk object alone is not enough: if the hit is inside the object but outside the shrunk
+    object, the shrunk object may seem to block the light.  A light on the object's surface shines
+    on only one side of the tangent plane at the light, and this plane may cross the footprint.
 
     Parameters
     ----------
     hits, lights : Hits, Lights
         All hits and all lights.
     shape : Spheres or Boxes
-        The shape of all objects in `triples`.
-    triples : (3, k) int array
+        The shape of all objects in `candidates`.
+    candidates : (3, k) int array
         Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     footprint : (n,) float array
         Radius of the footprint of each hit, in the scene's unit of length.
 
     Returns
     -------
-    near_triples : (3, j) int array
-        The columns of `triples` whose object may shade any part of the footprint.
+    near_candidates : (3, j) int array
+        The columns of `candidates` whose object may shade any part of the footprint.
     blocks : (j,) bool array
         Whether the object blocks the segment from the hit to the light.
     covers : (j,) bool array
@@ -440,43 +432,43 @@ def _test_footprints(
     has_edge : (j,) bool array
         Whether the edge of the object's shadow may cross the footprint.
     """
-    radius = footprint[triples[1]]
-    grown_blocks = _test_segments(hits, lights, shape, triples, radius)
+    radius = footprint[candidates[1]]
+    grown_blocks = _test_segments(hits, lights, shape, candidates, radius)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
-    light_distance = shape.signed_distance(triples[2], take3(lights.position.T, triples[0]))
+    light_distance = shape.signed_distance(candidates[2], take3(lights.position.T, candidates[0]))
     near_index = indices(grown_blocks | (light_distance <= radius))
-    near_triples = triples.take(near_index, axis=1)
+    near_candidates = candidates.take(near_index, axis=1)
     radius, light_distance = radius[near_index], light_distance[near_index]
-    blocks = _test_segments(hits, lights, shape, near_triples)
-    covers = blocks & _test_segments(hits, lights, shape, near_triples, -radius)
-    covers &= take_2d(lights.side, near_triples[0], near_triples[2]) != ON
+    blocks = _test_segments(hits, lights, shape, near_candidates)
+    covers = blocks & _test_segments(hits, lights, shape, near_candidates, -radius)
+    covers &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
     has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= radius))
-    return near_triples, blocks, covers, has_edge
+    return near_candidates, blocks, covers, has_edge
 
 
 def _test_segments(
-    hits: Hits, lights: Lights, shape: Shape, triples: Ints, growth: Floats | None = None
+    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, growth: Floats | None = None
 ) -> Bools:
-    """Test exactly whether objects block the segments from hits to lights.
+    """Test exactly whether each object blocks the segment from its hit to its light.
 
     Parameters
     ----------
     hits, lights : Hits, Lights
         All hits and all lights.
     shape : Spheres or Boxes
-        The shape of all objects in `triples`.
-    triples : (3, k) int array
+        The shape of all objects in `candidates`.
+    candidates : (3, k) int array
         Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     growth : (k,) float array, optional
-        Distance by which to grow each object before the test; negative to shrink it.
+        Distance by which to grow each object before the test; a negative distance shrinks it.
 
     Returns
     -------
     blocks : (k,) bool array
         Whether the object blocks the segment from the hit to the light.
     """
-    light_index, hit_index, object_index = triples
+    light_index, hit_index, object_index = candidates
     light_position = take3(lights.position.T, light_index)
     light_side = take_2d(lights.side, light_index, object_index)
     hit_position = hits.points(hit_index)
@@ -484,10 +476,11 @@ def _test_segments(
 
 
 def build_packet_levels(hits: Hits, faces_light: Bools, footprint: Floats | None) -> list[Packets]:
-    """Group hits into row packets and, if objects are large, row packets into square packets.
+    """Group neighbouring hits into packets, on one or two levels.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
     row packet are consecutive in one row of samples.  A square packet consists of row packets.
+    Square packets are built only if objects are large in the picture.
 
     Parameters
     ----------
@@ -517,8 +510,8 @@ def _build_row_packets(
 ) -> Packets:
     """Divide runs of hits into row packets of at most `max_hits` hits.
 
-    A run consists of consecutive hits on the same object, in one row of samples.  Its last packet
-    may have fewer hits than the others.
+    A run consists of consecutive hits on the same object, in one row of samples.  The last packet
+    of a run may have fewer hits than the others.
 
     Parameters
     ----------
@@ -534,8 +527,8 @@ def _build_row_packets(
     Returns
     -------
     row_packets : Packets
-        The packets, in the order of the hits.  A packet counts as lit by a light if the surface at
-        any of its hits faces the light.
+        The packets, in the order of the hits.  `is_lit` is True if the surface at any hit of the
+        packet faces the light.
     """
     run_size = np.diff(hits.run_start)
     run_index, first_in_run = enumerate_ranges(-(-run_size // max_hits))
@@ -554,15 +547,11 @@ def _build_row_packets(
 def _build_square_packets(
     hits: Hits, row_packets: Packets, square_width: float
 ) -> tuple[Packets, Packets]:
-    """Group row packets on one object, in one square of the picture, into square packets.
+    """Group row packets into square packets.
 
-    A row packet is a group of hits that are consecutive in one row of samples.  Row packets belong
-    to the same square packet if
-
-    1. they lie on the same object,
-    2. their first hits are in the same square of the picture, and
-    3. their first hits are in the same layer of depth, because a bounding sphere around hits at
-       very different depths would be large.
+    A row packet is a group of hits that are consecutive in one row of samples.  The row packets of
+    a square packet lie on the same object, in the same square of the picture, and at similar
+    depths.  So the hits of a square packet are close together.
 
     Parameters
     ----------
@@ -597,18 +586,12 @@ def _build_square_packets(
 def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floats]:
     """Compute a bounding sphere for each of m groups of consecutive hits.
 
-    The sphere encloses the bounding box of the group's hits in camera axes.  If the hits are known
-    to lie on a straight line or a short arc, the segment from the first hit to the last is the
-    diameter of the sphere instead.
-
     Parameters
     ----------
     hits : Hits
-        All hits.  Each hit belongs to one group.  The hits of one group lie on the same object, in
-        the same row of samples.
+        All hits.  The hits of one group lie on the same object, in the same row of samples.
     first_hit : (m,) int array
-        Index of the first hit of each group.  A group ends where the next one starts; the last one
-        ends with the last hit.
+        Index of the first hit of each group.  A group ends before the first hit of the next group.
 
     Returns
     -------
@@ -618,15 +601,16 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
         Radii of the spheres.
     """
     if isinstance(hits.samples, Scattered) or hits.prepared.spheres.is_eye_inside.any():
+        # The sphere encloses the bounding box of the hits.
         corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
-        opposite = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
+        opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     else:
-        # Hits in one row of samples lie on a straight line, or on an arc of less than half a
-        # circle.  A sphere whose diameter is the segment from the first to the last contains both.
+        # The hits lie on a straight line, or on an arc of less than half a circle.  The sphere
+        # whose diameter is the segment from the first hit to the last contains either.
         last_hit = np.append(first_hit[1:], hits.from_eye.shape[1]) - 1
         corner = hits.from_eye.take(first_hit, axis=1)
-        opposite = hits.from_eye.take(last_hit, axis=1)
-    half_diagonal = 0.5 * (opposite - corner)
+        opposite_corner = hits.from_eye.take(last_hit, axis=1)
+    half_diagonal = 0.5 * (opposite_corner - corner)
     center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
@@ -635,15 +619,15 @@ def _merge_row_packets(row_packets: Packets, first_child: Ints, child_count: Int
     """Merge consecutive row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
-    of a square packet contains the bounding spheres of its row packets.  A square packet is lit by
-    a light if at least one of its row packets is lit by this light.
+    of a square packet contains the bounding spheres of its row packets.  A light illuminates a
+    square packet if it illuminates at least one of its row packets.
 
     Parameters
     ----------
     row_packets : Packets
         All row packets, sorted so that those of one square packet are consecutive.
     first_child, child_count : (m,) int arrays
-        Index of the first row packet, and number of row packets, in each square packet.
+        For each square packet, the index of its first row packet, and the number of row packets.
 
     Returns
     -------

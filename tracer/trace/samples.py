@@ -2,8 +2,7 @@
 
 There are two kinds of samples: `Rows` of equally spaced samples, and `Scattered` samples at
 arbitrary positions.  Both find all pairs of a sample and an object that the ray through the sample
-may meet.  For this purpose, `find_object_spans` computes which part of each row of the picture is
-covered by each object.
+may meet.  For this purpose, `find_object_spans` computes which part of a row each object covers.
 """
 
 from __future__ import annotations
@@ -19,28 +18,27 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Spans are widened by this many pixels on both sides: far more than their rounding errors.
 _SPAN_PADDING = 0.5
 
-# Each scattered sample is sorted by a single number if all these numbers are smaller than this, so
-# that their rounding errors are less than 1e-4 pixels.
-_MAX_SINGLE_KEY = 2.0**39
+# Maximum magnitude of the numbers by which scattered samples are sorted.  At this magnitude, the
+# rounding errors are less than 1e-4 pixels.
+_MAX_ROUGH_KEY = 2.0**39
 
-# Scattered samples are sorted along a row if they are at most this many pixels from the left border
+# Scattered samples are sorted along a row if they are at most this many pixels from the left edge
 # of the picture.  Samples farther away are treated as equally far, so they are tested with more
-# objects than necessary.  A power of two: see `_sort_key`.
+# objects than necessary.  A power of two: see `_encode_position`.
 _MAX_SORTED_X = 2.0**20
 
 
 def find_object_spans(
     shape: Shape,
     scene: PreparedScene,
-    rows: Floats,
-    columns: tuple[float, float],
+    row_top: Floats,
+    x_range: tuple[float, float],
     height: float = 0.0,
     pad: float = 0.0,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Compute the part of each picture row that each object of one shape covers.
+    """Compute the spans that the objects of one shape cover in rows of the picture.
 
-    The part of one row that one object covers is called a span.  A span may be hidden by
-    other objects.
+    A span is the part of one row that one object covers.  Other objects may hide it.
 
     Parameters
     ----------
@@ -48,14 +46,14 @@ def find_object_spans(
         The objects.
     scene : PreparedScene
         The scene, with bounding rectangles of all objects in the picture.
-    rows : (rows,) float array
-        Top edge of each row, in pixels from the top of the picture, in ascending order.
-    columns : (float, float)
+    row_top : (rows,) float array
+        Distance of each row from the top of the picture, in pixels, in ascending order.
+    x_range : (float, float)
         Horizontal interval, in pixels from the left edge of the picture.  Objects entirely
         outside this interval are skipped.
     height : float
-        Height of the rows, in pixels.  If it is 0, each row is a line, and the spans are exact
-        except for rounding errors.
+        Height of the rows, in pixels.  A row of height 0 is a line.  Its spans are exact except
+        for rounding errors.
     pad : float
         Number of pixels by which to widen the spans on both sides.
 
@@ -64,18 +62,18 @@ def find_object_spans(
     object_index : (n,) int array
         Index of each span's object among all objects of the scene.
     row : (n,) int array
-        Index of each span's row in `rows`.
+        Index of each span's row in `row_top`.
     left, right : (n,) float arrays
         Ends of each span, in pixels from the left edge of the picture; left <= right.
     """
     bounds = scene.bounds.take(shape.objects.slice)
-    candidate = indices((bounds.left - pad <= columns[1]) & (bounds.right + pad >= columns[0]))
-    first_row = rows.searchsorted(bounds.top[candidate] - pad - height)
-    stop_row = rows.searchsorted(bounds.bottom[candidate] + pad, side="right")
+    candidate = indices((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
+    first_row = row_top.searchsorted(bounds.top[candidate] - pad - height)
+    stop_row = row_top.searchsorted(bounds.bottom[candidate] + pad, side="right")
     span_candidate, row = enumerate_ranges(np.maximum(stop_row - first_row, 0), first_row)
     position = candidate[span_candidate]
     object_index = position + shape.objects.start
-    left, right = shape.row_extent(object_index, rows[row], height)
+    left, right = shape.row_extent(object_index, row_top[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
     kept_span = indices(left <= right)
     return object_index[kept_span], row[kept_span], left[kept_span] - pad, right[kept_span] + pad
@@ -95,7 +93,7 @@ class Rows(NamedTuple):
     shift : (rows,) float array
         Distance by which the samples of each row are shifted to the right.
     per_pixel : (int, int)
-        Numbers of columns and rows of samples in a pixel.
+        Numbers of samples in a pixel along x and along y.
     """
 
     y: Floats
@@ -110,13 +108,12 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Weighted geometric mean of the numbers of columns and rows of samples in a pixel.
+        """Effective number of samples across a pixel, for groups of neighbouring hits.
 
-        It determines the size of packets (groups of neighbouring hits).  Most packets lie along a
-        row, so the number of columns has more weight.
+        Most groups lie along a row, so the number of samples along x has more weight.
         """
-        columns, rows = self.per_pixel
-        return float(columns**0.75 * rows**0.25)
+        x_count, y_count = self.per_pixel
+        return float(x_count**0.75 * y_count**0.25)
 
     def ray_right(self, frame: CameraFrame) -> Floats:
         """Compute the rightward component of the ray through each of n samples.
@@ -145,16 +142,16 @@ class Rows(NamedTuple):
         Returns
         -------
         x, y : (k,) float arrays
-            Distances of the samples from the left and upper borders of the picture, in pixels.
+            Distances of the samples from the left and upper edges of the picture, in pixels.
         """
         row, column = np.divmod(sample_index, self.x.size)
         return self.x[column] + self.shift[row], self.y[row]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
-        """Find the samples at which each object of one shape may be visible.
+        """Find the samples at which the objects of one shape may be visible.
 
-        The samples are grouped into spans: consecutive samples in one row at which the same object
-        may be visible.
+        The result consists of spans: consecutive samples in one row at which the same object may be
+        visible.
 
         Parameters
         ----------
@@ -171,17 +168,17 @@ class Rows(NamedTuple):
             Index of each span's row in `y`.
         first_sample : (spans,) int array
             Index of each span's first sample.
-        count : (spans,) int array
+        sample_count : (spans,) int array
             Number of samples in each span, possibly 0.
         """
-        columns, per_pixel = self.x.size, self.per_pixel[0]
+        row_size, x_density = self.x.size, self.per_pixel[0]
         object_index, row, left, right = find_object_spans(
-            shape, scene, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
+            shape, scene, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / x_density
         )
         first_x = self.x[0] + self.shift[row]
-        start = np.ceil((left - first_x) * per_pixel).clip(0, columns).astype(np.intp)
-        stop = (np.floor((right - first_x) * per_pixel) + 1).clip(0, columns).astype(np.intp)
-        return object_index, row, row * columns + start, np.maximum(stop - start, 0)
+        start = np.ceil((left - first_x) * x_density).clip(0, row_size).astype(np.intp)
+        stop = (np.floor((right - first_x) * x_density) + 1).clip(0, row_size).astype(np.intp)
+        return object_index, row, row * row_size + start, np.maximum(stop - start, 0)
 
 
 class Scattered(NamedTuple):
@@ -196,9 +193,8 @@ class Scattered(NamedTuple):
     row_start : (rows,) int array
         Index of the first sample in each row of pixels.  Rows without samples are omitted.
     key : (n,) float array
-        A number that encodes the row and x of each sample: see `_sort_key`.  The numbers are in
-        ascending order, except for rounding errors that are negligible compared with
-        `_SPAN_PADDING`.
+        A number that encodes the row and x of each sample: see `_encode_position`.  The numbers are
+        in ascending order, except for rounding errors much smaller than `_SPAN_PADDING`.
     """
 
     y: Floats
@@ -208,13 +204,12 @@ class Scattered(NamedTuple):
 
     @classmethod
     def from_positions(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
-        """Create sorted samples from positions in the picture in any order.
+        """Sort positions in the picture by row of pixels, and then by x.
 
         Parameters
         ----------
         x, y : (n,) float arrays
-            Finite positions in any order, in pixels from the left border and from the upper border
-            of the picture.
+            Finite positions in any order, in pixels from the left and upper edges of the picture.
 
         Returns
         -------
@@ -224,15 +219,15 @@ class Scattered(NamedTuple):
             Sample i is at the position (x[order[i]], y[order[i]]).
         """
         row = np.floor(y)
-        # Sorting by a single number is faster, but large numbers have large rounding errors.
-        single_key = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
-        if np.abs(single_key).max(initial=0) < _MAX_SINGLE_KEY:
-            order = single_key.argsort(kind="stable")
+        # Sorting by one number is faster than by two, but large numbers have large rounding errors.
+        row_and_x = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
+        if np.abs(row_and_x).max(initial=0) < _MAX_ROUGH_KEY:
+            order = row_and_x.argsort(kind="stable")
         else:
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
         is_row_start = mark_run_starts(np.floor(y))
-        return cls(y, x, indices(is_row_start), _sort_key(is_row_start.cumsum(), x)), order
+        return cls(y, x, indices(is_row_start), _encode_position(is_row_start.cumsum(), x)), order
 
     @property
     def size(self) -> int:
@@ -241,7 +236,7 @@ class Scattered(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Assumed number of samples across a pixel: 1, because the real number is unknown."""
+        """Assumed number of samples across a pixel: 1, because the actual number is unknown."""
         return 1.0
 
     def ray_right(self, frame: CameraFrame) -> Floats:
@@ -271,14 +266,14 @@ class Scattered(NamedTuple):
         Returns
         -------
         x, y : (k,) float arrays
-            Distances of the samples from the left and upper borders of the picture, in pixels.
+            Distances of the samples from the left and upper edges of the picture, in pixels.
         """
         return self.x[sample_index], self.y[sample_index]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
-        """Find the samples at which each object of one shape may be visible.
+        """Find the samples at which the objects of one shape may be visible.
 
-        The result has the same form as that of `Rows.find_spans`, with one sample in each span.
+        The result has the same form as that of `Rows.find_spans`.  Each span has one sample.
 
         Parameters
         ----------
@@ -292,24 +287,24 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's only sample, returned twice: each scattered sample is a row of its
-            own, so that y[row] is the vertical position of the span.
-        count : None
+            Index of each span's only sample, returned twice.  The sample counts as a row, because
+            it has its own vertical position.
+        sample_count : None
             None means that each span has one sample.
         """
-        rows = np.floor(self.y[self.row_start])
-        columns = self.x.min(initial=0), self.x.max(initial=0)
+        row_top = np.floor(self.y[self.row_start])
+        x_range = self.x.min(initial=0), self.x.max(initial=0)
         object_index, row, left, right = find_object_spans(
-            shape, scene, rows, columns, height=1.0, pad=_SPAN_PADDING
+            shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING
         )
-        start = self.key.searchsorted(_sort_key(row + 1, left))
-        stop = self.key.searchsorted(_sort_key(row + 1, right), side="right")
+        start = self.key.searchsorted(_encode_position(row + 1, left))
+        stop = self.key.searchsorted(_encode_position(row + 1, right), side="right")
         span_index, sample_index = enumerate_ranges(np.maximum(stop - start, 0), start)
         return object_index[span_index], sample_index, sample_index, None
 
 
-def _sort_key(row: Ints, x: Floats) -> Floats:
-    """Encode positions as numbers that are ordered by row, and then by x.
+def _encode_position(row: Ints, x: Floats) -> Floats:
+    """Encode each position as a number that sorts by row, and then by x.
 
     Parameters
     ----------
@@ -322,7 +317,7 @@ def _sort_key(row: Ints, x: Floats) -> Floats:
     -------
     key : (n,) float array
         The number for each position.  Two positions may have equal numbers if they differ by very
-        little, or if both are farther from the left border than `_MAX_SORTED_X`.
+        little, or if both are farther from the left edge than `_MAX_SORTED_X`.
     """
     # The product is exact, so rounding never reverses the order of two positions.
     key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)

@@ -1,7 +1,7 @@
 """Visibility: which surface does the ray through each sample meet first?
 
 Each object is tested only with the rays through samples that it may cover in the picture.  Then the
-nearest of the intersections at each sample is selected.
+nearest intersection at each sample is selected.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
         One hit for each sample whose ray meets a surface; other samples have no hit.
     """
     groups = _intersect_objects(scene, samples)
-    visible = _select_visible(scene, groups, _find_nearest_distances(samples, groups))
-    return _build_hits(scene, samples, visible)
+    nearest_t = _find_nearest_distances(samples, groups)
+    return _build_hits(scene, samples, _select_visible(scene, groups, nearest_t))
 
 
 def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
@@ -58,20 +58,20 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
 
     Returns
     -------
-    nearest : Hits
+    nearest_hits : Hits
         One hit for each sample whose ray meets a surface, as from `find_nearest_hits`.
-    hidden : Hits
-        One hit for each object that the ray meets behind the nearest surface: any number of hits
-        for each sample.
+    hidden_hits : Hits
+        One hit for each object that the ray meets behind the nearest surface.  A sample may have
+        any number of hidden hits.
     """
     groups = _intersect_objects(scene, samples)
     nearest_t = _find_nearest_distances(samples, groups)
-    hidden = [
+    hidden_groups = [
         group.select((group.t > nearest_t.take(group.sample)) & (group.t < np.inf))
         for group in groups
     ]
-    visible = _select_visible(scene, groups, nearest_t)
-    return _build_hits(scene, samples, visible), _build_hits(scene, samples, hidden)
+    visible_groups = _select_visible(scene, groups, nearest_t)
+    return _build_hits(scene, samples, visible_groups), _build_hits(scene, samples, hidden_groups)
 
 
 class _Intersections(NamedTuple):
@@ -95,7 +95,7 @@ class _Intersections(NamedTuple):
     ray_right : (n,) float array
         Rightward component of the ray through the sample.
     t : (n,) float array
-        Distance of the object along the ray, in units of the length of the ray's direction;
+        Distance of the object along the ray, where 1 is the length of the ray's direction vector;
         infinity if the ray misses the object.
     hit_data : (n,) array
         Second result of `Spheres.intersect` or `Boxes.intersect`.
@@ -115,37 +115,36 @@ class _Intersections(NamedTuple):
         """Index (n,) of each pair's object, among all objects of the scene."""
         return repeat_runs(self.object_index, self.sample_count)
 
-    def select(self, mask: Bools) -> _Intersections:
-        """Keep only the (sample, object) pairs selected by a mask.
+    def select(self, is_selected: Bools) -> _Intersections:
+        """Select some of the (sample, object) pairs.
 
         Parameters
         ----------
-        mask : (n,) bool array
-            Whether to keep each pair.
+        is_selected : (n,) bool array
+            Whether to select each pair.
 
         Returns
         -------
-        kept : _Intersections
+        selection : _Intersections
             The selected pairs in the same order; this object itself if all pairs are selected.
         """
-        kept_pair = indices(mask)
-        if kept_pair.size == mask.size:
+        selected_pair = indices(is_selected)
+        if selected_pair.size == is_selected.size:
             return self
         shape, sample_count, object_index, ray_down, *pair_fields = self
         if sample_count is None:
-            object_index, ray_down = object_index.take(kept_pair), ray_down.take(kept_pair)
+            object_index, ray_down = object_index.take(selected_pair), ray_down.take(selected_pair)
         else:
-            sample_count = np.diff(kept_pair.searchsorted(sample_count.cumsum()), prepend=0)
-        pair_fields = [field.take(kept_pair) for field in pair_fields]
+            sample_count = np.diff(selected_pair.searchsorted(sample_count.cumsum()), prepend=0)
+        pair_fields = [field.take(selected_pair) for field in pair_fields]
         return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
         """Divide hits into runs, and return the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  Runs of scattered samples also end at the borders of strips that are `_RUN_WIDTH`
-        pixels wide and one pixel high, and at the borders of layers of depth (see
-        `CameraFrame.depth_layer`).
+        object.  For scattered samples, the hits of a run are also close together: in one row of
+        pixels, within `_RUN_WIDTH` pixels, and at similar depths.
 
         Parameters
         ----------
@@ -165,11 +164,11 @@ class _Intersections(NamedTuple):
         is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
             x, y = samples.positions(self.sample)
-            run_keys = np.floor(y), np.floor(x / _RUN_WIDTH), frame.depth_layer(depth, _RUN_WIDTH)
-            is_start |= mark_run_starts(self.object_index, *run_keys)
+            strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.depth_layer(depth, _RUN_WIDTH)
+            is_start |= mark_run_starts(self.object_index, np.floor(y), strip, depth_layer)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
-            is_start[1:] |= np.diff(self.sample) > 1  # a nearer object hides the object in between
+            is_start[1:] |= np.diff(self.sample) > 1  # a nearer object interrupts the run
         return indices(is_start)
 
 
@@ -186,17 +185,17 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     Returns
     -------
     groups : list of _Intersections
-        The (sample, object) pairs: one group for each shape.  The groups include pairs whose ray
-        misses the object.
+        The (sample, object) pairs, including pairs whose ray misses the object: one group for each
+        shape.
     """
     frame, groups = scene.frame, []
-    sample_right, row_down = samples.ray_right(frame), frame.ray_down(samples.y)
+    sample_ray_right, row_ray_down = samples.ray_right(frame), frame.ray_down(samples.y)
     for shape in scene.shapes:
         object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
-        ray_down, ray_right = row_down.take(row), sample_right.take(sample)
-        t_and_hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
-        fields = sample_count, object_index, ray_down, sample, ray_right, *t_and_hit_data
+        ray_down, ray_right = row_ray_down.take(row), sample_ray_right.take(sample)
+        t, hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
+        fields = sample_count, object_index, ray_down, sample, ray_right, t, hit_data
         groups.append(_Intersections(shape, *fields))
     return groups
 
@@ -214,8 +213,8 @@ def _find_nearest_distances(samples: Samples, groups: list[_Intersections]) -> F
     Returns
     -------
     nearest_t : (n,) float array
-        Distance in units of the length of the ray's direction; `_MAX_DISTANCE` if the ray meets no
-        surface.
+        Distance, where 1 is the length of the ray's direction vector; `_MAX_DISTANCE` if the ray
+        meets no surface.
     """
     nearest_t = np.full(samples.size, _MAX_DISTANCE)
     for group in groups:
@@ -239,25 +238,25 @@ def _select_visible(
 
     Returns
     -------
-    visible : list of _Intersections
+    visible_groups : list of _Intersections
         The nearest intersection at each sample, in the same groups.  If several objects are at the
         same distance, only the first one in the scene file is selected.
     """
-    visible = [group.select(group.t == nearest_t.take(group.sample)) for group in groups]
-    if sum(group.t.size for group in visible) == np.count_nonzero(nearest_t < _MAX_DISTANCE):
-        return visible  # no sample has two nearest intersections
+    visible_groups = [group.select(group.t == nearest_t.take(group.sample)) for group in groups]
+    if sum(group.t.size for group in visible_groups) == np.count_nonzero(nearest_t < _MAX_DISTANCE):
+        return visible_groups  # no sample has two nearest intersections
     file_index = scene.surfaces.file_index
-    first_in_file = np.full(nearest_t.size, file_index.size)
-    for group in visible:
-        np.minimum.at(first_in_file, group.sample, file_index.take(group.pair_object))
+    first_file_index = np.full(nearest_t.size, file_index.size)
+    for group in visible_groups:
+        np.minimum.at(first_file_index, group.sample, file_index.take(group.pair_object))
     return [
-        group.select(file_index.take(group.pair_object) == first_in_file.take(group.sample))
-        for group in visible
+        group.select(file_index.take(group.pair_object) == first_file_index.take(group.sample))
+        for group in visible_groups
     ]
 
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Convert intersections to hits: compute positions, runs and tangent planes.
+    """Compute the hits at intersections, with their positions and tangent planes.
 
     Parameters
     ----------
@@ -266,8 +265,7 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
     groups : list of _Intersections
-        The intersections of rays with objects: one group for each shape, without pairs whose ray
-        misses the object.
+        The intersections, without pairs whose ray misses the object: one group for each shape.
 
     Returns
     -------
@@ -276,7 +274,7 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
     """
     frame, groups = scene.frame, [group for group in groups if group.t.size]
     starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
-    from_eye, shape_hits, empty = np.empty((3, starts[-1])), [], np.zeros(0, dtype=np.intp)
+    from_eye, shape_hits, no_hits = np.empty((3, starts[-1])), [], np.zeros(0, dtype=np.intp)
     for group, start, end in zip(groups, starts, starts[1:], strict=False):
         group_from_eye = from_eye[:, start:end]
         ray_down = repeat_runs(group.ray_down, group.sample_count)
@@ -286,14 +284,14 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         run_length = np.diff(run_start, append=end - start)
         run_object = group.pair_object[run_start]
-        planes = group.shape.tangent_planes(
+        tangent_planes = group.shape.tangent_planes(
             run_object, run_length, group_from_eye, group.t, group.hit_data
         )
         interval = slice(start, end)
         shape_hits.append(
-            ShapeHits(group.shape, interval, group.sample, run_length, run_object, *planes)
+            ShapeHits(group.shape, interval, group.sample, run_length, run_object, *tangent_planes)
         )
-    run_start = np.concatenate([empty, [0], *(group.run_length for group in shape_hits)]).cumsum()
-    sample = np.concatenate([empty, *(group.sample for group in shape_hits)])
-    run_object = np.concatenate([empty, *(group.run_object for group in shape_hits)])
+    run_start = np.concatenate([no_hits, [0], *(group.run_length for group in shape_hits)]).cumsum()
+    sample = np.concatenate([no_hits, *(group.sample for group in shape_hits)])
+    run_object = np.concatenate([no_hits, *(group.run_object for group in shape_hits)])
     return Hits(scene, samples, from_eye, shape_hits, sample, run_start, run_object)
