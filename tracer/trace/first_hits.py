@@ -1,4 +1,4 @@
-"""First hits of the camera's rays, as the library reports them."""
+"""First hits of rays from the eye, as the library reports them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class FirstHits:
 
     @classmethod
     def from_hits(cls, hits: Hits) -> FirstHits:
-        """Convert the hits of n samples to arrays with one element for each sample.
+        """Arrange the hits of n samples in arrays with one element for each sample.
 
         Parameters
         ----------
@@ -55,9 +55,9 @@ class FirstHits:
             Surface, distance, normal and position for each sample, in the order of the samples.
             The arrays are (n,) or (n, 3).
         """
-        count, frame = hits.samples.size, hits.prepared.frame
-        surface, distance = np.full(count, -1), np.full(count, np.inf)
-        normal, point = np.full((2, count, 3), np.nan)
+        ray_count, frame = hits.samples.size, hits.prepared.frame
+        surface, distance = np.full(ray_count, -1), np.full(ray_count, np.inf)
+        normal, point = np.full((2, ray_count, 3), np.nan)
         surface[hits.sample] = hits.prepared.surfaces.file_index[hits.hit_object]
         distance[hits.sample] = hits.distance
         point[hits.sample] = np.transpose(hits.points(slice(None)))
@@ -72,7 +72,7 @@ class FirstHits:
 
 @np.errstate(all="ignore")
 def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = None) -> FirstHits:
-    """Find the first surface hit by the ray through each position of the picture.
+    """Find the first surface that the ray through each position in the picture hits.
 
     If several surfaces are at exactly the same distance, the first one in the scene file is hit.
 
@@ -81,15 +81,15 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     scene : Scene
         The scene.
     x, y : (...) array_like, optional
-        Positions in pixels to the right and down from the upper left corner of the picture: two
-        numbers, or two arrays of one shape.  The centre of the first pixel is at x = y = 0.5.
-        Positions outside of the picture are allowed.  The default is the centres of all pixels.
+        Distances from the left and upper edges of the picture, in pixels: two numbers, or two
+        arrays of the same shape.  The centre of the first pixel is at x = y = 0.5.  Positions
+        outside the picture are allowed.  By default, the centres of all pixels are used.
 
     Returns
     -------
     hits : FirstHits
-        Surface, distance, normal and position of each first hit.  The shape (...) of its arrays is
-        that of `x` and `y`; by default, (height, width).
+        Surface, distance, normal and position of each first hit.  The shape (...) is that of `x`
+        and `y`; by default, (height, width).
 
     Raises
     ------
@@ -103,17 +103,17 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     if x is None or y is None:
         y, x = np.indices((scene.height, scene.width)) + 0.5
     position_x, position_y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    shape, count = position_x.shape, position_x.size
+    shape, ray_count = position_x.shape, position_x.size
     if shape != position_y.shape:
-        raise ValueError(f"x and y must have one shape, have {shape} and {position_y.shape}")
+        raise ValueError(f"x and y must have the same shape, not {shape} and {position_y.shape}")
     position_x, position_y = position_x.ravel(), position_y.ravel()
     if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
     prepared_scene = PreparedScene(scene)
-    fields = np.empty(count, dtype=np.intp), np.empty(count), *np.empty((2, count, 3))
-    for batch in index_batches(np.arange(count), prepared_scene.batch_size(_RAYS_PER_BATCH)):
+    arrays = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
+    for batch in index_batches(np.arange(ray_count), prepared_scene.batch_size(_RAYS_PER_BATCH)):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
-        for array, values in zip(fields, vars(batch_hits).values(), strict=True):
+        for array, values in zip(arrays, vars(batch_hits).values(), strict=True):
             array[batch[order]] = values
-    return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in fields))
+    return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in arrays))
