@@ -11,7 +11,7 @@ shadow segment
     radius of the sphere.
 footprint
     The part of a surface, around a hit, that is visible in a cell of the picture (a pixel or a
-    square part of a pixel); also the radius of this part.
+    square part of a pixel).
 crowded
     A hit is crowded if more than `_MAX_EDGES_PER_HIT` shadow edges of one light may cross its
     footprint.
@@ -122,7 +122,7 @@ class Packets(NamedTuple):
 
 
 def _find_occluders(
-    hits: Hits, lights: Lights, faces_light: Bools, footprint: Floats | None = None
+    hits: Hits, lights: Lights, faces_light: Bools, margin: Floats | None = None
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
     """Find the objects that may block the light at each hit.
 
@@ -137,7 +137,7 @@ def _find_occluders(
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.  Most other pairs are skipped.
-    footprint : (n,) float array, optional
+    margin : (n,) float array, optional
         If given, also find the objects that may block the light at any surface point within this
         distance of the hit.
 
@@ -150,11 +150,11 @@ def _find_occluders(
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
         Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow, with
-        all points within `footprint` of the hit.
+        all points within `margin` of the hit.
     """
     if lights.grid is None or not faces_light.any():
         return
-    levels = build_packet_levels(hits, faces_light, footprint)
+    levels = build_packet_levels(hits, faces_light, margin)
     for shape, candidates in _query_grid(lights.grid, levels[0], hits.prepared.shapes):
         shaded_pairs = np.zeros((2, 0), dtype=np.intp)
         for packets in levels:
@@ -339,7 +339,7 @@ def is_occluded(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
 
 
 def find_shadow_edges(
-    hits: Hits, lights: Lights, faces_light: Bools, footprint: Floats
+    hits: Hits, lights: Lights, faces_light: Bools, radius: Floats
 ) -> tuple[Bools, Ints, Bools]:
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
@@ -355,7 +355,7 @@ def find_shadow_edges(
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
-    footprint : (n,) float array
+    radius : (n,) float array
         Radius of each footprint, in the scene's unit of length.
 
     Returns
@@ -371,8 +371,8 @@ def find_shadow_edges(
     """
     is_blocked, in_umbra = np.zeros((2, *faces_light.shape), dtype=np.bool_)
     edge_set = _EdgeSet((*faces_light.shape, hits.prepared.position_error.size))
-    for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, footprint):
-        results = _test_footprints(hits, lights, shape, candidates, footprint)
+    for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, radius):
+        results = _test_footprints(hits, lights, shape, candidates, radius)
         candidates, blocks, covers, has_edge = results
         put_2d(is_blocked, candidates[0, blocks], candidates[1, blocks], True)
         put_2d(in_umbra, candidates[0, covers], candidates[1, covers], True)
@@ -385,7 +385,7 @@ def find_shadow_edges(
 
 
 def _test_footprints(
-    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, footprint: Floats
+    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, radius: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
     """Test whether each object shades its hit, and whether it shades the footprint of the hit.
 
@@ -418,7 +418,7 @@ def _test_footprints(
         The shape of all objects in `candidates`.
     candidates : (3, k) int array
         Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
-    footprint : (n,) float array
+    radius : (n,) float array
         Radius of the footprint of each hit, in the scene's unit of length.
 
     Returns
@@ -432,18 +432,18 @@ def _test_footprints(
     has_edge : (j,) bool array
         Whether the edge of the object's shadow may cross the footprint.
     """
-    radius = footprint[candidates[1]]
-    grown_blocks = _test_segments(hits, lights, shape, candidates, radius)
+    growth = radius[candidates[1]]
+    grown_blocks = _test_segments(hits, lights, shape, candidates, growth)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
     light_distance = shape.signed_distance(candidates[2], take3(lights.position.T, candidates[0]))
-    near_index = indices(grown_blocks | (light_distance <= radius))
+    near_index = indices(grown_blocks | (light_distance <= growth))
     near_candidates = candidates.take(near_index, axis=1)
-    radius, light_distance = radius[near_index], light_distance[near_index]
+    growth, light_distance = growth[near_index], light_distance[near_index]
     blocks = _test_segments(hits, lights, shape, near_candidates)
-    covers = blocks & _test_segments(hits, lights, shape, near_candidates, -radius)
+    covers = blocks & _test_segments(hits, lights, shape, near_candidates, -growth)
     covers &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
-    has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= radius))
+    has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= growth))
     return near_candidates, blocks, covers, has_edge
 
 
@@ -475,7 +475,7 @@ def _test_segments(
     return shape.occludes(object_index, hit_position, light_position, light_side, growth)
 
 
-def build_packet_levels(hits: Hits, faces_light: Bools, footprint: Floats | None) -> list[Packets]:
+def build_packet_levels(hits: Hits, faces_light: Bools, margin: Floats | None) -> list[Packets]:
     """Group neighbouring hits into packets, on one or two levels.
 
     A packet is a group of neighbouring hits on one object, with a bounding sphere.  The hits of a
@@ -488,7 +488,7 @@ def build_packet_levels(hits: Hits, faces_light: Bools, footprint: Floats | None
         The n hits to group.
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
-    footprint : (n,) float array or None
+    margin : (n,) float array or None
         If given, bounding spheres contain all points within this distance of each hit.
 
     Returns
@@ -498,7 +498,7 @@ def build_packet_levels(hits: Hits, faces_light: Bools, footprint: Floats | None
     """
     packet_width = hits.prepared.packet_width * hits.samples.density  # in samples
     max_row_hits = int(min(max(packet_width, 1), _MAX_ROW_HITS))
-    row_packets = _build_row_packets(hits, faces_light, footprint, max_row_hits)
+    row_packets = _build_row_packets(hits, faces_light, margin, max_row_hits)
     square_side = int(min(packet_width, _MAX_SQUARE_SIDE))
     if square_side < _MIN_SQUARE_SIDE:
         return [row_packets]
@@ -506,7 +506,7 @@ def build_packet_levels(hits: Hits, faces_light: Bools, footprint: Floats | None
 
 
 def _build_row_packets(
-    hits: Hits, faces_light: Bools, footprint: Floats | None, max_hits: int
+    hits: Hits, faces_light: Bools, margin: Floats | None, max_hits: int
 ) -> Packets:
     """Divide runs of hits into row packets of at most `max_hits` hits.
 
@@ -519,7 +519,7 @@ def _build_row_packets(
         The n hits to divide.
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.
-    footprint : (n,) float array or None
+    margin : (n,) float array or None
         If given, bounding spheres contain all points within this distance of each hit.
     max_hits : int
         Maximum number of hits in a packet.
@@ -539,8 +539,8 @@ def _build_row_packets(
     is_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
     center, radius = _compute_bounding_spheres(hits, first_hit)
     radius += hits.prepared.position_error[object_index]
-    if footprint is not None:
-        radius += np.maximum.reduceat(footprint, first_hit)
+    if margin is not None:
+        radius += np.maximum.reduceat(margin, first_hit)
     return Packets(object_index, first_hit, hit_count, center, radius, is_lit)
 
 
