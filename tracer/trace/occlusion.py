@@ -99,7 +99,7 @@ class Packets(NamedTuple):
     is_lit: Bools
 
     def replace_by_children(self, packet_columns: Ints) -> Ints:
-        """Repeat each column for all children of its packet, and replace the packet by the child.
+        """Replace the packets in an array of indices by their children.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
@@ -111,7 +111,8 @@ class Packets(NamedTuple):
         Returns
         -------
         child_columns : (2, j) or (3, j) int array
-            One column for each child, with the index of the child in place of the packet's.
+            Each column, repeated for all children of its packet, with the children's indices in
+            place of the packet's.
         """
         packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
@@ -124,7 +125,7 @@ class Packets(NamedTuple):
 def _find_occluders(
     hits: Hits, lights: Lights, faces_light: Bools, margin: Floats | None = None
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
-    """Find the objects that may block the light at each hit.
+    """Find the objects that may block the light at each hit, in batches.
 
     Hits that are certainly in shadow are yielded separately: those in a packet (a group of
     neighbouring hits) that a single object shades entirely.
@@ -267,7 +268,7 @@ class _EdgeSet:
         self._shape, self._keys = shape, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
-        """Add shadow edges to the set, except edges of (light, hit) pairs that have too many.
+        """Add shadow edges to the set, except those of (light, hit) pairs that have too many.
 
         Parameters
         ----------
@@ -573,9 +574,9 @@ def _build_square_packets(
     # One integer encodes the object, and the row and the column of the square.
     square_key = row_packets.object_index
     for position in hits.samples.positions(hits.sample.take(first_hit)):
-        square_number = (position / square_width).astype(np.intp)
-        square_number -= square_number.min()
-        square_key = square_key * (square_number.max() + 1) + square_number
+        square_index = (position / square_width).astype(np.intp)
+        square_index -= square_index.min()
+        square_key = square_key * (square_index.max() + 1) + square_index
     order = square_key.argsort(kind="stable")
     depth_layer = hits.prepared.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
