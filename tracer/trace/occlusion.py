@@ -392,24 +392,10 @@ def _test_footprints(
 
     The footprint is the part of the surface, around the hit, that is visible in one cell of the
     picture.  Each object is tested unchanged, grown by the radius of the footprint, and shrunk by
-    this radius.  The first row of this table that applies determines the result:
-
-    ===================  ======================================  ======================
-    shadow in footprint  condition                               result
-    ===================  ======================================  ======================
-    everywhere           The unchanged and the shrunk object     `covers`
-                         both block the segment from the hit to
-                         the light, and the light is not on the
-                         object's surface.
-    has an edge          The grown object blocks the segment,    `has_edge`; `blocks` if
-                         or the light is within the footprint's  the unchanged object
-                         radius of the object's surface.         blocks the segment
-    nowhere              otherwise                               all False
-    ===================  ======================================  ======================
-
-    The shrunk object alone is not enough: if the hit is inside the object but outside the shrunk
-    object, the shrunk object may seem to block the light.  A light on the object's surface shines
-    on only one side of the tangent plane at the light, and this plane may cross the footprint.
+    this radius.  The object shades the whole footprint if both the unchanged and the shrunk object
+    block the segment from the hit to the light.  Otherwise, the edge of the object's shadow may
+    cross the footprint if the grown object blocks the segment, or if the light is within this
+    radius of the object's surface.
 
     Parameters
     ----------
@@ -442,7 +428,11 @@ def _test_footprints(
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]
     blocks = _test_segments(hits, lights, shape, near_candidates)
+    # If the hit is between the two surfaces, the shrunk object may block a light that the object
+    # does not block.
     covers = blocks & _test_segments(hits, lights, shape, near_candidates, -growth)
+    # The light of a source on the object's surface ends at the tangent plane, which may cross the
+    # footprint.
     covers &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
     has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= growth))
     return near_candidates, blocks, covers, has_edge
