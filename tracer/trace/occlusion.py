@@ -428,11 +428,11 @@ def _test_footprints(
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]
     blocks = _test_segments(hits, lights, shape, near_candidates)
-    # If the hit is between the two surfaces, the shrunk object may block a light that the object
-    # does not block.
+    # If the hit is inside the object but outside the shrunk object, the shrunk object may block a
+    # light that the object does not block.
     covers = blocks & _test_segments(hits, lights, shape, near_candidates, -growth)
-    # The light of a source on the object's surface ends at the tangent plane, which may cross the
-    # footprint.
+    # A light on the object's surface illuminates only one side of the tangent plane at the light,
+    # which may cross the footprint.
     covers &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
     has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= growth))
     return near_candidates, blocks, covers, has_edge
