@@ -35,7 +35,7 @@ from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 
 
-def brute_force(scene: Scene) -> Floats:
+def render_by_brute_force(scene: Scene) -> Floats:
     """Render a scene by testing every ray, and every segment to a light, with every object.
 
     The arithmetic of these tests is that of the tracer.  So the picture (height, width, 3) must be
@@ -43,15 +43,15 @@ def brute_force(scene: Scene) -> Floats:
     """
     window = slice(0, scene.height), slice(0, scene.width)
     with (
-        patch("tracer.trace.samples.find_object_spans", _whole_rows),
-        patch("tracer.trace.radiance.is_occluded", _occlusion_by_all),
+        patch("tracer.trace.samples.find_object_spans", _cover_whole_rows),
+        patch("tracer.trace.radiance.is_occluded", _test_all_occluders),
         patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
         patch.object(ScreenBounds, "window", lambda *_: window),
     ):
         return render(scene)
 
 
-def _whole_rows(
+def _cover_whole_rows(
     shape: Shape, scene: PreparedScene, row_top: Floats, x_range: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Replace `find_object_spans`: every object covers every row."""
@@ -61,13 +61,13 @@ def _whole_rows(
 
 
 @np.errstate(all="ignore")
-def _occlusion_by_all(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
+def _test_all_occluders(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     """Replace `is_occluded`: test all objects, one after the other."""
-    is_blocked, own_object = np.zeros_like(frontlit), hits.hit_object
-    for light, faces_light, blocked in zip(lights.position, frontlit, is_blocked, strict=True):
+    is_blocked, own_object = np.zeros_like(faces_light), hits.hit_object
+    for light, is_facing, blocked in zip(lights.position, faces_light, is_blocked, strict=True):
         for shape in hits.prepared.shapes:
             for index in shape.objects.indices():
-                hit = np.flatnonzero(faces_light & ~blocked & (own_object != index))
+                hit = np.flatnonzero(is_facing & ~blocked & (own_object != index))
                 x, y, z = np.full((3, hit.size), light[:, None])
                 same_object = np.full(hit.size, index)
                 side = shape.side_of_light(same_object, (x, y, z))
@@ -76,12 +76,12 @@ def _occlusion_by_all(hits: Hits, lights: Lights, frontlit: Bools) -> Bools:
 
 
 def assert_unchanged(scene: Scene) -> None:
-    """Assert that the picture is that of `brute_force`, to the last bit.
+    """Assert that the tracer renders the picture of `render_by_brute_force`, to the last bit.
 
-    The tracer renders with large packets, with packets of single hits, and with short packets; and
-    from samples in rows, and from scattered samples.
+    The tracer renders with large packets, with packets of single hits, and with short packets.  It
+    traces samples in rows, and scattered samples.
     """
-    expected = brute_force(scene)
+    expected = render_by_brute_force(scene)
     for packet_scale in (1e9, 1e-9, 0.2):
         with patch("tracer.world.prepared_scene._PACKET_SCALE", packet_scale):
             np.testing.assert_array_equal(render(scene), expected)
@@ -92,11 +92,11 @@ def assert_unchanged(scene: Scene) -> None:
 def render_scattered(scene: Scene) -> Floats:
     """Render a scene from scattered samples, in pixels up to eight times as large."""
     factor = math.gcd(scene.width, scene.height, 8)  # a power of two changes no bit of a ray
-    coarse = replace(scene, width=scene.width // factor, height=scene.height // factor)
+    coarse_scene = replace(scene, width=scene.width // factor, height=scene.height // factor)
     x, y = ((0.5 + np.arange(size)) / factor for size in (scene.width, scene.height))
     samples, order = Scattered.from_positions(np.tile(x, y.size), np.repeat(y, x.size))
     radiance = np.empty((3, order.size))
-    radiance[:, order] = compute_radiance(PreparedScene(coarse), samples)
+    radiance[:, order] = compute_radiance(PreparedScene(coarse_scene), samples)
     return np.moveaxis(radiance.reshape(3, y.size, x.size), 0, 2)
 
 
@@ -110,9 +110,9 @@ def test_culling_changes_no_crowd():
     assert_unchanged(random_scene("crowd", 0, 23, 31))
 
 
-@pytest.mark.parametrize("hard", hard_scenes("culling"))
-def test_culling_changes_no_hard_scene(hard: HardScene):
-    scene = hard.scene
+@pytest.mark.parametrize("hard_scene", hard_scenes("culling"))
+def test_culling_changes_no_hard_scene(hard_scene: HardScene):
+    scene = hard_scene.scene
     assert_unchanged(scene)
     for light in scene.lights if len(scene.lights) > 1 else ():
         assert_unchanged(replace(scene, lights=[light]))
@@ -124,8 +124,8 @@ def test_culling_changes_no_hard_scene(hard: HardScene):
 def test_culling_changes_no_scene_however_large(scene, zooms):
     assert_unchanged(scene)
     for _ in range(zooms):
-        # Zoom in on the first pixel that differs most from its neighbour: on an outline or the edge
-        # of a shadow, which in the end is 10^6 times as large.
+        # Zoom in on the pixel that differs most from its neighbour: on an outline or the edge of a
+        # shadow, which is enlarged up to 10^6 times.
         jumps = np.abs(np.diff(render(scene).sum(axis=2), axis=1))
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
         frame = camera_frame(scene.camera, scene.width, scene.height)
@@ -143,10 +143,10 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         assert_unchanged(scene)
 
 
-def assert_looks_like(scene: Scene, usual: Scene) -> None:
-    """Assert that culling changes nothing, and that the scene looks like one of usual size."""
+def assert_looks_like(scene: Scene, usual_scene: Scene) -> None:
+    """Assert that culling changes nothing, and that the scene looks like the usual scene."""
     assert_unchanged(scene)
-    np.testing.assert_allclose(render(scene), render(usual), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(render(scene), render(usual_scene), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(("size", "thickness"), [*product((1e18, 1e30, 1e75), (0, 1))])
@@ -154,11 +154,11 @@ def test_floors_without_end(size, thickness):
     scene = load_scene(HARD_SCENES / "floor-without-end.xml")
     floor, ball = scene.surfaces
 
-    def with_size(size: float) -> Scene:
+    def resize_floor(size: float) -> Scene:
         corners = {"min_pt": (-size, -thickness, -size), "max_pt": (size, 0, size)}
         return replace(scene, surfaces=[replace(floor, **corners), ball])
 
-    assert_looks_like(with_size(size), with_size(1e6))
+    assert_looks_like(resize_floor(size), resize_floor(1e6))
 
 
 @pytest.mark.parametrize("direction", [(1, 2, 1.5), (1, 1, 0), (0, 1, 0)])
@@ -166,10 +166,10 @@ def test_floors_without_end(size, thickness):
 def test_distant_lights(distance, direction):
     scene = load_scene(HARD_SCENES / "distant-light.xml")
 
-    def with_light_at(distance: float) -> Scene:
+    def move_light(distance: float) -> Scene:
         return replace(scene, lights=[PointLight(position=distance * np.array(direction))])
 
-    assert_looks_like(with_light_at(distance), with_light_at(1e6))
+    assert_looks_like(move_light(distance), move_light(1e6))
 
 
 def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(monkeypatch):
@@ -180,13 +180,13 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
         monkeypatch, radiance_module, "find_nearest_hits", lambda _, samples: samples.size
     )
     monkeypatch.setattr(prepared_scene, "_MAX_SAMPLE_PAIRS", 40 * 30 * 8)
-    assert np.array_equal(render(scene), brute_force(scene))
+    assert np.array_equal(render(scene), render_by_brute_force(scene))
     assert 0 < max(sizes) <= 40 * 30 * 8 / 60
 
 
 @np.errstate(all="ignore")
 def test_runs_consist_of_neighbours():
-    # The balls hide parts of the floor's rows: the rest of such a row consists of several runs.
+    # Where balls hide parts of the floor, a row of the floor consists of several runs.
     scene = build_crowd(200, width=80, height=45)
     samples = CENTERS.samples(slice(0, 45), slice(0, 80))
     for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
@@ -198,14 +198,14 @@ def test_runs_consist_of_neighbours():
             assert run[0] // 80 == run[-1] // 80
 
 
-def with_nine_lights(scene: Scene) -> Scene:
+def place_nine_lights(scene: Scene) -> Scene:
     """Replace the lights of a scene by nine lights of two colours in a row."""
     lights = [replace(scene.lights[k % 2], position=(6 - k, 8, 7)) for k in range(9)]
     return replace(scene, lights=lights)
 
 
 def test_lights_are_prepared_in_batches(monkeypatch):
-    scene = with_nine_lights(build_crowd(40, width=48, height=27))
+    scene = place_nine_lights(build_crowd(40, width=48, height=27))
     counts = record_calls(monkeypatch, LightGrid, "query", lambda grid, *_: grid.light.shape[1])
     monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 9)
     expected = [render(scene, samples) for samples in (1, 16)]
@@ -219,7 +219,7 @@ def test_lights_are_prepared_in_batches(monkeypatch):
 
 def test_threads_share_prepared_lights(monkeypatch):
     # Preparing lights takes so long that meanwhile all threads request the same batch.
-    scene = with_nine_lights(build_crowd(40, width=48, height=27))
+    scene = place_nine_lights(build_crowd(40, width=48, height=27))
     expected, prepared_scene, starts = render(scene), PreparedScene(scene), list[int]()
     prepare_lights = PreparedScene.prepare_lights
 
@@ -236,7 +236,7 @@ def test_threads_share_prepared_lights(monkeypatch):
             assert all(lights is first for lights in others)
         position = np.concatenate([lights.position for lights in batches_of_threads[3]])
         np.testing.assert_array_equal(position, [light.position for light in scene.lights])
-        # The same for a picture of which threads render tiles.
+        # The same holds if threads render the tiles of a picture.
         monkeypatch.setattr("tracer.picture.render._MAX_TILE_SECONDS", 1e-4)
         assert len(RenderJob(scene).tiles(shared=True)) > 10
         np.testing.assert_array_equal(render(scene, executor=pool), expected)
@@ -279,7 +279,7 @@ def record_sizes(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> l
     owner : object
         The module or class that contains the function.
     name : str
-        Name of the function, which yields arrays, or tuples of arrays of one length.
+        Name of the function, which yields arrays, or tuples of arrays of the same length.
 
     Returns
     -------
@@ -297,8 +297,8 @@ def record_sizes(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> l
     return sizes
 
 
-def balls_side_by_side(light: Vector, count: int, radius: float, ground: Sphere) -> Scene:
-    """Build a scene with `count` balls of one radius at random positions, and a ground."""
+def build_balls(light: Vector, count: int, radius: float, ground: Sphere) -> Scene:
+    """Build a scene with `count` equal balls at random positions, and a ground."""
     rng = np.random.default_rng(1)
     balls = [Sphere(center=c, radius=radius) for c in rng.uniform(-1, 1, (count, 3)).tolist()]
     camera = Camera(view_point=(0, 0, 9), proj_distance=4)
@@ -313,15 +313,15 @@ def test_distant_lights_and_planets_cause_no_more_tests(distance, ground_radius,
     light = (0.3 * distance, 0.8 * distance, 0.5 * distance)
     planet = Sphere(center=(0, -ground_radius - 1, 0), radius=ground_radius)
     sizes = record_sizes(monkeypatch, LightGrid, "query")
-    render(balls_side_by_side(light, 1000, 0.02, planet))
+    render(build_balls(light, 1000, 0.02, planet))
     assert 0 < sum(sizes) < 5 * 60 * 60
 
 
 def test_the_light_grid_is_read_in_batches(monkeypatch):
-    # Many balls lie in one cell of the light's grid, and the shadow segments from the ground cross
-    # many cells.  Memory does not suffice for all pairs together.
+    # Many balls lie in one cell of the light grid, and the shadow segments from the ground cross
+    # many cells.  All pairs together would not fit into memory.
     ground = Sphere(center=(0, -1e6, 0), radius=1e6 - 1)
-    scene = balls_side_by_side((0.1, 3, 0.2), 300, 0.1, ground)
+    scene = build_balls((0.1, 3, 0.2), 300, 0.1, ground)
     expected = render(scene, 16)
     cell_counts = record_sizes(monkeypatch, light_grid, "_find_overlaps")
     pair_counts = record_sizes(monkeypatch, LightGrid, "query")
@@ -350,8 +350,8 @@ def test_packets_are_finite(eye_height, view_height, monkeypatch):
 @pytest.mark.usefixtures("pixels_are_split")
 def test_a_horizon_causes_no_more_shadow_tests(monkeypatch):
     # Near the horizon, the footprint of a pixel is larger than the rest of the scene, so every
-    # object may shade a part of it.  There are 0.8 tests per pixel; if layers of depth were
-    # octaves, there would be 5, and without layers 20.
+    # object may shade a part of it.  There are 0.8 tests per pixel.  There would be 20 without
+    # layers of depth, and 5 if the layers were octaves.
     rng = np.random.default_rng(0)
     floor = Box(min_pt=(-1e6, -1, -1e6), max_pt=(1e6, 0, 1e6))
     positions = rng.uniform((-20, -60), (20, -2), (200, 2)).tolist()

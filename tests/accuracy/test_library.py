@@ -26,8 +26,8 @@ from tracer import (
 from tracer.trace import first_hits as first_hits_module
 
 
-def a_scene(width: int = 40, height: int = 30, **camera: Any) -> Scene:
-    """Return a scene of a sphere under a light; `camera`: arguments of the camera."""
+def build_scene(width: int = 40, height: int = 30, **camera: Any) -> Scene:
+    """Build a scene of a sphere under a light, with the given arguments of the camera."""
     sphere = Sphere(center=(0, 0, -3))
     return scene_of(sphere, camera=Camera(**camera), size=(width, height), lights=(3, 4, 5))
 
@@ -42,33 +42,33 @@ def test_type_hints_can_be_evaluated(name):
 
 @pytest.mark.parametrize("kind", [np.int8, np.int16, np.uint64, np.int64, np.array])
 def test_sizes_may_be_integers_of_any_kind(kind):
-    scene = a_scene(kind(100), kind(90))
+    scene = build_scene(kind(100), kind(90))
     assert (type(scene.width), type(scene.height)) == (int, int)
     image = render(scene, 4)
-    assert np.array_equal(image, render(a_scene(100, 90), 4))
+    assert np.array_equal(image, render(build_scene(100, 90), 4))
     assert np.array_equal(image, render(scene, kind(4)))
-    assert type(a_scene(True, 2).width) is int
+    assert type(build_scene(True, 2).width) is int
 
 
 @pytest.mark.parametrize(
     "view_dir", [(0, 1e-200, -1), (1e-200, 0, -1), (0, 1e-300, -1e300), (0, 3e-320, -1e-320)]
 )
 def test_underflow_raises_no_error(view_dir):
-    scene = a_scene(view_dir=view_dir)
+    scene = build_scene(view_dir=view_dir)
     image = render(scene)
     with np.errstate(all="raise"):
-        assert a_scene(view_dir=view_dir) == scene
+        assert build_scene(view_dir=view_dir) == scene
         assert np.array_equal(render(scene), image)
 
 
 def test_an_offset_may_be_any_two_numbers():
-    image = render(a_scene(), offset=(0.5, 1))
+    image = render(build_scene(), offset=(0.5, 1))
     for offset in ([0.5, 1], np.array([0.5, 1]), (np.float32(0.5), np.int8(1))):
-        assert np.array_equal(render(a_scene(), offset=offset), image)  # type: ignore[arg-type]
+        assert np.array_equal(render(build_scene(), offset=offset), image)  # type: ignore[arg-type]
 
 
 def test_png_data_of_a_scene():
-    scene, file = a_scene(), io.BytesIO()
+    scene, file = build_scene(), io.BytesIO()
     write_png(file, render(scene, 4))
     assert to_png(scene, 4) == file.getvalue() != to_png(scene)
 
@@ -77,8 +77,8 @@ SPHERE = Sphere(center=(0, 0, -5), radius=2)
 WALL = Box(min_pt=(-50, -50, -12), max_pt=(50, 50, -10))
 
 
-def view_of(*surfaces: Surface) -> Scene:
-    """Return a scene seen in 4 x 4 pixels, through a window of 2 x 2 at a distance of 1."""
+def view(*surfaces: Surface) -> Scene:
+    """Build a scene with 4 x 4 pixels, and a window of 2 x 2 at a distance of 1."""
     window = Camera(view_width=2, view_height=2)
     return scene_of(*surfaces, camera=window, size=(4, 4), lights=(3, 5, 4))
 
@@ -87,7 +87,7 @@ def test_first_hits_in_closed_form():
     # The rays pass through the centre of the picture, in the direction (.5, -.5, -1), which misses
     # the sphere, and through two positions outside the picture.  If two surfaces are equal, the
     # first one in the file is hit.
-    hits = first_hits(view_of(WALL, SPHERE, WALL, SPHERE), [2, 3, 2, -2], [2, 3, -2, 2])
+    hits = first_hits(view(WALL, SPHERE, WALL, SPHERE), [2, 3, 2, -2], [2, 3, -2, 2])
     assert hits.surface.tolist() == [1, 0, 0, 0]
     wall_distances = 10 * np.sqrt([1.5, 5, 5])
     np.testing.assert_allclose(hits.distance, [3, *wall_distances], rtol=1e-15)
@@ -96,12 +96,12 @@ def test_first_hits_in_closed_form():
     np.testing.assert_allclose(hits.normal, [(0, 0, 1)] * 4, atol=1e-15)
     # From inside, normals also point towards the eye.
     for surface in (Sphere(radius=3), Box(min_pt=(-3, -3, -3), max_pt=(3, 3, 3))):
-        inside = first_hits(view_of(surface), [2], [2])
+        inside = first_hits(view(surface), [2], [2])
         np.testing.assert_allclose(inside.point, [(0, 0, -3)], atol=1e-15)
         np.testing.assert_allclose(inside.normal, [(0, 0, 1)], atol=1e-15)
-    # A short distance to a sphere from inside has all digits; `power` is 1 - |eye|^2.
+    # A short distance to a sphere from inside is accurate; `power` is 1 - |eye|^2.
     z = 2.0**-20 - 1
-    close = replace(view_of(Sphere()), camera=Camera(view_point=(0, 0, z), view_width=2))
+    close = replace(view(Sphere()), camera=Camera(view_point=(0, 0, z), view_width=2))
     cosine, power = np.sqrt([1, 0.8, 0.5]), (1 + z) * (1 - z)
     expected = power / (np.hypot(z * cosine, np.sqrt(power)) - z * cosine)
     distance = first_hits(close, [2, 3, 4], [2, 2, 2]).distance
@@ -109,14 +109,14 @@ def test_first_hits_in_closed_form():
 
 
 def test_rays_without_a_hit_and_shapes_of_results():
-    hits = first_hits(view_of(SPHERE), [0.5, 2], [0.5, 2])
+    hits = first_hits(view(SPHERE), [0.5, 2], [0.5, 2])
     assert hits.surface.tolist() == [-1, 0]
     assert hits.distance[0] == np.inf
     assert np.isnan([hits.point[0], hits.normal[0]]).all()
-    no_positions = first_hits(view_of(SPHERE), [], [])
+    no_positions = first_hits(view(SPHERE), [], [])
     assert (no_positions.surface.shape, no_positions.normal.shape) == ((0,), (0, 3))
     row, column = np.mgrid[0:3, 0:2] + 0.5
-    picture, one = first_hits(view_of(SPHERE), column, row), first_hits(view_of(SPHERE), 1.5, 2.5)
+    picture, one = first_hits(view(SPHERE), column, row), first_hits(view(SPHERE), 1.5, 2.5)
     assert (picture.distance.shape, picture.point.shape) == ((3, 2), (3, 2, 3))
     assert (one.surface.shape, one.normal.shape) == ((), (3,))
     assert one.distance == picture.distance[2, 1]
@@ -163,7 +163,7 @@ def test_positions_far_outside_do_not_change_other_hits(far):
 
 @pytest.mark.parametrize("kind", ["nested", "duplicated", "crowd"])
 def test_first_hits_are_those_of_the_picture(kind):
-    # A light at the eye reaches all that is visible.  Green divided by red is the surface's index.
+    # A light at the eye reaches every visible point.  Green divided by red is the surface's index.
     scene = random_scene(kind, 3, 60, 40)
     surfaces = [
         replace(surface, shader=Lambertian(diffuse=(1, i, 0)))

@@ -1,7 +1,4 @@
-"""Shadow edges: when does the shadow of an object cover the footprint of a hit, or end in it?
-
-Each case is a row of the table in `tracer.trace.occlusion._test_footprints`, as a scene.
-"""
+"""Shadow edges: when does the shadow of an object cover the footprint of a hit, or end in it?"""
 
 import numpy as np
 import pytest
@@ -33,7 +30,7 @@ CASES = {
     "segment through a plate thinner than the footprint": (FLOOR, PLATE, (0, 6, 0), EDGE_SHADED),
     "light far in front of the ball": (FLOOR, BALL, (0, 1, 0), CLEAR),
     "light in the centre of the ball": (FLOOR, BALL, (0, 3, 0), COVERED),
-    # Wherever a light is in a ball, the ball blocks it.  For boxes near it, an edge is assumed.
+    # A ball blocks every light inside it.  For a light near a face of a box, an edge is assumed.
     "light in the ball, near its surface": (FLOOR, BALL, (0, 2.3, 0), COVERED),
     "light in the cube, near its surface": (FLOOR, CUBE, (0, 2.3, 0), EDGE_SHADED),
     "light on the far side of the ball": (FLOOR, BALL, (0, 4, 0), COVERED),
@@ -50,7 +47,7 @@ CASES = {
     "light in a box that the footprint meets": (
         *(FLOOR, Box(min_pt=(0.2, 0, -4), max_pt=(8, 8, 4)), (4, 4, 0), COVERED),
     ),
-    # The hit is outside of the shrunk hall, but inside of the unchanged one.
+    # The hit is outside the shrunk hall, but inside the unchanged one.
     "light and hit in a hall, the hit near the wall": (
         *(FLOOR, Box(min_pt=(-9, -2, -0.3), max_pt=(9, 9, 9)), (0, 4, 4), CLEAR),
     ),
@@ -67,8 +64,8 @@ def test_shadow_in_a_footprint(ground, other, light, expected):
     prepared_scene = PreparedScene(scene)
     hits = find_nearest_hits(prepared_scene, CENTERS.samples(slice(0, 1), slice(0, 1)))
     np.testing.assert_allclose(np.ravel(hits.points(slice(None))), 0, atol=1e-12)
-    faces_light, footprint = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
+    faces_light, radius = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
     (lights,) = prepared_scene.light_batches
-    is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, footprint)
+    is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, radius)
     assert (is_blocked.item(), edges[0].size > 0) == expected
     assert not is_crowded.any()

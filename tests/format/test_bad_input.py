@@ -22,8 +22,8 @@ EMPTY = "<camera/><image>4 4</image>"
 SPHERE = '<surface type="Sphere">{}</surface>'
 
 
-def errors(source: str | bytes | Path) -> list[str]:
-    """Return the lines of the error on a file, or on a stream of this content, without its name."""
+def read_errors(source: str | bytes | Path) -> list[str]:
+    """Return the lines of the error in a file or stream, without the name of the file."""
     name = f"{source}" if isinstance(source, Path) else "<stream>"
     content = source.encode() if isinstance(source, str) else source
     with pytest.raises(SceneFileError) as caught:
@@ -36,7 +36,7 @@ def errors(source: str | bytes | Path) -> list[str]:
     return [line.removeprefix(f"{name}:").strip() for line in lines]
 
 
-def messages(content: str | bytes) -> list[str]:
+def collect_messages(content: str | bytes) -> list[str]:
     """Return all messages about the content of a case in `messages.txt`."""
     if isinstance(content, str) and content.startswith(">>> "):
         names = {name: getattr(tracer, name) for name in tracer.__all__} | {"np": np}
@@ -55,10 +55,10 @@ def messages(content: str | bytes) -> list[str]:
             )
             tracer.render(scene)
             return [f"warning: {warning.message}" for warning in warned] or ["no message"]
-    return errors(content)
+    return read_errors(content)
 
 
-def cases() -> Iterator[tuple[str, str | bytes, list[str]]]:
+def read_cases() -> Iterator[tuple[str, str | bytes, list[str]]]:
     """Yield the cases of `messages.txt`: their text there, the content, and the messages."""
     text = re.sub(r"^\n?# .*\n", "", MESSAGES.read_text(encoding="utf-8"), flags=re.M)
     for case, expected in re.findall(r"((?:(?!=> ).*\n)+)((?:=> .*\n)+)", text):
@@ -71,22 +71,22 @@ def cases() -> Iterator[tuple[str, str | bytes, list[str]]]:
 
 
 def is_expected(lines: list[str], expected: list[str]) -> bool:
-    """Return whether messages are those of a case; an expected "..." at the end is not compared."""
+    """Test whether messages are those of a case; "..." at the end matches any text."""
     return len(lines) == len(expected) and all(
         line.startswith(start.removesuffix("...")) and (start.endswith("...") or line == start)
         for line, start in zip(lines, expected, strict=True)
     )
 
 
-@pytest.mark.parametrize(("content", "expected"), [case[1:] for case in cases()])
+@pytest.mark.parametrize(("content", "expected"), [case[1:] for case in read_cases()])
 def test_wording(content, expected):
-    lines = messages(content)
+    lines = collect_messages(content)
     assert lines == expected or is_expected(lines, expected)
-    # In the first line the mark of UTF-16 counts as a column, and remedies are for UTF-8.
+    # In the first line, the byte order mark of UTF-16 counts as a column.  Remedies are for UTF-8.
     is_text = isinstance(content, str) and content.startswith("<") and "encoding=" not in content
     if is_text and not expected[-1].startswith("1: not XML"):
         same = [re.sub("(not XML.*?);.*", r"\1", line) for line in expected]
-        lines = messages(content.encode("utf-16"))
+        lines = collect_messages(content.encode("utf-16"))
         assert [re.sub("(not XML.*?);.*", r"\1", line) for line in lines] == same
 
 
@@ -94,7 +94,7 @@ def test_numbers_of_many_digits():
     """The first has more digits than int() reads; float() would round the second to 0."""
     large, small = f"1{'0' * 5000}", f"0.{'0' * 400}1"
     camera = f"<camera><viewPoint>0 {small} 0</viewPoint></camera>"
-    assert errors(f"<scene>{camera}<image>{large} 1</image></scene>") == [
+    assert read_errors(f"<scene>{camera}<image>{large} 1</image></scene>") == [
         f"1: viewPoint: '{small[:37]}...' is too small, and would count as 0; write 0 in its place",
         "1: image: needs two whole numbers, width and height, as in 640 480;"
         f" has '{large[:37]}...'",
@@ -103,7 +103,7 @@ def test_numbers_of_many_digits():
 
 def test_a_long_stray_text_is_one_error():
     text = " \n" + "stray text of many words " * 100_000
-    assert errors(f"<scene>{EMPTY}{text}<light>{text}</light></scene>") == [
+    assert read_errors(f"<scene>{EMPTY}{text}<light>{text}</light></scene>") == [
         "2: scene: stray text 'stray text of many words stray text o...'; remove it",
         "2: light: has no position; add <position>x y z</position>",
         "3: light: stray text 'stray text of many words stray text o...'; remove it",
@@ -114,11 +114,11 @@ def test_a_long_stray_text_is_one_error():
 
 
 def test_the_number_of_errors_is_bounded():
-    lines = errors(f"<scene>{EMPTY}" + "\n<a/>" * 100_000)
+    lines = read_errors(f"<scene>{EMPTY}" + "\n<a/>" * 100_000)
     assert lines[1000:] == ["1001: 1000 errors so far; fix these first"]
     box = '<surface type="Box"><minPt>0 0 0</minPt><maxPt>{}</maxPt></surface>'
     boxes = box.format("1 1 1") * 2 + box.format("1 1 x")
-    lines = errors(f"<scene>{EMPTY}" + "\n<a/>" * 1000 + boxes)
+    lines = read_errors(f"<scene>{EMPTY}" + "\n<a/>" * 1000 + boxes)
     assert lines[1000:] == ["1001: 1000 errors so far; fix these first"]
 
 
@@ -143,7 +143,7 @@ LIMITS = {
 
 @pytest.mark.parametrize(("content", "message"), LIMITS.values(), ids=LIMITS)
 def test_limits_of_memory_and_time(content, message):
-    assert errors(f"<scene>{EMPTY}{content}</scene>")[-1].startswith(f"1: {message}")
+    assert read_errors(f"<scene>{EMPTY}{content}</scene>")[-1].startswith(f"1: {message}")
 
 
 # Files that cannot be read
@@ -164,7 +164,7 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize(("message", "make"), UNREADABLE.items())
 def test_a_file_that_cannot_be_read(tmp_path, make, message):
     make(tmp_path / "a.xml")
-    (line,) = errors(tmp_path / "a.xml")
+    (line,) = read_errors(tmp_path / "a.xml")
     assert line.startswith(message)
 
 
@@ -172,7 +172,7 @@ def test_a_file_that_cannot_be_read(tmp_path, make, message):
 
 
 class Pipe(io.BytesIO):
-    """A stream without seek, of which each read returns few bytes."""
+    """A stream without seek.  Each read returns at most 1,000 bytes."""
 
     name = 3
     seek = None  # type: ignore[assignment]
@@ -193,7 +193,7 @@ def test_streams(tmp_path, monkeypatch):
         load_scene(file)
     assert str(caught.value).startswith(f"{file.name}:1: not XML")
     monkeypatch.setattr("tracer.scene.elements.MAX_BYTES", 100)
-    assert errors("<scene>" + " " * 100) == ["has more than the 100 bytes allowed"]
+    assert read_errors("<scene>" + " " * 100) == ["has more than the 100 bytes allowed"]
 
 
 NAMES = [f"red{'d' * 10_000}{k}" for k in range(250)]

@@ -29,8 +29,8 @@ PIECES = [
 
 
 @st.composite
-def mutated(draw: st.DrawFn) -> bytes:
-    """Draw the valid file with a few pieces removed, inserted or repeated."""
+def mutate_file(draw: st.DrawFn) -> bytes:
+    """Draw a copy of the valid file in which a few pieces are removed, inserted or repeated."""
     content = VALID
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(content)))
@@ -57,7 +57,7 @@ def check_reader(content: bytes) -> None:
 
 
 @settings(max_examples=20 * settings.default.max_examples)
-@given(mutated())
+@given(mutate_file())
 @example(VALID)
 def test_mutated_files(content):
     check_reader(content)
@@ -77,7 +77,7 @@ def test_files_of_anything(content):
 
 
 def construct(dataclass: type, values: dict[str, Any], **required: Any) -> Any:
-    """Construct an object from these values; from the required ones alone if others are invalid."""
+    """Construct an object from all values, or only from the required ones if others are invalid."""
     try:
         return dataclass(**values, **required)
     except tracer.SceneError:

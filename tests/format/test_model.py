@@ -26,8 +26,8 @@ ARRAYS: dict[str, Any] = {
 }
 
 
-def error_of(construct: Callable[[], object]) -> ValueError:
-    """Return the error that a function raises."""
+def get_error(construct: Callable[[], object]) -> ValueError:
+    """Call a function, and return the error that it raises."""
     with pytest.raises((tracer.SceneError, tracer.SceneFileError)) as caught:
         construct()
     return caught.value
@@ -48,18 +48,18 @@ def test_surfaces_copy_their_arrays():
 PICKLED = [lambda value, p=p: pickle.loads(pickle.dumps(value, p)) for p in range(6)]
 
 
-@pytest.mark.parametrize("copy_of", [copy.copy, copy.deepcopy, *PICKLED])
-def test_copies_are_equal(copy_of):
+@pytest.mark.parametrize("make_copy", [copy.copy, copy.deepcopy, *PICKLED])
+def test_copies_are_equal(make_copy):
     lights = [PointLight(position=(1, 2, 3))]
     scene = Scene(width=4, height=3, lights=lights, surfaces=Surfaces(**ARRAYS))
-    same = copy_of(scene)
+    same = make_copy(scene)
     assert same == scene
     assert hash(same) == hash(scene)
     # The data types must be NumPy's own objects, not equal ones: see Surfaces.__setstate__.
     assert same.surfaces.center.dtype is np.dtype(np.float64)
     assert same.surfaces.file_index.dtype is np.dtype(np.intp)
-    for error in error_of(lambda: Scene(width=0, height=-1)), error_of(lambda: load_scene("a")):
-        same = copy_of(error)
+    for error in get_error(lambda: Scene(width=0, height=-1)), get_error(lambda: load_scene("a")):
+        same = make_copy(error)
         assert (type(same), vars(same), str(same)) == (type(error), vars(error), str(error))
 
 
@@ -124,7 +124,7 @@ def test_all_digits_are_saved(tmp_path):
 
 def test_only_scenes_are_replaced(tmp_path):
     scene, path = Scene(width=1, height=2), tmp_path / "scene.xml"
-    for there in (
+    for old_content in (
         b"",
         b"<scene/>",
         b'<?xml version="1.0"?>\n<!-- a\n--><!-- b -->\n<scene >',
@@ -132,21 +132,21 @@ def test_only_scenes_are_replaced(tmp_path):
         "<scene/>".encode("utf-16"),
         b"<!-- %b --><scene/>" % (b"long " * 100_000),
     ):
-        path.write_bytes(there)
+        path.write_bytes(old_content)
         tracer.save_scene(scene, path)
         assert load_scene(path) == scene
     unreadable = [
         f'<?xml version="1.0" encoding="{name}"?><scene/>' for name in ("no", "shift-jis")
     ]
     others = '<scene version="3.0.0">', "<scenes>", "my notes", "<!-- <scene> --> text", *unreadable
-    for there in others:
-        path.write_text(there)
+    for old_content in others:
+        path.write_text(old_content)
         with pytest.raises(FileExistsError):
             tracer.save_scene(scene, path)
-        assert path.read_text() == there
+        assert path.read_text() == old_content
 
 
-LINED = """<scene><image>4 3</image><camera/>
+SCENE_WITH_LINES = """<scene><image>4 3</image><camera/>
 <surface type="Box"><minPt>0 0 0</minPt><maxPt>1 1 1</maxPt></surface>
 <light><position>1 2 3</position></light>
 <surface
@@ -155,7 +155,7 @@ LINED = """<scene><image>4 3</image><camera/>
 
 
 def test_objects_know_their_lines():
-    scene = load_scene(io.BytesIO(LINED.encode()))
+    scene = load_scene(io.BytesIO(SCENE_WITH_LINES.encode()))
     read = scene.surfaces
     for surfaces in read, pickle.loads(pickle.dumps(read)), Surfaces.from_objects(list(read)):
         assert [surface.line for surface in surfaces] == [2, surfaces[1].line] == [2, 4]

@@ -12,13 +12,13 @@ from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, lo
 EMPTY = "<camera/><image>4 3</image>"
 
 
-def scene_of(content: str) -> Scene:
+def read_scene(content: str) -> Scene:
     """Read a scene from the text between <scene> and </scene>."""
     return load_scene(io.BytesIO(f"<scene>{content}</scene>".encode()))
 
 
 def test_defaults():
-    scene = scene_of("""
+    scene = read_scene("""
       <camera/> <image>4 3</image> <light><position>1 2 3</position></light>
       <surface type="Sphere"/>
       <surface type="Box"><minPt>-1 -2 -3</minPt><maxPt>1 2 3</maxPt></surface>
@@ -77,7 +77,7 @@ def test_all_elements():
 
 def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():
     """Each is kept once, however often it is used."""
-    scene = scene_of(f"""{EMPTY}
+    scene = read_scene(f"""{EMPTY}
       <surface type="Sphere"><shader ref="late"/></surface>
       <surface type="Sphere"><shader ref="nested"/></surface>
       <surface type="Sphere"><shader name="nested" type="Phong"/></surface>
@@ -104,12 +104,12 @@ def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():
     ],
 )
 def test_numbers(text, value):
-    scene = scene_of(f"<camera><viewDir>{text}</viewDir></camera><image>4 3</image>")
+    scene = read_scene(f"<camera><viewDir>{text}</viewDir></camera><image>4 3</image>")
     assert scene.camera.view_dir == value
 
 
 def test_the_largest_picture():
-    scene = scene_of("<camera/><image>16384 16384</image>")
+    scene = read_scene("<camera/><image>16384 16384</image>")
     assert scene.width * scene.height == 2**28
     assert scene.lights == ()
     assert len(scene.surfaces) == 0
@@ -128,7 +128,7 @@ def test_a_token_may_be_divided_between_chunks():
     """The file is parsed in chunks of 16 KiB, which begin at any place."""
     sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>'
     for shift in range(0, len(sphere), 7):
-        scene = scene_of(EMPTY + " " * shift + sphere * 2000)
+        scene = read_scene(EMPTY + " " * shift + sphere * 2000)
         assert (scene.surfaces.center == (1, 2, 3)).all()
         assert (scene.surfaces.radius == 4).all()
         assert len(scene.surfaces) == 2000
@@ -154,7 +154,7 @@ def test_the_reader_leaves_no_reference_cycles():
     gc.collect()
     gc.disable()
     try:
-        scene_of(EMPTY + '<surface type="Sphere"/>')
+        read_scene(EMPTY + '<surface type="Sphere"/>')
         assert gc.collect() == 0
     finally:
         gc.enable()
