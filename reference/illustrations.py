@@ -212,7 +212,7 @@ def draw_classes() -> None:
     samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
-    cells = Cells(1.0, 4, 1e-3, *samples.positions(every_pixel), pixel_index, object_index)
+    cells = Cells(1.0, 4, 1e-3, *samples.get_positions(every_pixel), pixel_index, object_index)
     classification = classify(prepared_scene, cells, samples, every_pixel)
     class_index = np.zeros(every_pixel.size, dtype=np.intp)
     class_index[classification.lines.cell] = 1

@@ -36,7 +36,7 @@ from tracer import Scene
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import compute_light_geometry
-from tracer.trace.occlusion import is_occluded
+from tracer.trace.occlusion import find_shadows
 from tracer.trace.samples import Scattered
 from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
@@ -326,4 +326,4 @@ class Faces:
             object blocks the segment between them.
         """
         may_reach = active & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
-        return may_reach & ~is_occluded(hits, self.prepared_lights, may_reach)
+        return may_reach & ~find_shadows(hits, self.prepared_lights, may_reach)

@@ -44,7 +44,7 @@ def render_by_brute_force(scene: Scene) -> Floats:
     window = slice(0, scene.height), slice(0, scene.width)
     with (
         patch("tracer.trace.samples.find_object_spans", _cover_whole_rows),
-        patch("tracer.trace.radiance.is_occluded", _test_all_occluders),
+        patch("tracer.trace.radiance.find_shadows", _test_all_occluders),
         patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
         patch.object(ScreenBounds, "window", lambda *_: window),
     ):
@@ -62,16 +62,16 @@ def _cover_whole_rows(
 
 @np.errstate(all="ignore")
 def _test_all_occluders(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
-    """Replace `is_occluded`: test all objects, one after the other."""
+    """Replace `find_shadows`: test all objects, one after the other."""
     is_blocked, own_object = np.zeros_like(faces_light), hits.hit_object
     for light, is_facing, blocked in zip(lights.position, faces_light, is_blocked, strict=True):
-        for shape in hits.prepared.shapes:
+        for shape in hits.scene.shapes:
             for index in shape.objects.indices():
                 hit = np.flatnonzero(is_facing & ~blocked & (own_object != index))
                 x, y, z = np.full((3, hit.size), light[:, None])
                 same_object = np.full(hit.size, index)
                 side = shape.side_of_light(same_object, (x, y, z))
-                blocked[hit] = shape.occludes(same_object, hits.points(hit), (x, y, z), side)
+                blocked[hit] = shape.occludes(same_object, hits.get_points(hit), (x, y, z), side)
     return is_blocked
 
 

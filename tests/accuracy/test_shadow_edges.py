@@ -63,7 +63,7 @@ def test_shadow_in_a_footprint(ground, other, light, expected):
     scene = scene_of(ground, other, camera=camera, size=(1, 1), lights=light)
     prepared_scene = PreparedScene(scene)
     hits = find_nearest_hits(prepared_scene, CENTERS.samples(slice(0, 1), slice(0, 1)))
-    np.testing.assert_allclose(np.ravel(hits.points(slice(None))), 0, atol=1e-12)
+    np.testing.assert_allclose(np.ravel(hits.get_points(slice(None))), 0, atol=1e-12)
     faces_light, radius = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
     (lights,) = prepared_scene.light_batches
     is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, radius)

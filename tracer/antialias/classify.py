@@ -203,7 +203,7 @@ def classify(
         )
         all_lines.append(light_lines)
         is_unresolved[unresolved_cell], is_crowded[crowded_cell] = True, True
-    radiance[:, sample_cell] = shading.radiance()
+    radiance[:, sample_cell] = shading.compute_radiance()
     center_id[hit_cell] = shading.ids
     lines = Lines.joined(all_lines).distinct()
     if scene.light_count > _MAX_DETAILED_LIGHTS:

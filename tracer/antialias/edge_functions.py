@@ -340,12 +340,12 @@ class InverseDepth(NamedTuple):
             If the eye is on the sphere, the tangent plane at the hit replaces the sphere.  Planes
             have w = 0.
         """
-        spheres = hits.prepared.spheres
+        spheres = hits.scene.spheres
         linear, quadratic = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             batch = group.interval
             # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
-            linear[:, batch] = [group.per_hit(part / -group.eye_height) for part in group.normal]
+            linear[:, batch] = [group.expand(part / -group.eye_height) for part in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.positions(group.repeat_runs(group.run_object))
                 power = spheres.power[sphere_index]  # P = C^2 - r^2, with centre C and radius r

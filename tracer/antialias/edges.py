@@ -63,19 +63,19 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
     footprint : (n,) float array
         Radius of the visible part around each hit, in the scene's unit of length.
     """
-    frame = hits.prepared.frame
+    frame = hits.scene.frame
     angle = _compute_cell_angle(frame, cell_width)
     radius_at_hit, distance = hits.from_eye[2] * angle, hits.distance
     footprint = np.empty(distance.size)
     for group in hits.groups:
         radius = radius_at_hit[group.interval]
-        cosine = group.per_hit(group.eye_height) / distance[group.interval]
+        cosine = group.expand(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
             footprint[group.interval] = _compute_footprint_on_face(radius, cosine, angle)
             continue
         # However oblique the view, a strip of width r along the silhouette of a sphere of radius R
         # shows a part of the sphere that is at most sqrt(2 r R) wide.
-        curvature = group.repeat_runs(hits.prepared.curvature[group.run_object])
+        curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
         footprint[group.interval] = np.fmin(radius / cosine, np.sqrt(2 * radius / curvature))
     return footprint
 
@@ -285,7 +285,7 @@ class CellSurfaces(NamedTuple):
         inverse_t : (6, k) float array
             1 / t for each ray, where t * ray is the vector from the eye to the surface.
         """
-        frame, (x, y, z) = self.hits.prepared.frame, take3(self.hits.from_eye, hit_index)
+        frame, (x, y, z) = self.hits.scene.frame, take3(self.hits.from_eye, hit_index)
         scale = frame.depth / z
         ray = cell_rays(frame, x * scale, y * scale, self.cell_width)
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
@@ -354,7 +354,7 @@ class CellSurfaces(NamedTuple):
             lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the visible
             surface at t1 * ray, and the face at t2 * ray.
         """
-        scene, hit_object = hidden_hits.prepared, hidden_hits.hit_object
+        scene, hit_object = hidden_hits.scene, hidden_hits.hit_object
         frame, boxes = scene.frame, scene.boxes
         cell_angle = _compute_cell_angle(frame, self.cell_width)
         is_candidate = is_close | scene.is_eye_inside[hit_object]
@@ -391,7 +391,7 @@ class CellSurfaces(NamedTuple):
             lower right corner.  The function is 1 / t1 - 1 / t2: the ray meets the planes of the
             two faces at t1 * ray and t2 * ray.
         """
-        scene, frame = self.hits.prepared, self.hits.prepared.frame
+        scene, frame = self.hits.scene, self.hits.scene.frame
         corners = scene.boxes.min_pt, scene.boxes.max_pt
         for group, axis in product(self.hits.groups, range(3)):
             is_other_face = group.face != axis
@@ -439,7 +439,7 @@ class CellSurfaces(NamedTuple):
         """
         for batch in index_batches(indices(is_near)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
-            face_component = self.hits.prepared.frame.scene_component(ray, axis)
+            face_component = self.hits.scene.frame.scene_component(ray, axis)
             yield self.cell[hit_index[batch]], inverse_t - face_component / face_height[batch]
 
     def evaluate_shadow_edges(
@@ -467,7 +467,7 @@ class CellSurfaces(NamedTuple):
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
             lower right corner.
         """
-        scene = self.hits.prepared
+        scene = self.hits.scene
         light_from_eye = scene.frame.points_to_camera(light_position)
         for batch in index_batches(np.arange(edge_triples.shape[1])):
             light_index, hit_index, occluder_index = edge_triples[:, batch]
@@ -506,7 +506,7 @@ class CellSurfaces(NamedTuple):
             of the cell: the centre; the centres of the right, left, lower and upper side; and the
             lower right corner.  The function is the cosine of the angle between n and l.
         """
-        scene, spheres = self.hits.prepared, self.hits.prepared.spheres
+        scene, spheres = self.hits.scene, self.hits.scene.spheres
         hit_object = self.hits.hit_object
         light_from_eye = scene.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.

@@ -118,7 +118,7 @@ class Lattice(NamedTuple):
             Points x + iy relative to the centre of the pixel, in units of the pixel's width: x and
             y are between -1/2 and 1/2.  The y-axis points down.
         """
-        x, y = self.samples(slice(0, 1), slice(0, 1)).positions(np.arange(self.size))
+        x, y = self.samples(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
 
     def mean(self, radiance: Floats, width: int) -> Floats:

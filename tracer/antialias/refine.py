@@ -151,7 +151,7 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, per_side: i
     pair_pixel = (pair_row - top) * width + pair_column - first_column
     all_pixels = np.arange(samples.size)
     tolerance = _TOLERANCE / per_side**1.5
-    center_x, center_y = samples.positions(all_pixels)
+    center_x, center_y = samples.get_positions(all_pixels)
     pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
     classified = classify(scene, pixels, samples, all_pixels)
     estimate = estimate_pixel_means(classified.center, width)

@@ -249,10 +249,10 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     prepared_scene = PreparedScene(scene)
     frame, samples = prepared_scene.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
-    radiance = shade(hits, prepared_scene.light_batches).radiance()[:, 0]
+    radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
     first_hit = FirstHits.from_hits(hits)
     surface_index = first_hit.surface.item()
-    ray = samples.ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
+    ray = samples.compute_ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
@@ -305,11 +305,11 @@ def _explain_light(
     # A surface that faces away from the light is its own occluder.
     occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).reflection_terms():
+    for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).compute_terms():
         diffuse[channel], specular[channel] = diffuse_term.item(), specular_term.sum()
     point, normal = first_hit.point[0], first_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
-    half_vector = normalize(to_light + normalize(hit.prepared.frame.eye - point))
+    half_vector = normalize(to_light + normalize(hit.scene.frame.eye - point))
     occluder_indices = scene.surfaces.file_index[occluders].tolist()
     return LightPart(
         line=light.line,
@@ -340,10 +340,10 @@ def _find_occluders(hit: Hits, light: Lights) -> Ints:
         Indices of the k blocking objects in the prepared scene; k may be 0.
     """
     occluder_parts = []
-    for shape in hit.prepared.shapes:
+    for shape in hit.scene.shapes:
         other_objects = np.setdiff1d(shape.objects.indices(), hit.hit_object)
         # The point and the light are repeated for each object.
-        hit_position = hit.points(np.zeros_like(other_objects))
+        hit_position = hit.get_points(np.zeros_like(other_objects))
         light_position = take3(light.position.T, np.zeros_like(other_objects))
         light_side = light.side[0, other_objects]
         is_blocking = shape.occludes(other_objects, hit_position, light_position, light_side)

@@ -55,12 +55,12 @@ class FirstHits:
             Surface, distance, normal and position for each sample, in the order of the samples.
             The arrays are (n,) or (n, 3).
         """
-        ray_count, frame = hits.samples.size, hits.prepared.frame
+        ray_count, frame = hits.samples.size, hits.scene.frame
         surface, distance = np.full(ray_count, -1), np.full(ray_count, np.inf)
         normal, point = np.full((2, ray_count, 3), np.nan)
-        surface[hits.sample] = hits.prepared.surfaces.file_index[hits.hit_object]
+        surface[hits.sample] = hits.scene.surfaces.file_index[hits.hit_object]
         distance[hits.sample] = hits.distance
-        point[hits.sample] = np.transpose(hits.points(slice(None)))
+        point[hits.sample] = np.transpose(hits.get_points(slice(None)))
         for group in hits.groups:
             if group.shape.is_planar:  # exact, unlike normals converted from camera axes
                 normal[group.sample] = 0

@@ -41,7 +41,7 @@ class ShapeHits(NamedTuple):
         of the face along this axis; meaningless for spheres.
     normal : tuple of three float arrays
         Unit normals that face the eye, in camera axes: (runs,) for planar shapes, otherwise
-        (n,).  `per_hit` converts either to (n,).
+        (n,).  `expand` converts either to (n,).
     eye_height : float array
         Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
     """
@@ -74,7 +74,7 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(run_values, self.run_length)
 
-    def per_hit(self, values: Floats) -> Floats:
+    def expand(self, values: Floats) -> Floats:
         """Repeat the values of tangent planes for all hits that share them.
 
         Parameters
@@ -107,7 +107,7 @@ class ShapeHits(NamedTuple):
         """
         if self.shape.is_planar:
             # In scene axes, a point in the plane of a face has a height of exactly 0.
-            return self.per_hit(self.sign * (point[self.face] - self.level))
+            return self.expand(self.sign * (point[self.face] - self.level))
         return dot(self.normal, to_point)
 
 
@@ -135,7 +135,7 @@ class Hits(NamedTuple):
         Index of the object of each run, among all objects.
     """
 
-    prepared: PreparedScene
+    scene: PreparedScene
     samples: Samples
     from_eye: Floats
     groups: list[ShapeHits]
@@ -157,12 +157,12 @@ class Hits(NamedTuple):
     @property
     def eye_height(self) -> Floats:
         """Distance (n,) of the eye from the tangent plane of the surface at each hit."""
-        return np.concatenate([group.per_hit(group.eye_height) for group in self.groups])
+        return np.concatenate([group.expand(group.eye_height) for group in self.groups])
 
     @property
     def normal(self) -> Triple:
         """Components (n,) of the unit normals that face the eye, in camera axes."""
-        group_normals = [map3(group.per_hit, group.normal) for group in self.groups]
+        group_normals = [map3(group.expand, group.normal) for group in self.groups]
         x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
         return x, y, z
 
@@ -172,7 +172,7 @@ class Hits(NamedTuple):
         x, y, z = self.from_eye
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
-    def object_values(self, values: NDArray[Any]) -> Any:
+    def get_object_values(self, values: NDArray[Any]) -> Any:
         """Look up the value of the object on which each hit lies.
 
         Parameters
@@ -187,7 +187,7 @@ class Hits(NamedTuple):
         """
         return values[self.run_object].repeat(np.diff(self.run_start))
 
-    def points(self, hit_index: Ints | slice) -> Triple:
+    def get_points(self, hit_index: Ints | slice) -> Triple:
         """Compute the positions of selected hits, in scene axes.
 
         Parameters
@@ -200,4 +200,4 @@ class Hits(NamedTuple):
         position : tuple of three (k,) float arrays
             Coordinates x, y and z of the hits.
         """
-        return self.prepared.frame.point_to_scene(take3(self.from_eye, hit_index))
+        return self.scene.frame.point_to_scene(take3(self.from_eye, hit_index))

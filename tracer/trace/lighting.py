@@ -91,7 +91,7 @@ class LightGeometry(NamedTuple):
         cosine_squared = n_dot_l + n_dot_v
         cosine_squared *= cosine_squared
         cosine_squared /= 2 * half_square
-        exponent = hits.object_values(hits.prepared.exponent)[hit_index]
+        exponent = hits.get_object_values(hits.scene.exponent)[hit_index]
         strength: Floats = np.exp(0.5 * exponent * np.log(cosine_squared))
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
         inaccurate = indices(is_inaccurate)
@@ -155,12 +155,12 @@ class Shading:
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
         # The slice of hits from the first to the last group in which any surface has highlights.
-        is_glossy = hits.prepared.is_glossy
+        is_glossy = hits.scene.is_glossy
         intervals = [part.interval for part in hits.groups if is_glossy[part.run_object].any()]
         self._glossy = slice(intervals[0].start, intervals[-1].stop) if intervals else slice(0, 0)
         self._is_glossy: Bools = np.zeros(0, dtype=np.bool_)
         if intervals:  # the values of all hits are looked up only if some are needed
-            self._is_glossy = hits.object_values(is_glossy)[self._glossy]
+            self._is_glossy = hits.get_object_values(is_glossy)[self._glossy]
         # Sums over lights of I n.l for all hits, and of I (n.h)^p for the hits in the slice, where
         # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
@@ -194,7 +194,7 @@ class Shading:
                 strength[lit_index] = geometry.compute_highlight_strength(light_index, hit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
-    def reflection_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
+    def compute_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
         """Yield the diffuse and the specular radiance of n hits for each colour channel.
 
         If no hit is lit, nothing is yielded.
@@ -215,18 +215,18 @@ class Shading:
         """
         if self._diffuse_sum is None:
             return
-        hits, prepared = self._hits, self._hits.prepared
+        hits, scene = self._hits, self._hits.scene
         glossy, specular = slice(0, 0), np.zeros(0)
         for channel in range(3):
-            diffuse = hits.object_values(prepared.diffuse[channel])
+            diffuse = hits.get_object_values(scene.diffuse[channel])
             diffuse *= self._diffuse_sum[channel]
             if self._specular_sum is not None:
                 glossy = self._glossy
-                specular = hits.object_values(prepared.specular[channel])[glossy]
+                specular = hits.get_object_values(scene.specular[channel])[glossy]
                 specular *= self._specular_sum[channel]
             yield channel, diffuse, glossy, specular
 
-    def radiance(self, out: Floats | None = None) -> Floats:
+    def compute_radiance(self, out: Floats | None = None) -> Floats:
         """Compute the radiance towards the eye at each sample.
 
         Parameters
@@ -240,7 +240,7 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, radiance, glossy, specular in self.reflection_terms():
+        for channel, radiance, glossy, specular in self.compute_terms():
             radiance[glossy] += specular  # until here, `radiance` was only the diffuse term
             out[channel][self._hits.sample] = radiance
         return out
@@ -294,7 +294,7 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     geometry = LightGeometry(hits, lights, np.empty(shape), np.empty(shape))
     for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
         # An object that contains the eye blocks all lights outside it.
-        blocks_light = hits.prepared.is_eye_inside & (lights.side[light_index] != INSIDE)
+        blocks_light = hits.scene.is_eye_inside & (lights.side[light_index] != INSIDE)
         for group in hits.groups:
             from_eye = hits.from_eye[:, group.interval]
             to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
@@ -334,13 +334,13 @@ def find_narrow_highlights(
         Indices of the hits with such a highlight, for one light.  The same hit may be yielded for
         several lights.
     """
-    hits, prepared = geometry.hits, geometry.hits.prepared
-    is_glossy = hits.object_values(prepared.is_glossy)
+    hits, scene = geometry.hits, geometry.hits.scene
+    is_glossy = hits.get_object_values(scene.is_glossy)
     if not is_glossy.any():
         return
-    eye_turn = 1 / hits.distance + hits.object_values(prepared.curvature)
+    eye_turn = 1 / hits.distance + hits.get_object_values(scene.curvature)
     # If the angle a changes by 1, the lobe position sqrt(p / 2) a changes by this much.
-    lobe_scale = np.where(is_glossy, np.sqrt(hits.object_values(prepared.exponent) / 2), 0)
+    lobe_scale = np.where(is_glossy, np.sqrt(hits.get_object_values(scene.exponent) / 2), 0)
     for light_index, hit_faces_light in enumerate(faces_light):
         max_turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index])
         lobe_step = footprint * max_turn * lobe_scale

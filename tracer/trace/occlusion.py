@@ -156,7 +156,7 @@ def _find_occluders(
     if lights.grid is None or not faces_light.any():
         return
     levels = build_packet_levels(hits, faces_light, margin)
-    for shape, candidates in _query_grid(lights.grid, levels[0], hits.prepared.shapes):
+    for shape, candidates in _query_grid(lights.grid, levels[0], hits.scene.shapes):
         shaded_pairs = np.zeros((2, 0), dtype=np.intp)
         for packets in levels:
             candidates, shaded_packets = _test_packets(packets, lights, shape, candidates)
@@ -281,7 +281,7 @@ class _EdgeSet:
         if sum(keys.size for keys in self._keys[1:]) > _EDGES_PER_BATCH:
             self._remove_duplicates()
 
-    def distinct(self) -> Ints:
+    def get_edges(self) -> Ints:
         """Return all shadow edges in the set, sorted by light, then by hit, then by occluder.
 
         A shadow edge is a triple of a light, a hit, and an occluder whose shadow may end near the
@@ -310,7 +310,7 @@ class _EdgeSet:
         self._keys = [keys[~is_pair_crowded.repeat(edge_count)]]
 
 
-def is_occluded(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
+def find_shadows(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     """Test whether each hit is in the shadow of another object, for each light.
 
     The object on which the hit lies is not tested.  This object blocks the light only where
@@ -371,7 +371,7 @@ def find_shadow_edges(
         Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of any one light.
     """
     is_blocked, in_umbra = np.zeros((2, *faces_light.shape), dtype=np.bool_)
-    edge_set = _EdgeSet((*faces_light.shape, hits.prepared.position_error.size))
+    edge_set = _EdgeSet((*faces_light.shape, hits.scene.position_error.size))
     for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, radius):
         results = _test_footprints(hits, lights, shape, candidates, radius)
         candidates, blocks, covers, has_edge = results
@@ -379,7 +379,7 @@ def find_shadow_edges(
         put_2d(in_umbra, candidates[0, covers], candidates[1, covers], True)
         put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
         edge_set.add(candidates[:, has_edge & take_2d(faces_light, candidates[0], candidates[1])])
-    edges = edge_set.distinct()
+    edges = edge_set.get_edges()
     is_visible = ~take_2d(in_umbra, edges[0], edges[1])
     is_crowded = np.any(edge_set.is_crowded & ~in_umbra, axis=0)
     return is_blocked | in_umbra, edges[:, is_visible], is_crowded
@@ -462,7 +462,7 @@ def _test_segments(
     light_index, hit_index, object_index = candidates
     light_position = take3(lights.position.T, light_index)
     light_side = take_2d(lights.side, light_index, object_index)
-    hit_position = hits.points(hit_index)
+    hit_position = hits.get_points(hit_index)
     return shape.occludes(object_index, hit_position, light_position, light_side, growth)
 
 
@@ -487,7 +487,7 @@ def build_packet_levels(hits: Hits, faces_light: Bools, margin: Floats | None) -
     levels : list of Packets
         Either [row packets] or [square packets, row packets].
     """
-    packet_width = hits.prepared.packet_width * hits.samples.density  # in samples
+    packet_width = hits.scene.packet_width * hits.samples.density  # in samples
     max_row_hits = int(min(max(packet_width, 1), _MAX_ROW_HITS))
     row_packets = _build_row_packets(hits, faces_light, margin, max_row_hits)
     square_side = int(min(packet_width, _MAX_SQUARE_SIDE))
@@ -529,7 +529,7 @@ def _build_row_packets(
     object_index = hits.run_object[run_index]
     is_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
     center, radius = _compute_bounding_spheres(hits, first_hit)
-    radius += hits.prepared.position_error[object_index]
+    radius += hits.scene.position_error[object_index]
     if margin is not None:
         radius += np.maximum.reduceat(margin, first_hit)
     return Packets(object_index, first_hit, hit_count, center, radius, is_lit)
@@ -563,12 +563,12 @@ def _build_square_packets(
     first_hit = row_packets.child_start
     # One integer encodes the object, and the row and the column of the square.
     square_key = row_packets.object_index
-    for position in hits.samples.positions(hits.sample.take(first_hit)):
+    for position in hits.samples.get_positions(hits.sample.take(first_hit)):
         square_index = (position / square_width).astype(np.intp)
         square_index -= square_index.min()
         square_key = square_key * (square_index.max() + 1) + square_index
     order = square_key.argsort(kind="stable")
-    depth_layer = hits.prepared.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
+    depth_layer = hits.scene.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
     first_child, child_count = find_runs(square_key[order], depth_layer[order])
     return _merge_row_packets(row_packets, first_child, child_count), row_packets
@@ -591,7 +591,7 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
     radius : (m,) float array
         Radii of the spheres.
     """
-    if isinstance(hits.samples, Scattered) or hits.prepared.spheres.is_eye_inside.any():
+    if isinstance(hits.samples, Scattered) or hits.scene.spheres.is_eye_inside.any():
         # The sphere encloses the bounding box of the hits.
         corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
         opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
@@ -602,7 +602,7 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
         corner = hits.from_eye.take(first_hit, axis=1)
         opposite_corner = hits.from_eye.take(last_hit, axis=1)
     half_diagonal = 0.5 * (opposite_corner - corner)
-    center = hits.prepared.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
+    center = hits.scene.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 

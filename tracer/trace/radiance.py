@@ -9,7 +9,7 @@ import numpy as np
 from tracer.arrays import Floats, Ints
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import Shading, compute_light_geometry
-from tracer.trace.occlusion import is_occluded
+from tracer.trace.occlusion import find_shadows
 from tracer.trace.samples import Samples
 from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
@@ -33,7 +33,7 @@ def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None 
         Linear RGB radiance at each sample; 0 if the ray meets no surface.
     """
     hits = find_nearest_hits(scene, samples)
-    return shade(hits, scene.light_batches).radiance(out)
+    return shade(hits, scene.light_batches).compute_radiance(out)
 
 
 def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
@@ -58,7 +58,7 @@ def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Fl
     shading = shade(hits, scene.light_batches, with_ids=True)
     ids = np.full(samples.size, -1)
     ids[hits.sample] = shading.ids
-    return shading.radiance(), ids
+    return shading.compute_radiance(), ids
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
@@ -77,12 +77,12 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
     Returns
     -------
     shading : Shading
-        The sum over all lights.  `Shading.radiance` converts it to radiance at samples.
+        The sum over all lights.  `Shading.compute_radiance` converts it to radiance at samples.
     """
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:
         geometry = compute_light_geometry(hits, lights)
         is_lit = geometry.n_dot_l > 0
-        is_lit &= ~is_occluded(hits, lights, is_lit)
+        is_lit &= ~find_shadows(hits, lights, is_lit)
         shading.add(geometry, is_lit)
     return shading

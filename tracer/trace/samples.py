@@ -115,7 +115,7 @@ class Rows(NamedTuple):
         x_count, y_count = self.per_pixel
         return float(x_count**0.75 * y_count**0.25)
 
-    def ray_right(self, frame: CameraFrame) -> Floats:
+    def compute_ray_right(self, frame: CameraFrame) -> Floats:
         """Compute the rightward component of the ray through each of n samples.
 
         Parameters
@@ -131,7 +131,7 @@ class Rows(NamedTuple):
         """
         return np.add.outer(self.shift * frame.pixel_width, frame.ray_right(self.x)).ravel()
 
-    def positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
+    def get_positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.
 
         Parameters
@@ -239,7 +239,7 @@ class Scattered(NamedTuple):
         """Assumed number of samples across a pixel: 1, because the actual number is unknown."""
         return 1.0
 
-    def ray_right(self, frame: CameraFrame) -> Floats:
+    def compute_ray_right(self, frame: CameraFrame) -> Floats:
         """Compute the rightward component of the ray through each of n samples.
 
         Parameters
@@ -255,7 +255,7 @@ class Scattered(NamedTuple):
         """
         return frame.ray_right(self.x)
 
-    def positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
+    def get_positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.
 
         Parameters

@@ -163,7 +163,7 @@ class _Intersections(NamedTuple):
         is_planar = self.shape.is_planar
         is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
-            x, y = samples.positions(self.sample)
+            x, y = samples.get_positions(self.sample)
             strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.depth_layer(depth, _RUN_WIDTH)
             is_start |= mark_run_starts(self.object_index, np.floor(y), strip, depth_layer)
         else:
@@ -189,7 +189,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
         shape.
     """
     frame, groups = scene.frame, []
-    sample_ray_right, row_ray_down = samples.ray_right(frame), frame.ray_down(samples.y)
+    sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.ray_down(samples.y)
     for shape in scene.shapes:
         object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
