@@ -75,18 +75,17 @@ class ShapeHits(NamedTuple):
         return repeat_runs(run_values, self.run_length)
 
     def expand(self, values: Floats) -> Floats:
-        """Repeat the values of tangent planes for all hits that share them.
+        """Convert values of tangent planes to one value for each of n hits.
 
         Parameters
         ----------
-        values : float array
-            Values computed from `normal` or `eye_height`: (runs,) for planar shapes, where all hits
-            of a run share a tangent plane; otherwise (n,).
+        values : (runs,) or (n,) float array
+            The value of each tangent plane.  For planar shapes, all hits of a run share one plane.
 
         Returns
         -------
         hit_values : (n,) float array
-            The value for each hit.
+            The value of each hit's tangent plane.
         """
         return repeat_runs(values, self.run_length) if self.shape.is_planar else values
 
@@ -173,7 +172,7 @@ class Hits(NamedTuple):
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def get_object_values(self, values: NDArray[Any]) -> Any:
-        """Look up the value of the object on which each hit lies.
+        """Look up a value for each of n hits: that of the object on which the hit lies.
 
         Parameters
         ----------
@@ -183,7 +182,7 @@ class Hits(NamedTuple):
         Returns
         -------
         hit_values : (n,) array
-            The value of the object of each of n hits.
+            The value of each hit's object.
         """
         return values[self.run_object].repeat(np.diff(self.run_start))
 

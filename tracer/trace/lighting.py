@@ -59,10 +59,7 @@ class LightGeometry(NamedTuple):
         """Compute the strength (n.h)^p of the highlight of one light at selected hits.
 
         Here n is the unit normal, h the unit half vector between the directions l to the light and
-        v to the eye, and p the exponent of the surface.  As n.h = (n.l + n.v) / |l + v|, and
-        |l + v|^2 = 2 + 2 l.v, the three cosines n.l, n.v and l.v suffice for most hits.  But if (1)
-        a large exponent amplifies the rounding error of n.h, or (2) l and v almost cancel, the
-        strength is computed from the vectors.
+        v to the eye, and p the exponent of the surface.
 
         For exponents up to 1e6, the error is at most 1e-12 if |l + v| > 0.3, and at most 1e-10 if
         |l + v| > 0.002.
@@ -87,30 +84,31 @@ class LightGeometry(NamedTuple):
         eye_distance = np.sqrt(dot(from_eye, from_eye))
         n_dot_l = self.n_dot_l[light_index][hit_index] / light_distance
         n_dot_v = hits.eye_height[hit_index] / eye_distance
+        # For most hits, three cosines suffice: n.h = (n.l + n.v) / |l + v|, |l + v|^2 = 2 + 2 l.v.
         half_square = 1 + dot(to_light, from_eye) / (-eye_distance * light_distance)  # |l + v|^2/2
         cosine_squared = n_dot_l + n_dot_v
         cosine_squared *= cosine_squared
         cosine_squared /= 2 * half_square
         exponent = hits.get_object_values(hits.scene.exponent)[hit_index]
         strength: Floats = np.exp(0.5 * exponent * np.log(cosine_squared))
+        # The rounding error is large if l and v almost cancel, or the exponent amplifies the error.
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
-        inaccurate = indices(is_inaccurate)
-        if inaccurate.size:
-            light_direction = scale3(take3(to_light, inaccurate), 1 / light_distance[inaccurate])
-            eye_direction = scale3(take3(from_eye, inaccurate), -1 / eye_distance[inaccurate])
-            unit_vectors = take3(hits.normal, hit_index[inaccurate]), light_direction, eye_direction
-            strength[inaccurate] = _compute_accurate_highlight(*unit_vectors, exponent[inaccurate])
+        redo_index = indices(is_inaccurate)
+        if redo_index.size:
+            light_direction = scale3(take3(to_light, redo_index), 1 / light_distance[redo_index])
+            eye_direction = scale3(take3(from_eye, redo_index), -1 / eye_distance[redo_index])
+            unit_vectors = take3(hits.normal, hit_index[redo_index]), light_direction, eye_direction
+            strength[redo_index] = _compute_accurate_strength(*unit_vectors, exponent[redo_index])
         return strength
 
 
-def _compute_accurate_highlight(
+def _compute_accurate_strength(
     normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
 ) -> Floats:
     """Compute the strength (n.h)^p of highlights accurately from unit vectors.
 
     Here n is the normal, h the unit half vector between the directions to the light and to the eye,
-    and p the exponent.  With e = n - h, the cosine n.h is 1 - e.e / 2.  So the highlight is
-    exp(p log1p(-e.e / 2)), which keeps the digits that n.h would lose.
+    and p the exponent.
 
     Parameters
     ----------
@@ -125,13 +123,14 @@ def _compute_accurate_highlight(
     strength : (n,) float array
         Strength at each of n points; 0 if the light and the eye are in opposite directions.
     """
-    directions_sum = map3(np.add, light_direction, eye_direction)
-    length2 = dot(directions_sum, directions_sum)
-    e = map3(np.subtract, normal, scale3(directions_sum, 1 / np.sqrt(length2)))
+    direction_sum = map3(np.add, light_direction, eye_direction)
+    length2 = dot(direction_sum, direction_sum)
+    # With e = n - h, the cosine n.h is 1 - e.e / 2.  log1p keeps the digits that n.h would lose.
+    e = map3(np.subtract, normal, scale3(direction_sum, 1 / np.sqrt(length2)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
-    # If the directions are opposite, both lie in the tangent plane, and their sum is nothing but
-    # rounding error.
+    # If the directions are opposite, both lie in the tangent plane, and their sum is only rounding
+    # error.
     return np.where(length2 > MIN_HALF_LENGTH2, strength, 0.0)
 
 
@@ -157,10 +156,10 @@ class Shading:
         # The slice of hits from the first to the last group in which any surface has highlights.
         is_glossy = hits.scene.is_glossy
         intervals = [part.interval for part in hits.groups if is_glossy[part.run_object].any()]
-        self._glossy = slice(intervals[0].start, intervals[-1].stop) if intervals else slice(0, 0)
-        self._is_glossy: Bools = np.zeros(0, dtype=np.bool_)
+        self._glossy_slice, self._is_glossy = slice(0, 0), np.zeros(0, dtype=np.bool_)
         if intervals:  # the values of all hits are looked up only if some are needed
-            self._is_glossy = hits.get_object_values(is_glossy)[self._glossy]
+            self._glossy_slice = slice(intervals[0].start, intervals[-1].stop)
+            self._is_glossy = hits.get_object_values(is_glossy)[self._glossy_slice]
         # Sums over lights of I n.l for all hits, and of I (n.h)^p for the hits in the slice, where
         # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
@@ -168,7 +167,7 @@ class Shading:
         self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the reflection of a batch of lights, and encode in `ids` which lights are visible.
+        """Add the reflection of a batch of lights, and encode in `ids` which of them are visible.
 
         Parameters
         ----------
@@ -188,14 +187,15 @@ class Shading:
             cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.length2[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
-            lit_index = indices(is_hit_lit[self._glossy] & self._is_glossy)
+            lit_index = indices(is_hit_lit[self._glossy_slice] & self._is_glossy)
             if lit_index.size:
-                strength, hit_index = np.zeros(self._is_glossy.size), self._glossy.start + lit_index
+                strength = np.zeros(self._is_glossy.size)
+                hit_index = self._glossy_slice.start + lit_index
                 strength[lit_index] = geometry.compute_highlight_strength(light_index, hit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
     def compute_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
-        """Yield the diffuse and the specular radiance of n hits for each colour channel.
+        """Compute the diffuse and specular radiance of n hits, one colour channel at each step.
 
         If no hit is lit, nothing is yielded.
 
@@ -206,25 +206,25 @@ class Shading:
         diffuse : (n,) float array
             Sum over visible lights of I kd n.l, where I is the light's intensity, kd the object's
             diffuse colour, n the unit normal, and l the direction to the light.
-        glossy : slice
-            A slice of k hits that contains all hits with highlights; it may be empty.
+        glossy_slice : slice
+            Slice of k hits.  All hits with highlights are in this slice, which may be empty.
         specular : (k,) float array
-            For each hit in this slice, the sum over visible lights of I ks (n.h)^p, where ks is the
+            For each hit in the slice, the sum over visible lights of I ks (n.h)^p.  Here ks is the
             object's specular colour, h the unit half vector between the directions to the light and
             to the eye, and p the object's exponent.
         """
         if self._diffuse_sum is None:
             return
         hits, scene = self._hits, self._hits.scene
-        glossy, specular = slice(0, 0), np.zeros(0)
+        glossy_slice, specular = slice(0, 0), np.zeros(0)
         for channel in range(3):
             diffuse = hits.get_object_values(scene.diffuse[channel])
             diffuse *= self._diffuse_sum[channel]
             if self._specular_sum is not None:
-                glossy = self._glossy
-                specular = hits.get_object_values(scene.specular[channel])[glossy]
+                glossy_slice = self._glossy_slice
+                specular = hits.get_object_values(scene.specular[channel])[glossy_slice]
                 specular *= self._specular_sum[channel]
-            yield channel, diffuse, glossy, specular
+            yield channel, diffuse, glossy_slice, specular
 
     def compute_radiance(self, out: Floats | None = None) -> Floats:
         """Compute the radiance towards the eye at each sample.
@@ -240,8 +240,8 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, radiance, glossy, specular in self.compute_terms():
-            radiance[glossy] += specular  # until here, `radiance` was only the diffuse term
+        for channel, radiance, glossy_slice, specular in self.compute_terms():
+            radiance[glossy_slice] += specular  # until here, `radiance` was only the diffuse term
             out[channel][self._hits.sample] = radiance
         return out
 
@@ -300,7 +300,7 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
             to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
             n_dot_l = group.compute_height(lights.position[light_index], to_light)
             if blocks_light[group.run_object].any():
-                # Not 0, which would count as a terminator: a line where the light begins.
+                # Not 0, which would mean that the light is exactly on the hit's horizon.
                 n_dot_l[group.repeat_runs(blocks_light[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
             geometry.length2[light_index, group.interval] = dot(to_light, to_light)
@@ -308,15 +308,12 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
 
 
 def find_narrow_highlights(
-    geometry: LightGeometry, faces_light: Bools, footprint: Floats
+    geometry: LightGeometry, faces_light: Bools, radius: Floats
 ) -> Iterator[Ints]:
     """Find hits whose footprint may contain a highlight too narrow for a single sample.
 
     The footprint is the part of the surface, around the hit, that is visible in a cell of the
-    picture.  Near its centre, a highlight has a strength of about exp(-p a^2 / 2), where p is the
-    exponent, and a the angle between the normal and the half vector.  The angle changes over the
-    footprint because the surface is curved, and because the directions to the light and to the eye
-    change.
+    picture (a pixel or a part of it).
 
     Parameters
     ----------
@@ -325,27 +322,29 @@ def find_narrow_highlights(
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.  Occluders are ignored: a light that is not
         visible from the hit may still be visible from other points of the footprint.
-    footprint : (n,) float array
+    radius : (n,) float array
         Radius of each footprint, in the scene's unit of length.
 
     Yields
     ------
     hit_index : (k,) int array
-        Indices of the hits with such a highlight, for one light.  The same hit may be yielded for
-        several lights.
+        Indices of the hits with such a highlight, for one light.  Several lights may yield the same
+        hit.
     """
     hits, scene = geometry.hits, geometry.hits.scene
     is_glossy = hits.get_object_values(scene.is_glossy)
     if not is_glossy.any():
         return
-    eye_turn = 1 / hits.distance + hits.get_object_values(scene.curvature)
-    # If the angle a changes by 1, the lobe position sqrt(p / 2) a changes by this much.
-    lobe_scale = np.where(is_glossy, np.sqrt(hits.get_object_values(scene.exponent) / 2), 0)
+    # The strength is about exp(-x^2) with x = a sqrt(p / 2), where p is the exponent, and a the
+    # angle between the normal and the half vector.  The angle changes over the footprint, with the
+    # normal and with the directions to the eye and the light.
+    turn_rate = 1 / hits.distance + hits.get_object_values(scene.curvature)
+    x_per_angle = np.where(is_glossy, np.sqrt(hits.get_object_values(scene.exponent) / 2), 0)
     for light_index, hit_faces_light in enumerate(faces_light):
-        max_turn = eye_turn + 1 / np.sqrt(geometry.length2[light_index])
-        lobe_step = footprint * max_turn * lobe_scale
-        hit_index = indices((lobe_step > _MAX_LOBE_STEP) & hit_faces_light)
+        max_turn_rate = turn_rate + 1 / np.sqrt(geometry.length2[light_index])
+        max_step = radius * max_turn_rate * x_per_angle  # maximum change of x over the footprint
+        hit_index = indices((max_step > _MAX_LOBE_STEP) & hit_faces_light)
         if hit_index.size:
             strength = geometry.compute_highlight_strength(light_index, hit_index)
-            lobe_position = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
-            yield hit_index[lobe_position - lobe_step[hit_index] < _LOBE_CUTOFF]
+            x = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)
+            yield hit_index[x - max_step[hit_index] < _LOBE_CUTOFF]

@@ -37,7 +37,7 @@ def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None 
 
 
 def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance and an id at each sample.
+    """Compute the radiance at each sample, and an id of what is visible there.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Fl
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Sum the radiance that hits reflect towards the eye over all lights, with shadows.
+    """Compute the light that hits reflect towards the eye, with shadows.
 
     Parameters
     ----------

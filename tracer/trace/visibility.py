@@ -287,10 +287,8 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
         tangent_planes = group.shape.tangent_planes(
             run_object, run_length, group_from_eye, group.t, group.hit_data
         )
-        interval = slice(start, end)
-        shape_hits.append(
-            ShapeHits(group.shape, interval, group.sample, run_length, run_object, *tangent_planes)
-        )
+        fields = group.shape, slice(start, end), group.sample, run_length, run_object
+        shape_hits.append(ShapeHits(*fields, *tangent_planes))
     run_start = np.concatenate([no_hits, [0], *(group.run_length for group in shape_hits)]).cumsum()
     sample = np.concatenate([no_hits, *(group.sample for group in shape_hits)])
     run_object = np.concatenate([no_hits, *(group.run_object for group in shape_hits)])
