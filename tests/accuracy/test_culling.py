@@ -186,7 +186,7 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
 
 @np.errstate(all="ignore")
 def test_runs_consist_of_neighbours():
-    # Where balls hide parts of the floor, a row of the floor consists of several runs.
+    # A row of the floor consists of several runs if balls hide parts of it.
     scene = build_crowd(200, width=80, height=45)
     samples = CENTERS.samples(slice(0, 45), slice(0, 80))
     for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
