@@ -610,8 +610,8 @@ def _merge_row_packets(row_packets: Packets, first_child: Ints, child_count: Int
     """Merge consecutive row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
-    of a square packet contains the bounding spheres of its row packets.  A light illuminates a
-    square packet if it illuminates at least one of its row packets.
+    of a square packet contains the bounding spheres of its row packets.  A square packet is lit if
+    at least one of its row packets is lit.
 
     Parameters
     ----------
