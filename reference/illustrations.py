@@ -151,10 +151,10 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     object_count : (n,) float array
         Number of objects listed in each cell.
     """
-    polygons, fraction = [], np.linspace(0, 1, grid.side + 1)
-    for octant, patch_index in enumerate(grid.patch.tolist()):
+    polygons, fraction = [], np.linspace(0, 1, grid.cells_per_side + 1)
+    for octant, patch_index in enumerate(grid.patch_of_octant.tolist()):
         if patch_index >= 0:
-            origin, size = grid.origin[:, patch_index, None], grid.size[:, patch_index, None]
+            origin, size = (a[:, patch_index, None] for a in (grid.patch_origin, grid.patch_size))
             # The grid's lines are at u and v, the absolute coordinates in an inner octant.
             u, v = np.meshgrid(*(origin + size * fraction))
             # Bit k of `octant` is set where component k of the direction is negative.

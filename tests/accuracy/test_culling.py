@@ -206,7 +206,7 @@ def place_nine_lights(scene: Scene) -> Scene:
 
 def test_lights_are_prepared_in_batches(monkeypatch):
     scene = place_nine_lights(build_crowd(40, width=48, height=27))
-    counts = record_calls(monkeypatch, LightGrid, "query", lambda grid, *_: grid.light.shape[1])
+    counts = record_calls(monkeypatch, LightGrid, "query", lambda g, *_: g.light_position.shape[1])
     monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 9)
     expected = [render(scene, samples) for samples in (1, 16)]
     monkeypatch.setattr(prepared_scene, "_MAX_LIGHTS", 4)

@@ -227,7 +227,7 @@ def _cells_per_batch(scene: PreparedScene, samples_per_cell: int) -> int:
     cell_count : int
         Number of cells, at least 1.
     """
-    return max(1, scene.batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
+    return max(1, scene.limit_batch(_SAMPLES_PER_BATCH) // samples_per_cell)
 
 
 def _sample_cells(

@@ -224,7 +224,7 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
     """
     (rows, columns), visible_by_batch = scene.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
-        rows_per_batch = max(1, scene.batch_size(BATCH_SIZE) // (columns.stop - columns.start))
+        rows_per_batch = max(1, scene.limit_batch(BATCH_SIZE) // (columns.stop - columns.start))
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = CENTERS.samples(slice(top, min(top + rows_per_batch, rows.stop)), columns)
             visible_by_batch.append(np.unique(find_nearest_hits(scene, samples).run_object))

@@ -26,11 +26,7 @@ Shape: TypeAlias = Spheres | Boxes
 
 # Maximum number of pairs of a sample and an object on its ray in one batch of samples; maximum
 # number of lights, and of pairs of a light and an object, in one batch of lights.
-_MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = (
-    12 * BATCH_SIZE,
-    4,
-    4 * BATCH_SIZE,
-)
+_MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
 
 # Once the cache of light batches has at least this many bytes, no batches are added.  Preparing
 # the other batches again takes less time than the work for which they are prepared.
@@ -70,7 +66,7 @@ class Lights(NamedTuple):
     @property
     def near_position(self) -> Floats:
         """Positions of the lights, (lights, 3), with distant lights moved closer as in `grid`."""
-        return self.position if self.grid is None else self.grid.light[:, :, 0].T
+        return self.position if self.grid is None else self.grid.light_position[:, :, 0].T
 
     @property
     def nbytes(self) -> int:
@@ -161,26 +157,26 @@ class PreparedScene:
         self._lights, self.light_count = scene.lights, len(scene.lights)
         self._cache, self._lock = dict[int, Lights](), Lock()
 
-    def batch_size(self, max_samples: int) -> int:
-        """Choose the number of samples to trace together, within limited memory.
+    def limit_batch(self, max_samples: int) -> int:
+        """Choose how many samples to trace together, so that memory is limited.
 
         Parameters
         ----------
         max_samples : int
-            Maximum number of samples, which is used if few objects lie on each ray.
+            Maximum number of samples.
 
         Returns
         -------
         sample_count : int
-            A number from 1 to `max_samples`, smaller if many objects lie on each ray.
+            A number from 1 to `max_samples`, which is smaller if many objects lie on each ray.
         """
         return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """Iterator over all lights of the scene, in batches of at most `_MAX_LIGHTS` lights.
+        """Yield all lights of the scene in batches, with the data that shadow tests need.
 
-        In scenes with many objects, batches are smaller to save memory.
+        Batches are smaller in scenes with many objects, to save memory.
         """
         object_count = max(self.curvature.size, 1)
         lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
@@ -188,9 +184,9 @@ class PreparedScene:
             yield self._get_light_batch(slice(start, start + lights_per_batch))
 
     def _get_light_batch(self, batch: slice) -> Lights:
-        """Return a batch of prepared lights, from the cache if possible.
+        """Return a batch of lights from the cache, or prepare the lights.
 
-        A batch that is not in the cache is prepared, and added to the cache unless it is full.
+        Prepared lights are added to the cache unless it is full.
 
         Parameters
         ----------
@@ -200,7 +196,7 @@ class PreparedScene:
         Returns
         -------
         lights : Lights
-            The batch; it may be shared with other callers.
+            The lights, which other callers may use at the same time.
         """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
@@ -211,9 +207,7 @@ class PreparedScene:
         return self.prepare_lights(batch)
 
     def prepare_lights(self, batch: slice = slice(None)) -> Lights:
-        """Precompute the data that shading and shadow tests need of a batch of lights.
-
-        The result is neither read from nor added to the cache of light batches.
+        """Prepare lights for shading and shadow tests, without using the cache.
 
         Parameters
         ----------
@@ -223,15 +217,16 @@ class PreparedScene:
         Returns
         -------
         lights : Lights
-            Positions, intensities, the side of each object on which each light lies, and the light
-            grid, which lists objects by their direction from each light.
+            The positions and intensities of the lights, the side of each object on which each light
+            lies, and lists of the objects in each direction from each light.
         """
         lights = self._lights[batch]
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
-        sides = [kind.side_of_light(kind.objects.indices(), (x, y, z)) for kind in self._all_shapes]
-        boxes = [shape.bounding_boxes() for shape in self._all_shapes]
-        low, high = (np.concatenate(corners, axis=1) for corners in zip(*boxes, strict=True))
+        shapes = self._all_shapes
+        sides = [shape.side_of_light(shape.objects.indices(), (x, y, z)) for shape in shapes]
+        boxes = [shape.bounding_boxes() for shape in shapes]
+        box_min, box_max = (np.concatenate(points, axis=1) for points in zip(*boxes, strict=True))
         is_visible = self.bounds.in_picture(self.frame)
         return Lights(
             position=position,
@@ -239,7 +234,7 @@ class PreparedScene:
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
             grid=build_light_grid(
-                position, low, high, self.position_error, is_visible, ~self.is_duplicate
+                position, box_min, box_max, self.position_error, is_visible, ~self.is_duplicate
             ),
         )
 
@@ -255,15 +250,15 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether an object with the same geometry comes earlier in the file.  The elements for
-        spheres come first, then those for boxes.
+        Whether an object with the same geometry comes earlier in the file: first for all spheres,
+        then for all boxes.
     """
-    radius, box_parameters = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
     # Six numbers describe each object.  The last is infinite for spheres and finite for boxes,
     # so no sphere equals a box.
-    sphere_parameters = [*surfaces.center.T, radius, radius, radius + np.inf]
-    geometry = np.concatenate([sphere_parameters, box_parameters], axis=1)
-    # Sort by a hash, then by file order, so that duplicates are adjacent, the earliest first.
+    radius, box_geometry = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
+    sphere_geometry = [*surfaces.center.T, radius, radius, radius + np.inf]
+    geometry = np.concatenate([sphere_geometry, box_geometry], axis=1)
+    # Sort by a hash, then by file order.  Equal objects become neighbours, the earliest first.
     geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
     sorted_index = np.lexsort((surfaces.file_index, geometry_hash))
     is_duplicate = np.empty(sorted_index.size, dtype=np.bool_)
