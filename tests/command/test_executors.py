@@ -216,7 +216,7 @@ def test_each_processor_has_two_calls_to_make_and_no_more(processors, monkeypatc
     never = Unreliable(FAILURES["never ended"], 0)
     never.share = 1
     assert np.array_equal(render(sphere_scene(), executor=never), render(sphere_scene()))
-    tiles = len(RenderJob(sphere_scene()).tiles(shared=True))
+    tiles = len(RenderJob(sphere_scene()).divide(is_shared=True))
     assert never.failed == min(2 * processors, tiles * processors // (processors + 1))
 
 

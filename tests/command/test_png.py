@@ -113,7 +113,7 @@ def test_tiles_make_the_picture(rows, columns):
     """Tiles are whole rows, or parts of one row if they are narrower than the picture."""
     image = np.random.default_rng(rows).uniform(size=(300, 50, 3))
     tiles = (
-        compress_tile(image[row : row + rows, column : column + columns], from_left=column == 0)
+        compress_tile(image[row : row + rows, column : column + columns], is_leftmost=column == 0)
         for row in range(0, 300, rows)
         for column in range(0, 50, columns)
     )

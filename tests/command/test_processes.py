@@ -49,7 +49,7 @@ def test_all_processors_have_tiles(processors, name, size, samples, monkeypatch)
     scene = replace(load_scene(SCENES / f"{name}.xml"), width=width, height=height)
     for shared in (False, True):
         job = RenderJob(scene, samples)
-        tiles = job.tiles(shared=shared)
+        tiles = job.divide(is_shared=shared)
         max_seconds = 0.25 / (1 + samples / 10_000)
         assert len(tiles) >= min(job.seconds / max_seconds, width * height)
         assert len(tiles) >= min(4 * processors, job.seconds / 0.05) or not shared
@@ -83,7 +83,7 @@ def test_the_picture_is_the_same_however_it_is_divided(samples, monkeypatch):
     for seconds in (1e-9, 1e-4, 1):
         monkeypatch.setattr(render_module, "_MAX_TILE_SECONDS", seconds)
         images.append(render(scene, samples))
-    assert len(RenderJob(scene, samples).tiles(shared=False)) == 1
+    assert len(RenderJob(scene, samples).divide(is_shared=False)) == 1
     assert np.array_equal(images[0], images[2])
     assert np.array_equal(images[1], images[2])
 

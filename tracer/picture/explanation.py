@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from tracer.antialias.lattice import CENTERS
 from tracer.arrays import Ints, Vector, take3
-from tracer.picture.lint import name_by_index
+from tracer.picture.lint import name_element
 from tracer.picture.png import to_codes
-from tracer.scene.model import Lambertian, PointLight, Scene, normalize
+from tracer.scene.model import Lambertian, Scene, normalize
 from tracer.trace.first_hits import FirstHits
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import compute_light_geometry
@@ -56,7 +56,7 @@ class SurfaceRef:
         return cls(index, type(surface).__name__, surface.line)
 
     def __str__(self) -> str:
-        return name_by_index(self.kind, self.index, self.line)
+        return name_element(self.kind, self.index, self.line)
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Explanation:
     codes: tuple[int, int, int]
 
     def __str__(self) -> str:
-        return "\n".join(self._text_lines())
+        return "\n".join(self._format_lines())
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         """Show the explanation as text in IPython and notebooks, which call this method.
@@ -149,16 +149,16 @@ class Explanation:
         Parameters
         ----------
         printer : IPython.lib.pretty.PrettyPrinter
-            Printer that the text is written to.
+            The printer to write the text to.
         cycle : bool
             Ignored, because an explanation does not contain itself.
         """
         printer.text(str(self))
 
-    def _text_lines(self) -> Iterator[str]:
+    def _format_lines(self) -> Iterator[str]:
         """Yield the explanation as lines of text, without line breaks.
 
-        kd and ks are the diffuse and specular colours of the surface.
+        In the text, kd and ks are the diffuse and specular colours of the surface.
         """
         yield f"pixel     {self.x},{self.y}"
         yield f"ray       from {_format_vector(self.eye)} towards {_format_vector(self.direction)}"
@@ -170,12 +170,15 @@ class Explanation:
             kd, ks = _format_vector(self.kd), _format_vector(self.ks)
             yield f"shader    kd {kd}, ks {ks}, exponent {self.exponent:g}"
         for index, light in enumerate(self.lights):
-            yield from self._light_text_lines(index, light)
+            yield from self._format_light_lines(index, light)
         yield f"radiance  {_format_vector(self.radiance)}"
         yield f"codes     {' '.join(map(str, self.codes))}"
 
-    def _light_text_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
+    def _format_light_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
         """Yield the explanation of one light as lines of text, without line breaks.
+
+        In the text, n is the normal, l the direction to the light and h the half vector; kd and ks
+        are the diffuse and specular colours of the surface.
 
         Parameters
         ----------
@@ -188,14 +191,14 @@ class Explanation:
         ------
         line : str
             The first line contains the cosines n.l and n.h, and the surfaces that block the light.
-            If none does, a line with the diffuse and a line with the specular radiance follow,
-            which are computed from the surface's colours kd and ks.
+            If the light is not blocked, two lines show how its diffuse and its specular radiance
+            are computed.
         """
         other_surfaces = [str(ref) for ref in light.occluders if ref != self.surface]
         occluders = other_surfaces or ["the surface itself"] * len(light.occluders)
         outcome = f"blocked by {', '.join(occluders)}" if occluders else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
-        light_name = name_by_index("light", light_index, light.line)
+        light_name = name_element("light", light_index, light.line)
         yield f"{light_name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
         if not occluders:
             intensity, kd, ks = map(_format_vector, (light.intensity, self.kd, self.ks))
@@ -250,8 +253,8 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     frame, samples = prepared_scene.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
     radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
-    first_hit = FirstHits.from_hits(hits)
-    surface_index = first_hit.surface.item()
+    scene_hit = FirstHits.from_hits(hits)
+    surface_index = scene_hit.surface.item()
     ray = samples.compute_ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
@@ -261,26 +264,22 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
         eye=_to_vector(frame.eye),
         direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, surface_index) if has_hit else None,
-        distance=first_hit.distance.item(),
-        point=_to_vector(first_hit.point[0]),
-        normal=_to_vector(first_hit.normal[0]),
+        distance=scene_hit.distance.item(),
+        point=_to_vector(scene_hit.point[0]),
+        normal=_to_vector(scene_hit.normal[0]),
         kd=_to_vector(shader.diffuse),
         ks=_to_vector(getattr(shader, "specular", (0.0, 0.0, 0.0))),
         exponent=getattr(shader, "exponent", 1.0),
         lights=tuple(
-            _explain_light(
-                scene, hits, first_hit, light, prepared_scene.prepare_lights(slice(i, i + 1))
-            )
-            for i, light in enumerate(scene.lights if has_hit else ())
+            _explain_light(scene, hits, scene_hit, light_index)
+            for light_index in range(len(scene.lights) if has_hit else 0)
         ),
         radiance=_to_vector(radiance),
         codes=tuple(to_codes(radiance[None, None])[0, 0].tolist()),
     )
 
 
-def _explain_light(
-    scene: Scene, hit: Hits, first_hit: FirstHits, light: PointLight, prepared_light: Lights
-) -> LightPart:
+def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: int) -> LightPart:
     """Compute the contribution of one light to the colour of a pixel that shows a surface.
 
     Parameters
@@ -288,26 +287,26 @@ def _explain_light(
     scene : Scene
         The scene.
     hit : Hits
-        The point where the pixel's ray meets the surface, in the axes of the camera.
-    first_hit : FirstHits
-        The same point in the axes of the scene, as arrays of length 1.
-    light : PointLight
-        The light, in the axes of the scene.
-    prepared_light : Lights
-        The same light in the axes of the camera: a batch of one light.
+        The point where the pixel's ray meets the surface, in camera axes.
+    scene_hit : FirstHits
+        The same point in scene axes.
+    light_index : int
+        Index of the light in the scene.
 
     Returns
     -------
     contribution : LightPart
-        The cosines, the surfaces that block the light, and the radiance that the light adds.
+        The contribution of the light.
     """
+    light = scene.lights[light_index]
+    prepared_light = hit.scene.prepare_lights(slice(light_index, light_index + 1))
     is_facing_light = compute_light_geometry(hit, prepared_light).n_dot_l.item() > 0
-    # A surface that faces away from the light is its own occluder.
+    # A surface that faces away from the light blocks the light itself.
     occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
     for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).compute_terms():
         diffuse[channel], specular[channel] = diffuse_term.item(), specular_term.sum()
-    point, normal = first_hit.point[0], first_hit.normal[0]
+    point, normal = scene_hit.point[0], scene_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
     half_vector = normalize(to_light + normalize(hit.scene.frame.eye - point))
     occluder_indices = scene.surfaces.file_index[occluders].tolist()
@@ -323,29 +322,29 @@ def _explain_light(
 
 
 def _find_occluders(hit: Hits, light: Lights) -> Ints:
-    """Find all objects that block the segment from a surface point to a light.
+    """Find all objects that block the segment from a hit to a light.
 
-    The object on whose surface the point lies is not tested.
+    The object that is hit is not tested.
 
     Parameters
     ----------
     hit : Hits
-        A single point, where a ray meets a surface.
+        A single hit: a point where a ray meets an object.
     light : Lights
         A single light.
 
     Returns
     -------
     occluders : (k,) int array
-        Indices of the k blocking objects in the prepared scene; k may be 0.
+        Indices of the objects; empty if none blocks the segment.
     """
-    occluder_parts = []
+    occluder_groups = []
     for shape in hit.scene.shapes:
         other_objects = np.setdiff1d(shape.objects.indices(), hit.hit_object)
-        # The point and the light are repeated for each object.
+        # Repeat the hit and the light for each object.
         hit_position = hit.get_points(np.zeros_like(other_objects))
         light_position = take3(light.position.T, np.zeros_like(other_objects))
         light_side = light.side[0, other_objects]
         is_blocking = shape.occludes(other_objects, hit_position, light_position, light_side)
-        occluder_parts.append(other_objects[is_blocking])
-    return np.concatenate(occluder_parts)
+        occluder_groups.append(other_objects[is_blocking])
+    return np.concatenate(occluder_groups)

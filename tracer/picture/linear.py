@@ -16,16 +16,16 @@ NPY, EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 """The first bytes of files of these formats."""
 
 
-def encode_raw(radiance: Floats, *, from_left: bool = True) -> bytes:
+def encode_raw(radiance: Floats, *, is_leftmost: bool = True) -> bytes:
     """Convert the radiance of a tile (a rectangle of pixels) to raw float64 bytes.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of the pixels.
-    from_left : bool
-        Whether the tile begins at the left edge of the picture.  This makes no difference, but all
-        functions that encode tiles have this parameter.
+    is_leftmost : bool
+        Ignored.  All functions that encode tiles have this parameter: whether the tile is at the
+        left edge of the picture.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with np.errstate(over="ignore"):
         channels = {"RGB": image.astype(np.float32)}
-    # Files without a path exist only on Linux, where they can be opened again by descriptor.
+    # On Linux, a file may have no path, but it can be opened again by its descriptor.
     path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
     try:
         OpenEXR.File(header, channels).write(path)

@@ -67,8 +67,8 @@ class Exposure(NamedTuple):
     def from_radiance(cls, radiance: Floats) -> Exposure:
         """Count all, lit (not black) and clipped (brighter than 1) pixels in part of a picture.
 
-        The numbers of lit and clipped pixels are estimates if there are more than
-        `_MIN_ESTIMATED_PIXELS` pixels.  The number of lit pixels is 0 only if all pixels are black.
+        The numbers of lit and clipped pixels are estimates if there are many pixels.  The number of
+        lit pixels is 0 only if all pixels are black.
 
         Parameters
         ----------
@@ -84,9 +84,9 @@ class Exposure(NamedTuple):
         row_step = _ROW_STEP if pixel_count > _MIN_ESTIMATED_PIXELS else 1
         red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
         max_component = np.maximum(np.maximum(red, green), blue)
-        ratio = pixel_count / max_component.size
-        lit_count = round(ratio * np.count_nonzero(max_component)) or int(radiance.any())
-        return cls(pixel_count, lit_count, round(ratio * np.count_nonzero(max_component > 1)))
+        scale = pixel_count / max_component.size
+        lit_count = round(scale * np.count_nonzero(max_component)) or int(radiance.any())
+        return cls(pixel_count, lit_count, round(scale * np.count_nonzero(max_component > 1)))
 
 
 def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
@@ -120,15 +120,15 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
         yield (
             f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
-            f"in a PNG file; lower the intensities, first that of {brightest_light}"
+            f"in a PNG file; lower the intensities of the lights, {brightest_light} first"
         )
 
 
 def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
-    """Yield warnings about the first light with intensity 0 and the first light inside a surface.
+    """Yield a warning if a light has intensity 0, and a warning if a light is inside a surface.
 
-    A light inside a surface has no effect if the eye is outside that surface.  Such lights are
-    searched for only if the scene has at most `_MAX_PAIRS` (light, surface) pairs.
+    A light inside a surface has no effect if the eye is outside.  Such lights are not searched for
+    if the scene has more than `_MAX_PAIRS` pairs of a light and a surface.
 
     Parameters
     ----------
@@ -140,12 +140,10 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     Yields
     ------
     warning : str
-        One line of text: what looks wrong, where, and a suggested fix.
+        One line of text: what is wrong with the first such light, and a suggested fix.
     """
-    dark_light_indices = [
-        index for index, light in enumerate(scene.lights) if not any(light.intensity)
-    ]
-    for light_index in dark_light_indices[:1]:
+    dark_lights = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
+    for light_index in islice(dark_lights, 1):
         name = _name_light(scene, light_index)
         yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
@@ -153,7 +151,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
     is_enclosed = np.concatenate(
         [
-            # A light inside by less than the tolerance is treated as being on the surface.
+            # A light that is inside by less than the tolerance counts as on the surface.
             shape.signed_distance(shape.objects.indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_size
             for shape in prepared_scene.shapes
@@ -191,7 +189,7 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
     camera_remedy = "see viewPoint, viewDir and the window"
     if not visible_objects.size:
         if prepared_scene.bounds.in_picture(prepared_scene.frame).any():
-            return "no pixel's centre sees an object", f"try --samples 16, or {camera_remedy}"
+            return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"
     has_color = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
@@ -220,22 +218,22 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
     Returns
     -------
     visible_objects : (k,) int array
-        Indices of the objects in the prepared scene, in ascending order.
+        Indices of the objects, in ascending order.
     """
-    (rows, columns), visible_by_batch = scene.window, [np.zeros(0, dtype=np.intp)]
+    (rows, columns), object_batches = scene.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
         rows_per_batch = max(1, scene.limit_batch(BATCH_SIZE) // (columns.stop - columns.start))
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = CENTERS.samples(slice(top, min(top + rows_per_batch, rows.stop)), columns)
-            visible_by_batch.append(np.unique(find_nearest_hits(scene, samples).run_object))
-    return np.unique(np.concatenate(visible_by_batch))
+            object_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
+    return np.unique(np.concatenate(object_batches))
 
 
 def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
-    """Yield warnings about shaders that no surface uses and exponents that have no effect.
+    """Yield a warning about shaders that no surface uses, and one about exponents without effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
-    skipped, because the warning names shaders by their lines in the file.
+    skipped.
 
     Parameters
     ----------
@@ -245,15 +243,14 @@ def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
     Yields
     ------
     warning : str
-        One line of text: what looks wrong, in which lines of the file, and a suggested fix.  At
-        most two warnings are yielded, one of each kind.
+        One line of text: what looks wrong, on which lines of the file, and a suggested fix.
     """
-    used_indices = set(surfaces.shader_index.tolist())
+    used_shader_indices = set(surfaces.shader_index.tolist())
     unused_lines, matte_lines = list[int](), list[int]()
     for index, shader in enumerate(surfaces.shaders):
         if shader.line is None:
             continue
-        if index not in used_indices:
+        if index not in used_shader_indices:
             unused_lines.append(shader.line)
         elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
             matte_lines.append(shader.line)
@@ -266,19 +263,18 @@ def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
 
 
 def _name_shaders(lines: list[int]) -> str:
-    """Name shaders by their line numbers: "shader of line 3", or "shaders of lines 3, 7".
+    """Return a name such as "shader on line 3" or "shaders on lines 3, 7".
 
     At most nine line numbers are listed.
     """
     listed_lines = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
-    return f"shader of line {lines[0]}" if len(lines) == 1 else f"shaders of lines {listed_lines}"
+    return f"shader on line {lines[0]}" if len(lines) == 1 else f"shaders on lines {listed_lines}"
 
 
 def _check_aspect(scene: Scene) -> Iterator[str]:
     """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
 
-    The warning suggests a value of `viewWidth`, and a number of columns, each of which would make
-    the pixels square.
+    The warning suggests a `viewWidth` and a number of columns.  Either makes the pixels square.
     """
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
@@ -290,57 +286,55 @@ def _check_aspect(scene: Scene) -> Iterator[str]:
         yield f"{problem}; {remedy} would make them square"
 
 
-def name_by_index(kind: str, index: int, line: int | None) -> str:
-    """Name a light or surface by its index and its line in the file: "light 0 (line 12)".
+def name_element(kind: str, index: int, line: int | None) -> str:
+    """Return a name for a light or a surface, such as "light 0 (line 12)".
 
-    If `line` is None, because the scene does not come from a file, the name is "light 0".
+    The name consists of the kind, the index in the scene and, if it is known, the line of the file.
     """
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 
 def _name_light(scene: Scene, index: int) -> str:
-    """Name the light `scene.lights[index]` by its index, and its line in the file if it has one."""
-    return name_by_index("light", index, scene.lights[index].line)
+    """Return the name of ``scene.lights[index]``, such as "light 0 (line 12)"."""
+    return name_element("light", index, scene.lights[index].line)
 
 
 def _name_surface(scene: Scene, object_index: Ints) -> str:
-    """Name the first of the given surfaces, in file order, by its index and line.
+    """Return the name of the object that comes first in the file.
 
     Parameters
     ----------
     scene : Scene
-        The scene that contains the surfaces.
+        The scene that contains the objects.
     object_index : (n,) int array
-        Indices of the surfaces in the prepared scene, whose order is not that of the file; n is at
-        least 1.
+        Indices of one or more objects in the prepared scene.
     """
     surface_index = scene.surfaces.file_index[object_index].min().item()
-    return name_by_index("surface", surface_index, scene.surfaces[surface_index].line)
+    return name_element("surface", surface_index, scene.surfaces[surface_index].line)
 
 
 def _check_color_ranges(scene: Scene) -> Iterator[str]:
-    """Yield a warning about each colour that seems to be in the range 0 to 255, not 0 to 1.
+    """Yield a warning for each colour whose components seem to range from 0 to 255, not 0 to 1.
 
-    Such a colour consists of integers up to 255, the largest of which is at least `_MIN_CODE`.  The
-    warning names the light, or the first surface with the colour, and suggests the same colour in
-    the range 0 to 1.
+    Such a colour consists of integers up to 255.  The largest is at least `_MIN_CODE`.  The warning
+    names the light, or the first surface with the colour, and suggests components from 0 to 1.
     """
     surfaces = scene.surfaces
     colors: list[tuple[str, VectorLike, str, int]] = [
         ("intensity", light.intensity, "light", index) for index, light in enumerate(scene.lights)
     ]
-    # Each shader is named by the first surface in the file that uses it.
+    # A shader's colours are reported for the first surface in the file that uses the shader.
     shader_of_surface = surfaces.shader_index[surfaces.array_index]
-    shader_indices, first_users = np.unique(shader_of_surface, return_index=True)
-    for shader_index, user in zip(shader_indices.tolist(), first_users.tolist(), strict=True):
-        shader = surfaces.shaders[shader_index]
-        colors.append(("diffuseColor", shader.diffuse, "surface", user))
+    _, first_surfaces = np.unique(shader_of_surface, return_index=True)
+    for surface_index in first_surfaces.tolist():
+        shader = surfaces.shaders[shader_of_surface[surface_index]]
+        colors.append(("diffuseColor", shader.diffuse, "surface", surface_index))
         if isinstance(shader, Phong):
-            colors.append(("specularColor", shader.specular, "surface", user))
+            colors.append(("specularColor", shader.specular, "surface", surface_index))
     for tag, color, kind, index in colors:
         if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
             element = scene.lights[index] if kind == "light" else surfaces[index]
-            name = name_by_index(kind, index, element.line)
-            codes = " ".join(map(format_number, color))
-            fractions = " ".join(f"{value / 255:.3g}" for value in color)
-            yield f"{tag} {codes} of {name} looks like 0 to 255; for 0 to 1, write {fractions}"
+            name = name_element(kind, index, element.line)
+            old_color = " ".join(map(format_number, color))
+            new_color = " ".join(f"{value / 255:.3g}" for value in color)
+            yield f"{tag} {old_color} of {name} looks like 0 to 255; for 0 to 1, write {new_color}"

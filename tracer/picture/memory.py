@@ -26,18 +26,18 @@ _LARGE_PAGE_BYTES = 1 << 27
 def keep_freed_memory() -> None:
     """Make glibc keep freed memory, in large pages, so that later arrays can reuse it.
 
-    By default, glibc, the C library of Linux, returns free memory at the end of the heap to the
-    system.  Asking for it again costs more than the arithmetic itself.
+    By default, glibc, the C library of Linux, returns freed memory to the system.  Requesting it
+    again takes longer than the arithmetic for which it is needed.
 
-    The setting applies to this process and to processes forked from it.  A
-    second call has no effect, nor has any call with another C library.
+    The setting applies to this process and to processes forked from it.  Other C libraries are not
+    changed.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
         # For arrays of this size, NumPy requests large pages with madvise(2).  The arrays are never
-        # written to, so they take no memory now.  If they cannot be allocated, there may still be
+        # written to, so they use no memory.  If they cannot be allocated, there may still be
         # enough memory for the picture.
         with suppress(MemoryError):
             _ = [

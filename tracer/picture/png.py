@@ -98,16 +98,16 @@ class CompressedTile(NamedTuple):
     checksum: int
 
 
-def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile:
+def compress_tile(radiance: Floats, *, is_leftmost: bool = True) -> CompressedTile:
     """Encode a tile (a rectangle of pixels) as 8-bit codes, and compress it for a PNG file.
 
     Parameters
     ----------
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of the tile: whole rows of the picture, or part of one row.
-    from_left : bool
-        Whether the tile begins at the left edge of the picture.  If so, each row is preceded by a
-        zero byte, which means that the row is not filtered (PNG, 9.2).
+    is_leftmost : bool
+        Whether the tile is at the left edge of the picture.  If so, each row begins with a zero
+        byte, which means that the row is not filtered (PNG, 9.2).
 
     Returns
     -------
@@ -121,8 +121,8 @@ def compress_tile(radiance: Floats, *, from_left: bool = True) -> CompressedTile
     """
     codes = to_codes(radiance)
     rows = codes.reshape(len(codes), -1)
-    if from_left:
-        # No filter, because filters would disturb exact repetitions, which are common in pictures.
+    if is_leftmost:
+        # Filters would hide exact repetitions, which are common in pictures.
         rows = np.pad(rows, ((0, 0), (1, 0)))
     # Level 3 takes no longer than level 1.
     compressor = zlib.compressobj(3, wbits=-zlib.MAX_WBITS)
@@ -154,16 +154,17 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
     if width < 1 or height < 1:
         raise ValueError(f"a picture has at least one pixel, not {width} x {height}")
 
-    def write_chunk(chunk_type: bytes, data: bytes) -> None:  # (5.3)
+    def write_chunk(chunk_type: bytes, data: bytes) -> None:
+        """Write the length, the type, the data and the checksum of a chunk (PNG, 5.3)."""
         file.write(struct.pack(">I", len(data)) + chunk_type)
         file.write(data)
         file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(chunk_type))))
 
     file.write(PNG)
-    # 8 bits per channel, RGB, the only existing compression and filter methods, not interlaced.
+    # 8 bits per channel, RGB, the standard compression and filter methods, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-    # A zlib stream (RFC 1950): its header (window of 32 KB, fast compression), the blocks of the
-    # tiles, an empty last block, and the checksum.
+    # The pixels are one zlib stream (RFC 1950).  It has a header (window of 32 KB, fast
+    # compression), the blocks of the tiles, an empty last block, and a checksum.
     prefix, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
     for tile in tiles:
         write_chunk(b"IDAT", prefix + tile.data)
@@ -176,10 +177,10 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
 
 
 def _combine_checksums(first_checksum: int, second_checksum: int, second_size: int) -> int:
-    """Combine the Adler-32 checksums of two byte strings into that of their concatenation.
+    """Compute the Adler-32 checksum of two joined byte strings from their own checksums.
 
-    An Adler-32 checksum has two halves of 16 bits, both modulo 65521 (RFC 1950).  The lower half,
-    a, is 1 plus the sum of all bytes; the upper half, b, is the sum of the values that a has after
+    An Adler-32 checksum has two halves of 16 bits, modulo 65521 (RFC 1950).  The lower half is 1
+    plus the sum of all bytes.  The upper half is the sum of all values of the lower half, one after
     each byte.
 
     Parameters
@@ -194,15 +195,18 @@ def _combine_checksums(first_checksum: int, second_checksum: int, second_size: i
     checksum : int
         Adler-32 checksum of the first string followed by the second.
     """
-    a1, b1 = first_checksum & 0xFFFF, first_checksum >> 16
-    a2, b2 = second_checksum & 0xFFFF, second_checksum >> 16
-    a = (a1 + a2 - 1) % _ADLER_MODULUS
-    b = (b1 + b2 + second_size * (a1 - 1)) % _ADLER_MODULUS
-    return b << 16 | a
+    lower1, upper1 = first_checksum & 0xFFFF, first_checksum >> 16
+    lower2, upper2 = second_checksum & 0xFFFF, second_checksum >> 16
+    lower = (lower1 + lower2 - 1) % _ADLER_MODULUS
+    upper = (upper1 + upper2 + second_size * (lower1 - 1)) % _ADLER_MODULUS
+    return upper << 16 | lower
 
 
 def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
-    """Encode linear RGB radiance as 8-bit codes: the code of x is round(255 clip(x, 0, 1)^(1/2.2)).
+    """Encode linear RGB radiance as 8-bit codes.
+
+    Radiance is clipped to the range from 0 to 1.  The code of radiance x is 255 x^(1 / 2.2),
+    rounded to the nearest integer.
 
     Parameters
     ----------
@@ -212,7 +216,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The codes that exact arithmetic would give.
+        The codes, which are those of exact arithmetic.
 
     Raises
     ------
@@ -224,14 +228,14 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    min_value, first_cell, cell_code, next_threshold = _compute_code_tables()
+    min_radiance, first_cell, cell_code, next_threshold = _compute_code_tables()
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        clipped_values = np.clip(flat_radiance[batch], min_value, 1.0)
-        # A cell is a range of float64 values with common leading bits.  At most one code begins
-        # in a cell, so the code of a value is that of its cell's minimum, or one more.
-        min_code = cell_code.take((clipped_values.view(np.int64) >> _CELL_BITS) - first_cell)
-        np.add(min_code, clipped_values >= next_threshold.take(min_code), out=flat_codes[batch])
+        clipped_radiance = np.clip(flat_radiance[batch], min_radiance, 1.0)
+        # A cell is a range of float64 values with the same leading bits.  At most one code begins
+        # in a cell, so the code of a value is that of the smallest value in its cell, or one more.
+        low_code = cell_code.take((clipped_radiance.view(np.int64) >> _CELL_BITS) - first_cell)
+        np.add(low_code, clipped_radiance >= next_threshold.take(low_code), out=flat_codes[batch])
     return codes
 
 
@@ -257,7 +261,7 @@ def _validate_radiance(image: ArrayLike) -> Floats:
     """
     array = np.asarray(image)
     if array.dtype == np.uint8:
-        raise TypeError("an image is linear radiance, from 0 to 1, not codes of type uint8")
+        raise TypeError("an image is linear radiance, from 0 to 1, not 8-bit codes (uint8)")
     if np.iscomplexobj(array):
         raise TypeError("an image must be real, not complex")
     if hasattr(image, "filled"):  # np.asarray ignores the mask
@@ -278,39 +282,34 @@ _CELL_BITS = 52 - 7
 
 @cache
 def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
-    """Compute lookup tables for the 8-bit codes of radiance values from `min_value` to 1.
+    """Compute lookup tables for the 8-bit codes of radiance values.
 
-    The values from `min_value` to 1 are divided into cells.  A cell is a range of float64 values
-    with the same leading bits: all bits but the last `_CELL_BITS`.  The tables are computed at the
-    first call, and then cached.
+    A cell is a range of float64 values with the same leading bits: all but the last `_CELL_BITS`.
+    The tables contain the cells from `min_radiance` to 1.
 
     Returns
     -------
-    min_value : float
-        The largest power of two with code 0.  All smaller values have code 0, too.
+    min_radiance : float
+        A power of two with code 0.  All smaller values have code 0, too.
     first_cell : int
-        The leading bits of `min_value`, as an integer.  The index of a value's cell is the value's
-        leading bits minus `first_cell`.
+        The leading bits of `min_radiance`, as an integer.  Subtract this from the leading bits of a
+        value to get the index of the value's cell.
     cell_code : (cells,) uint8 array
         The code of the smallest value in each cell.
     next_threshold : (_MAX_CODE + 1,) float array
         For each code, the smallest float64 that has a larger code; infinite for the last code.
     """
     codes = range(1, _MAX_CODE + 1)
-    next_threshold = np.array([_find_threshold(code) for code in codes] + [np.inf])
-    min_value = 2.0 ** (math.frexp(next_threshold[0])[1] - 1)
-    first_cell, last_cell = (np.array([min_value, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
-    min_of_cell: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
-    cell_code = next_threshold.searchsorted(min_of_cell, side="right").astype(np.uint8)
-    return min_value, first_cell, cell_code, next_threshold
+    next_threshold = np.array([_compute_threshold(code) for code in codes] + [np.inf])
+    min_radiance = 2.0 ** (math.frexp(next_threshold[0])[1] - 1)
+    first_cell, last_cell = (np.array([min_radiance, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
+    cell_start: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
+    cell_code = next_threshold.searchsorted(cell_start, side="right").astype(np.uint8)
+    return min_radiance, first_cell, cell_code, next_threshold
 
 
-def _find_threshold(code: int) -> float:
+def _compute_threshold(code: int) -> float:
     """Compute the smallest float64 radiance whose 8-bit code is at least `code`.
-
-    A value x has at least this code if 255 x^(q/p) >= code - 1/2, where p / q is gamma.  To avoid
-    rounding, both sides are doubled and raised to the power p: 510^p x^q >= (2 code - 1)^p.  With
-    x = a / b, multiplying by b^q makes both sides integers, so the comparison is exact.
 
     Parameters
     ----------
@@ -320,18 +319,21 @@ def _find_threshold(code: int) -> float:
     Returns
     -------
     threshold : float
-        The smallest x whose code is at least `code`.
+        The smallest radiance whose code is at least `code`.
     """
-    p, q = _GAMMA
+    p, q = _GAMMA  # gamma is p / q
     relative_code = (code - 0.5) / _MAX_CODE
-    # More accurate than relative_code**(p / q), because a small fractional exponent has a small
-    # rounding error.
+    # The error is a few units in the last place, less than with the single exponent p / q.
     estimate: float = relative_code ** (p // q) * relative_code ** (p % q / q)
 
-    def reaches_code(x: float) -> bool:
-        """Test whether the code of x is at least `code`."""
-        a, b = x.as_integer_ratio()
+    def has_reached_code(radiance: float) -> bool:
+        """Test exactly whether the code of the radiance is at least `code`.
+
+        For radiance x, this means 255 x^(q / p) >= code - 1/2.  With x = a / b, both sides become
+        integers: (510^p) (a^q) >= ((2 code - 1)^p) (b^q).
+        """
+        a, b = radiance.as_integer_ratio()
         return bool((2 * _MAX_CODE) ** p * a**q >= (2 * code - 1) ** p * b**q)
 
     candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))
-    return next(filter(reaches_code, candidates))
+    return next(filter(has_reached_code, candidates))

@@ -145,7 +145,7 @@ def render(
     job = RenderJob(scene, samples, offset)
     if job.seconds < MIN_SHARED_SECONDS:
         executor = None
-    tiles = job.tiles(shared=executor is not None)
+    tiles = job.divide(is_shared=executor is not None)
     # NumPy gets zeros from calloc, so memory pages that stay black cost nothing.
     image = np.zeros((scene.height, scene.width, 3))
 
@@ -209,10 +209,10 @@ def render_tiles(
         Worker processes that render some of the tiles.  By default, this process renders all of
         them.
     encode : callable
-        Encodes a tile in the process that has rendered it.  The arguments are the tile's radiance,
-        an array (rows, columns, 3), and the keyword `from_left`: whether the tile begins at the
-        left edge of the picture.  The function and its results must be picklable.  By default,
-        tiles are compressed for a PNG file.
+        Encodes a tile in the process that has rendered it.  It is called with the tile's radiance,
+        an array (rows, columns, 3), and the keyword `is_leftmost`: whether the tile is at the left
+        edge of the picture.  The function and its results must be picklable.  By default, tiles are
+        compressed for a PNG file.
 
     Yields
     ------
@@ -222,13 +222,13 @@ def render_tiles(
         The tile's pixel counts: total, lit (not black) and clipped (brighter than 1).
     """
     worker_count = pool.worker_count if pool else 0
-    render_tile = partial(job.render_encoded_tile, encode)
-    tiles = job.tiles(shared=worker_count > 0)
-    yield from Distribution(render_tile, render_tile, tiles, worker_count, pool)
+    tiles = job.divide(is_shared=worker_count > 0)
+    render_and_encode = partial(job.render_encoded_tile, encode)
+    yield from Distribution(render_and_encode, render_and_encode, tiles, worker_count, pool)
 
 
 def _compute_samples_per_side(samples: SupportsIndex) -> int:
-    """Compute the smallest n such that n x n is at least the requested number of samples.
+    """Compute the smallest n for which n x n is at least the requested number of samples.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def _compute_samples_per_side(samples: SupportsIndex) -> int:
         If `samples` is less than 1 or more than `_MAX_SAMPLES`.
     """
     try:
-        sample_count = int(operator.index(samples))  # NumPy integers overflow
+        sample_count = int(operator.index(samples))  # unlike NumPy integers, ints never overflow
     except TypeError:
         raise TypeError(f"samples must be an int, not {samples!r}") from None
     if sample_count < 1:
@@ -312,29 +312,28 @@ class RenderJob:
 
     @cached_property
     def _seconds_per_pixel(self) -> float:
-        """Estimate the rendering time of one pixel in one process, in seconds.
+        """Estimate the time, in seconds, that one process needs to render a pixel.
 
-        The estimate is the product of the number of samples in the pixel, the number of lights, the
-        average number of objects that a ray meets, and a constant.  In an adaptive picture, only
-        pixels that edges cross have more than one sample.
+        It is proportional to the number of samples in the pixel, to the number of lights, and to
+        the mean number of objects on a ray.
         """
-        prepared_scene, sample_count = self.prepared_scene, float(self._lattice.size)
+        scene, sample_count = self.prepared_scene, float(self._lattice.size)
         if self._is_adaptive:
-            pixel_count = prepared_scene.frame.width * prepared_scene.frame.height
-            silhouette_density = prepared_scene.bounds.silhouette_density(prepared_scene.frame)
-            edge_count = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_density
+            pixel_count = scene.frame.width * scene.frame.height
+            silhouette_density = scene.bounds.silhouette_density(scene.frame)
+            edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_density
             samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
             max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
-            sample_count = _ADAPTIVE_SAMPLES + min(edge_count * samples_per_edge, max_samples)
-        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, prepared_scene.light_count)
-        return sample_count * seconds_per_hit * prepared_scene.depth_complexity
+            sample_count = _ADAPTIVE_SAMPLES + min(edges_per_pixel * samples_per_edge, max_samples)
+        seconds_per_hit = _SECONDS_PER_SAMPLE * max(1, scene.light_count)
+        return sample_count * seconds_per_hit * scene.depth_complexity
 
-    def tiles(self, *, shared: bool) -> list[Rectangle]:
-        """Divide the picture into tiles, each consisting of whole rows or part of one row.
+    def divide(self, *, is_shared: bool) -> list[Rectangle]:
+        """Divide the picture into tiles that consist of whole rows, or of part of one row.
 
         Parameters
         ----------
-        shared : bool
+        is_shared : bool
             Whether several processes render the tiles.  If so, the tiles may be smaller, so that
             each processor gets several.
 
@@ -347,7 +346,7 @@ class RenderJob:
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
         tile_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
-        if shared:
+        if is_shared:
             fair_share = width * height / (_TILES_PER_PROCESSOR * count_processors())
             tile_pixels = min(tile_pixels, max(_MIN_TILE_SECONDS * pixels_per_second, fair_share))
         row_ranges = _divide_range(height, max(1, int(tile_pixels / width)))
@@ -370,8 +369,8 @@ class RenderJob:
         Parameters
         ----------
         encode : callable
-            Encodes a tile.  The arguments are the tile's radiance, an array (rows, columns, 3), and
-            the keyword `from_left`: whether the tile begins at the left edge of the picture.
+            Encodes a tile.  It is called with the tile's radiance, an array (rows, columns, 3), and
+            the keyword `is_leftmost`: whether the tile is at the left edge of the picture.
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
 
@@ -383,7 +382,7 @@ class RenderJob:
             The tile's pixel counts: total, lit (not black) and clipped (brighter than 1).
         """
         radiance = self.render_tile(rectangle)
-        data = encode(radiance, from_left=rectangle[1].start == 0)
+        data = encode(radiance, is_leftmost=rectangle[1].start == 0)
         return data, Exposure.from_radiance(radiance)
 
     @_QUIET
@@ -404,36 +403,34 @@ class RenderJob:
             Linear RGB radiance of each pixel in the tile.  If `out` is given, this is `out`.
         """
         keep_freed_memory()
-        rows, columns = rectangle
-        tile_shape = rows.stop - rows.start, columns.stop - columns.start
-        radiance = np.zeros((*tile_shape, 3)) if out is None else out
-        # No object is visible outside the window of the prepared scene.
-        visible_rows, visible_columns = map(
-            _intersect_ranges, rectangle, self.prepared_scene.window
-        )
+        scene, (rows, columns) = self.prepared_scene, rectangle
+        row_count, column_count = rows.stop - rows.start, columns.stop - columns.start
+        radiance = np.zeros((row_count, column_count, 3)) if out is None else out
+        # The scene's window contains all pixels that show an object.
+        visible_rows, visible_columns = map(_intersect_ranges, rectangle, scene.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
         visible_radiance = radiance[_to_tile_range(visible_rows, rows)]
         if self._is_adaptive:
             visible_radiance[:, _to_tile_range(visible_columns, columns)] = refine_pixels(
-                self.prepared_scene, visible_rows, visible_columns, self._samples_per_side
+                scene, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance
         samples = self._lattice.samples(visible_rows, columns)
         if self._lattice.size > 1:
-            sample_radiance = compute_radiance(self.prepared_scene, samples)
-            visible_radiance[:] = self._lattice.mean(sample_radiance, tile_shape[1])
+            sample_radiance = compute_radiance(scene, samples)
+            visible_radiance[:] = self._lattice.mean(sample_radiance, column_count)
         else:
-            compute_radiance(self.prepared_scene, samples, out=visible_radiance.reshape(-1, 3).T)
+            compute_radiance(scene, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance
 
 
 @lru_cache(_MAX_CACHED_JOBS)
 def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
-    """Create a render job from its pickled arguments, or return the cached job.
+    """Create a render job from its pickled arguments, or return it from the cache.
 
-    The last `_MAX_CACHED_JOBS` jobs of this process are cached, because creating a job prepares its
-    scene, which may take longer than rendering a tile.
+    This process caches its last jobs, because preparing a scene may take longer than rendering a
+    tile.
 
     Parameters
     ----------
@@ -443,26 +440,25 @@ def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
     Returns
     -------
     job : RenderJob
-        The job.  Equal arguments give the same object as long as it is cached.
+        The job with these arguments.
     """
     return RenderJob(*pickle.loads(pickled_arguments))
 
 
-def _intersect_ranges(first: slice, second: slice) -> slice:
+def _intersect_ranges(range_a: slice, range_b: slice) -> slice:
     """Return the overlap of two ranges.
 
     Parameters
     ----------
-    first, second : slice
+    range_a, range_b : slice
         The ranges, each with a start and a stop.
 
     Returns
     -------
     overlap : slice
-        The range of the numbers in both ranges.  If the ranges do not overlap, it is empty: stop is
-        at most start.
+        The range of the numbers in both ranges.  If there are none, its stop is at most its start.
     """
-    return slice(max(first.start, second.start), min(first.stop, second.stop))
+    return slice(max(range_a.start, range_b.start), min(range_a.stop, range_b.stop))
 
 
 def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
@@ -487,7 +483,7 @@ def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
 
 
 def _divide_range(length: int, max_length: int) -> list[slice]:
-    """Divide the range from 0 to `length` into consecutive slices of almost equal lengths.
+    """Divide the range from 0 to `length` into consecutive slices of almost equal length.
 
     Parameters
     ----------
