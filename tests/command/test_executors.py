@@ -184,7 +184,7 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
     never.share = 1
     for owner, name in (
         (render_module, "compute_radiance"),
-        (parallel.Distribution, "_wait_for_any"),
+        (parallel.Distribution, "_wait_for_executor"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)

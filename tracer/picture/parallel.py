@@ -49,15 +49,15 @@ def count_processors() -> int:
 class Executor(Protocol):
     """The part of a `concurrent.futures.Executor` that is used here."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule the call ``fn(*args)`` in a worker.
+    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Schedule the call ``function(*args)`` in a worker.
 
         Parameters
         ----------
-        fn : callable
+        function : callable
             The function to call.
         *args : object
-            Its arguments.
+            The arguments.
 
         Returns
         -------
@@ -141,21 +141,20 @@ class Distribution(Generic[_Item, _Result]):
     def submit(self) -> None:
         """Submit enough items to the executor to keep all its workers busy.
 
-        The iteration calls this method before this process takes an item.  If items take long,
-        `function` should also call it from time to time.
+        The iteration calls this method before each item that this process takes.  If an item takes
+        long, `function` should also call this method from time to time.
 
-        An error of the executor is not raised.  Instead, `executor` is set to None, so that this
-        process does all the remaining work.
+        If the executor fails, `executor` is set to None, and this process does the remaining work.
         """
         if self.executor is None:
             return
         unfinished_count = sum(not future.done() for future in self._futures.values())
-        # At most the workers' share of the remaining items, because this process needs work, too.
+        # The workers get only their share of the remaining items: this process needs work, too.
         remaining_count = len(self.items) - self._next_index
         worker_share = remaining_count * self.worker_count // (self.worker_count + 1)
-        missing_count = _ITEMS_PER_WORKER * self.worker_count - unfinished_count
+        needed_count = _ITEMS_PER_WORKER * self.worker_count - unfinished_count
         try:
-            for _ in range(min(missing_count, worker_share)):
+            for _ in range(min(needed_count, worker_share)):
                 item = self.items[self._next_index]
                 future = self.executor.submit(self.remote_function, item)
                 self._futures[self._next_index] = future
@@ -166,16 +165,16 @@ class Distribution(Generic[_Item, _Result]):
     def _process_next_item(self) -> None:
         """Process the next item in this process, or repeat one that the executor has not finished.
 
-        Before repeating an item that a worker has begun, wait for the workers.  If any of them
-        finishes an item during that time, or if all items are finished, process nothing.
+        An item that a worker has begun is repeated only after the executor has finished no item for
+        some time.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
             self._process_item(self._next_index - 1)
         elif self._futures:
-            # The item submitted last is the least likely to have been begun by a worker.
+            # Workers have probably not begun the item that was submitted last.
             index, future = next(reversed(self._futures.items()))
-            if future.cancel() or not self._wait_for_any():
+            if future.cancel() or not self._wait_for_executor():
                 del self._futures[index]
                 self._process_item(index)
 
@@ -188,8 +187,7 @@ class Distribution(Generic[_Item, _Result]):
     def _collect_results(self) -> None:
         """Store the results of all items that the executor has finished.
 
-        If an item was cancelled or raised an exception, or `accepts` rejects its result, this
-        process processes the item.
+        This process repeats the items that failed, and those whose results `accepts` rejects.
         """
         finished_indices = [index for index, future in self._futures.items() if future.done()]
         for index in finished_indices:
@@ -201,15 +199,15 @@ class Distribution(Generic[_Item, _Result]):
             else:
                 self._process_item(index)
 
-    def _wait_for_any(self) -> bool:
-        """Wait until the executor finishes at least one of the submitted items.
+    def _wait_for_executor(self) -> bool:
+        """Wait until the executor finishes a submitted item, or until it has taken too long.
 
-        Wait for at most the longest time that an item has taken in this process.
+        The time limit is the longest time that an item has taken in this process.
 
         Returns
         -------
-        is_any_done : bool
-            Whether at least one submitted item is finished.
+        has_finished : bool
+            Whether the executor has finished at least one submitted item.
         """
         from concurrent.futures import FIRST_COMPLETED, wait
 
@@ -247,14 +245,14 @@ class WorkerPool:
         self._executor: ProcessPoolExecutor | None = None
         self._start_count = 0
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule the call ``fn(*args)`` in a worker.
+    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Schedule the call ``function(*args)`` in a worker.
 
         Workers are started if there are none, or if one of them has died.
 
         Parameters
         ----------
-        fn : callable
+        function : callable
             The function to call.  The function, its arguments and its result must be picklable.
         *args : object
             The arguments.
@@ -276,15 +274,15 @@ class WorkerPool:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._start_count += 1
             self._executor = self._create_executor()
-        # A new worker inherits the blocked signal: if the user pressed Ctrl-C before the worker
-        # ignored SIGINT, Python would print a traceback.
+        # A new worker inherits the blocked signal.  Otherwise Ctrl-C could make the worker print a
+        # traceback before it ignores SIGINT.
         if sys.platform != "win32":
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return self._executor.submit(fn, *args)
+            return self._executor.submit(function, *args)
         except Exception:  # a worker has died, or none can be started
             self.close()
-            return self.submit(fn, *args)
+            return self.submit(function, *args)
         finally:
             if sys.platform != "win32":
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -292,8 +290,8 @@ class WorkerPool:
     def _create_executor(self) -> ProcessPoolExecutor:
         """Create an executor that forks its processes if this is safe, and spawns them otherwise.
 
-        This method also changes global settings: warnings of Python's resource tracker, and
-        exceptions in threads, are no longer printed.
+        Python's global settings are changed, too: warnings of the resource tracker and exceptions
+        in threads are no longer printed.
 
         Returns
         -------
@@ -309,8 +307,8 @@ class WorkerPool:
         # If a signal ends the command, Python's resource tracker removes the semaphores of spawned
         # workers.  It must not print a warning about this.
         sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
-        # If the system cannot start another thread, one of the pool's threads dies.  This process
-        # then does all the work, so the user need not know.
+        # If the system cannot start another thread, one of the pool's threads dies.  No message is
+        # needed, because this process then does all the work.
         threading.excepthook = lambda _: None
         return ProcessPoolExecutor(self.worker_count, context, _init_worker, (self._initializer,))
 
@@ -356,8 +354,8 @@ def _init_worker(initializer: Callable[[], None] | None) -> None:
 def end_with_parent() -> None:
     """Wait until the parent process has ended, then end this process with exit status 1.
 
-    Before this process ends, its part files (incomplete output files) are removed.  If this process
-    was not started by `multiprocessing`, return immediately.
+    Part files (incomplete output files) of this process are removed first.  If this process was not
+    started by `multiprocessing`, return immediately.
     """
     import multiprocessing
 
