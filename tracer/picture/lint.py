@@ -142,8 +142,8 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     warning : str
         One line of text: what is wrong with the first such light, and a suggested fix.
     """
-    dark_lights = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
-    for light_index in islice(dark_lights, 1):
+    dark_indices = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
+    for light_index in islice(dark_indices, 1):
         name = _name_light(scene, light_index)
         yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
