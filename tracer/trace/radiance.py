@@ -77,7 +77,7 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
     Returns
     -------
     shading : Shading
-        The sum over all lights.  `Shading.compute_radiance` converts it to radiance at samples.
+        The reflected light.  `Shading.compute_radiance` converts it to radiance at samples.
     """
     shading = Shading(hits, with_ids=with_ids)
     for lights in light_batches:

@@ -108,9 +108,10 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Effective number of samples across a pixel, for groups of neighbouring hits.
+        """Effective number of samples across a pixel, for choosing the size of packets.
 
-        Most groups lie along a row, so the number of samples along x has more weight.
+        A packet is a group of neighbouring hits.  Most packets lie along a row, so the number of
+        samples along x has more weight.
         """
         x_count, y_count = self.per_pixel
         return float(x_count**0.75 * y_count**0.25)
