@@ -84,7 +84,7 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 
 
 class Validated:
-    """A base class of frozen dataclasses that validate their fields, first singly, then together.
+    """A base class of frozen dataclasses that validate their fields, one by one and then together.
 
     A subclass gives each field a validator with `xml_field`.  It overrides `find_conflicts` if
     valid values can contradict each other.  The constructor raises `SceneError` for invalid values.

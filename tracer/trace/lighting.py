@@ -195,7 +195,7 @@ class Shading:
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
     def compute_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
-        """Compute the diffuse and specular radiance of n hits, one colour channel at each step.
+        """Compute the diffuse and specular radiance of n hits in each colour channel.
 
         If no hit is lit, nothing is yielded.
 
