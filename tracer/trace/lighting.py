@@ -155,7 +155,7 @@ class Shading:
         self._hits, self._with_ids = hits, with_ids
         # The slice of hits from the first to the last group in which any surface has highlights.
         is_glossy = hits.scene.is_glossy
-        intervals = [part.interval for part in hits.groups if is_glossy[part.run_object].any()]
+        intervals = [group.interval for group in hits.groups if is_glossy[group.run_object].any()]
         self._glossy_slice, self._is_glossy = slice(0, 0), np.zeros(0, dtype=np.bool_)
         if intervals:  # the values of all hits are looked up only if some are needed
             self._glossy_slice = slice(intervals[0].start, intervals[-1].stop)

@@ -42,8 +42,8 @@ def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
         One hit for each sample whose ray meets a surface; other samples have no hit.
     """
     groups = _intersect_objects(scene, samples)
-    nearest_t = _find_nearest_distances(samples, groups)
-    return _build_hits(scene, samples, _select_visible(scene, groups, nearest_t))
+    visible_groups = _select_visible(scene, groups, _find_nearest_distances(samples, groups))
+    return _build_hits(scene, samples, visible_groups)
 
 
 def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
