@@ -23,7 +23,7 @@ from reference.command import HERE, SCENES, make_parser
 from reference.judges import certificate
 from reference.measured.charts import plt
 from tracer import Scene, load_scene, render, to_codes
-from tracer.antialias.classify import Cells, Classification, classify
+from tracer.antialias.classify import Cells, Classification, classify_cells
 from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.arrays import Floats, join_ranges
@@ -213,7 +213,7 @@ def draw_classes() -> None:
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.get_positions(every_pixel), pixel_index, object_index)
-    classification = classify(prepared_scene, cells, samples, every_pixel)
+    classification = classify_cells(prepared_scene, cells, samples, every_pixel)
     class_index = np.zeros(every_pixel.size, dtype=np.intp)
     class_index[classification.lines.cell] = 1
     class_index[classification.is_unresolved] = 2
@@ -226,7 +226,7 @@ def draw_classes() -> None:
     class_axes.add_collection(LineCollection(segments, colors="k", lw=1))
     sampled_cells = np.flatnonzero(class_index == 1)
     for point in Lattice(1, 25).points():
-        x, y = cells.positions(sampled_cells, np.full(sampled_cells.size, point))
+        x, y = cells.to_picture(sampled_cells, np.full(sampled_cells.size, point))
         class_axes.plot(x - crop_corner[0], y - crop_corner[1], ",", color="#0072b2")
     for color, name in zip(_CLASS_COLORS, ("smooth", "straight edges", "other edges"), strict=True):
         class_axes.plot([], [], "s", color=color, markeredgecolor="k", label=name)

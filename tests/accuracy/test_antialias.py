@@ -186,13 +186,13 @@ def test_a_light_in_a_closed_surface_lights_nothing_outside(closed):
 
 @pytest.mark.parametrize("slope", [-0.6, -0.3, 0.05, 0.4, 0.7])
 def test_every_pixel_that_a_terminator_crosses_is_found(slope, monkeypatch):
-    classifications, real_classify = [], refine.classify
+    classifications, real_classify = [], refine.classify_cells
 
     def record_classification(*arguments):
         classifications.append(real_classify(*arguments))
         return classifications[-1]
 
-    monkeypatch.setattr(refine, "classify", record_classification)
+    monkeypatch.setattr(refine, "classify_cells", record_classification)
     light = np.array([100, 100 * slope, -5])
     render(view(BALL, light=light), 4)
     cells, lines = classifications[0].cells, classifications[0].lines
@@ -237,13 +237,13 @@ def test_no_radiance_is_negative(seed):
 
 
 def test_lines_divide_crowded_pixels(monkeypatch):
-    real_classify = refine.classify
+    real_classify = refine.classify_cells
 
     def classify_as_crowded(*arguments):
         classified = real_classify(*arguments)
         return classified._replace(is_crowded=np.ones_like(classified.is_crowded))
 
-    monkeypatch.setattr(refine, "classify", classify_as_crowded)
+    monkeypatch.setattr(refine, "classify_cells", classify_as_crowded)
     # The box covers 0.33 of the tenth column of pixels.
     half = Box(min_pt=(-9, -9, -9), max_pt=(0.25 + 0.33 * 0.25, 9, 0))
     image = render(view(half), 16)[..., 0]
@@ -251,7 +251,7 @@ def test_lines_divide_crowded_pixels(monkeypatch):
 
 
 def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
-    real_classify = refine.classify
+    real_classify = refine.classify_cells
 
     def classify_as_unresolved(*arguments):
         classified = real_classify(*arguments)
@@ -265,7 +265,7 @@ def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
     bead = Sphere(center=(0.125, 0.06, -1), radius=0.03, shader=RED)
     scenes = view(WALL), view(WALL, bead)
     truths = [reference_picture(scene) for scene in scenes]
-    monkeypatch.setattr(refine, "classify", classify_as_unresolved)
+    monkeypatch.setattr(refine, "classify_cells", classify_as_unresolved)
     counts = record_calls(
         monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
     )

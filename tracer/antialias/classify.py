@@ -1,17 +1,17 @@
 """Classify cells of the picture: can the sample at the centre represent the whole cell?
 
-`classify` traces one sample through the centre of each cell, and finds the edges that may cross the
-cell: silhouettes, creases, intersections of surfaces, shadow edges and terminators.  Silhouettes
-are computed from the objects themselves, not from differences between samples.  So an object is
-found even if it lies between the samples.
+`classify_cells` traces one sample through the centre of each cell, and finds the edges that may
+cross the cell: silhouettes, creases, intersections of surfaces, shadow edges and terminators.
+Silhouettes are computed from the objects themselves, not from differences between samples.  So an
+object is found even if it lies between the samples.
 
 cell
     A pixel, or a square part of a pixel.
 center sample
     The sample whose ray passes through the centre of a cell.
 footprint
-    The radius, around the hit of a cell's center sample, of the part of the surface that is visible
-    in the cell.
+    The radius of the part of a surface that is visible in a cell, around the hit of the cell's
+    center sample.
 id
     An integer that two samples share if they hit the same face of the same object, and the same
     lights are visible from both hits; -1 for the background.
@@ -66,8 +66,7 @@ class Cells(NamedTuple):
     width : float
         Width of each cell, in pixels.
     samples_per_side : int
-        Number of samples along each side of a uniform grid in a cell that would be as accurate as
-        the requested result.
+        The result should be as accurate as a uniform grid of this many samples along each side.
     tolerance : float
         Maximum error of the mean radiance of a cell.
     center_x, center_y : (n,) float arrays
@@ -85,7 +84,7 @@ class Cells(NamedTuple):
     pair_cell: Ints
     pair_object: Ints
 
-    def positions(self, cell_index: Ints, point_in_cell: Points2D) -> tuple[Floats, Floats]:
+    def to_picture(self, cell_index: Ints, point_in_cell: Points2D) -> tuple[Floats, Floats]:
         """Convert points from cell coordinates to picture coordinates.
 
         Parameters
@@ -93,8 +92,8 @@ class Cells(NamedTuple):
         cell_index : (k,) int array
             Index of the cell (a pixel, or a square part of a pixel) that contains each point.
         point_in_cell : (k,) complex array
-            Points x + iy relative to the centres of their cells, in units of the cell width: x and
-            y are between -1/2 and 1/2.
+            Points x + iy relative to the centres of their cells, in widths of the cell: x and y are
+            between -1/2 and 1/2.
 
         Returns
         -------
@@ -104,7 +103,7 @@ class Cells(NamedTuple):
         x = self.center_x[cell_index] + self.width * point_in_cell.real
         return x, self.center_y[cell_index] + self.width * point_in_cell.imag
 
-    def quarters(self, cell_index: Ints) -> Cells:
+    def divide(self, cell_index: Ints) -> Cells:
         """Divide cells of the picture into quarters.
 
         Parameters
@@ -116,16 +115,16 @@ class Cells(NamedTuple):
         -------
         quarters : Cells
             The 4 k quarters: the four of the first cell, then the four of the second cell, and so
-            on.  Each quarter has half the width of its cell, and is paired with the same objects.
-            Its number of samples along each side is half that of the cell, rounded up.
+            on.  Each quarter is paired with the same objects as its cell.  It has half the width
+            and half the number of samples along each side, rounded up.
         """
         cell_count = cell_index.size
-        x, y = self.positions(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), cell_count))
-        new_index = np.full(self.center_x.size, -1)  # position of each cell in `cell_index`
-        new_index[cell_index] = np.arange(cell_count)
-        pair_new_index = new_index[self.pair_cell]
-        kept_pair = indices(pair_new_index >= 0)
-        pair_quarter = (4 * pair_new_index[kept_pair, None] + np.arange(4)).ravel()
+        x, y = self.to_picture(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), cell_count))
+        position = np.full(self.center_x.size, -1)  # of each cell in `cell_index`
+        position[cell_index] = np.arange(cell_count)
+        pair_position = position[self.pair_cell]
+        kept_pair = indices(pair_position >= 0)
+        pair_quarter = (4 * pair_position[kept_pair, None] + np.arange(4)).ravel()
         pairs = pair_quarter, self.pair_object[kept_pair].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 
@@ -154,16 +153,15 @@ class Classification(NamedTuple):
     is_crowded: Bools
 
 
-def classify(
+def classify_cells(
     scene: PreparedScene, cells: Cells, samples: Samples, sample_cell: Ints
 ) -> Classification:
     """Classify cells by the edges that may cross them.
 
     A cell is a pixel, or a square part of a pixel.  Edges are silhouettes, creases between faces,
     intersections of surfaces, shadow edges, and terminators (where a surface turns away from a
-    light).  One sample is traced through the centre of each cell, and edges are searched for around
-    its hit.  Silhouettes are computed for all (cell, object) pairs in `cells`, so an object is
-    found even if no sample hits it.
+    light).  Silhouettes are computed for all (cell, object) pairs in `cells`.  The other edges are
+    searched for around the hit of a sample through the centre of each cell.
 
     Parameters
     ----------
@@ -179,12 +177,9 @@ def classify(
     Returns
     -------
     classification : Classification
-        Properties of the n cells, in the order of `cells`.  The field `center` contains the
-        radiance and the id of each cell's sample.  `lines` contains straight lines along edges, at
-        most `MAX_LINES` in each cell.  `is_unresolved` (n,) is True for cells that may contain
-        something other than straight edges.  `is_crowded` (n,) is True for cells in which finding
-        all edges would cost more than a lattice of samples.  No edge was found in a cell that has
-        no lines and is not unresolved.
+        The n cells, with the radiance and id of the sample through each centre, and with at most
+        `MAX_LINES` straight edges each.  Cells that may contain other edges are unresolved.  Cells
+        in which finding all edges would cost more than a lattice of samples are crowded.
     """
     cell_count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
@@ -194,18 +189,18 @@ def classify(
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     silhouettes = _find_silhouettes_from_eye(scene, cells)
     edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
-    geometry_lines, curved_cell = fit_lines(edges, tolerance)
-    is_unresolved[curved_cell] = True
+    geometry_lines, curved_index = fit_lines(edges, tolerance)
+    is_unresolved[curved_index] = True
     shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
     for lights in scene.light_batches:
-        light_lines, unresolved_cell, crowded_cell = _add_lights(
+        light_lines, unresolved_index, crowded_index = _add_lights(
             shading, surfaces, lights, tolerance
         )
         all_lines.append(light_lines)
-        is_unresolved[unresolved_cell], is_crowded[crowded_cell] = True, True
+        is_unresolved[unresolved_index], is_crowded[crowded_index] = True, True
     radiance[:, sample_cell] = shading.compute_radiance()
     center_id[hit_cell] = shading.ids
-    lines = Lines.joined(all_lines).distinct()
+    lines = Lines.concatenate(all_lines).remove_duplicates()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
     lines = lines.limit_per_cell(MAX_LINES)
@@ -216,7 +211,7 @@ def classify(
 def _add_lights(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add a batch of lights to the radiance of hits, and find the edges that these lights cause.
+    """Add lights to the radiance of hits, and find the edges that these lights cause.
 
     The edges are shadow edges and terminators (where a surface turns away from a light).  They are
     searched for in the cell of each hit: a pixel, or a square part of a pixel.
@@ -234,13 +229,12 @@ def _add_lights(
 
     Returns
     -------
-    lines : Lines
+    light_lines : Lines
         Straight lines along the edges.
-    unresolved_cell : (k,) int array
-        Indices of cells that may contain something other than straight edges: a curved edge, a
-        shadow edge that was not searched for, too many shadow edges, or a narrow highlight.  An
-        index may be repeated.
-    crowded_cell : (j,) int array
+    unresolved_index : (k,) int array
+        Indices of cells that may contain a narrow highlight, or an edge that no line represents.
+        An index may be repeated.
+    crowded_index : (j,) int array
         Indices of cells in which finding all shadow edges would cost more than a lattice of
         samples.
     """
@@ -248,8 +242,8 @@ def _add_lights(
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are divided in any case, so their shadow edges are not needed.
-    is_wide = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
-    search_radius = np.where(is_wide, 0, footprint)
+    has_wide_footprint = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
+    search_radius = np.where(has_wide_footprint, 0, footprint)
     is_blocked, edge_triples, is_crowded = find_shadow_edges(
         hits, lights, faces_light, search_radius
     )
@@ -258,19 +252,19 @@ def _add_lights(
         lights.near_position, geometry.n_dot_l, geometry.length2
     )
     edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, edge_triples), terminators)
-    lines, curved_cell = fit_lines(edges, tolerance)
+    light_lines, curved_index = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, faces_light, footprint)
-    highlight_cells = [hit_cell[hit_index] for hit_index in highlights]
-    incomplete_cell = hit_cell[is_wide | is_crowded]
-    unresolved_cell = np.concatenate([incomplete_cell, curved_cell, *highlight_cells])
-    return lines, unresolved_cell, hit_cell[is_crowded]
+    highlight_indices = [hit_cell[hit_index] for hit_index in highlights]
+    incomplete_index = hit_cell[has_wide_footprint | is_crowded]
+    unresolved_index = np.concatenate([incomplete_index, curved_index, *highlight_indices])
+    return light_lines, unresolved_index, hit_cell[is_crowded]
 
 
 def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield batches of the silhouettes, seen from the eye, that may cross cells.
+    """Yield the silhouettes, seen from the eye, that may cross cells.
 
-    A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function,
-    which is a smooth function on the picture that is zero at the silhouette.
+    A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function, a
+    smooth function on the picture that is zero at the silhouette.
 
     Parameters
     ----------
@@ -281,18 +275,17 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
 
     Yields
     ------
-    cell : (k,) int array
+    cell_index : (k,) int array
         Index of the cell that each silhouette may cross.  A box has up to six silhouettes, one for
         each edge of its outline.
     values : (6, k) float array
-        Values of the edge function at six points of the cell: the centre; the centres of the right,
-        left, lower and upper side; and the lower right corner.
+        Values of the edge function at six points of the cell, in the order of `cell_rays`.
     """
     frame = scene.frame
     for batch in index_batches(np.arange(cells.pair_cell.size)):
-        cell, object_index = cells.pair_cell[batch], cells.pair_object[batch]
-        ray_right = frame.ray_right(cells.center_x[cell])
-        ray_down = frame.ray_down(cells.center_y[cell])
+        cell_index, object_index = cells.pair_cell[batch], cells.pair_object[batch]
+        ray_right = frame.ray_right(cells.center_x[cell_index])
+        ray_down = frame.ray_down(cells.center_y[cell_index])
         ray = cell_rays(frame, ray_right, ray_down, cells.width)
-        eye_cell_object = np.array([np.zeros_like(cell), cell, object_index])
-        yield from evaluate_silhouettes(scene, frame.eye[None], eye_cell_object, ray)
+        triples = np.array([np.zeros_like(cell_index), cell_index, object_index])
+        yield from evaluate_silhouettes(scene, frame.eye[None], triples, ray)

@@ -73,7 +73,7 @@ class Lines(NamedTuple):
     c: Floats
 
     @classmethod
-    def joined(cls, line_sets: Iterable[Lines]) -> Lines:
+    def concatenate(cls, line_sets: Iterable[Lines]) -> Lines:
         """Concatenate sets of lines.
 
         Parameters
@@ -103,7 +103,7 @@ class Lines(NamedTuple):
         """
         return Lines._make(field[line_index] for field in self)
 
-    def distinct(self) -> Lines:
+    def remove_duplicates(self) -> Lines:
         """Sort the lines by cell and then by coefficients, and remove duplicates.
 
         The result does not depend on the order in which the lines were found.
@@ -146,10 +146,10 @@ def cell_rays(
     Parameters
     ----------
     frame : CameraFrame
-        The camera.
+        The rays of the camera.
     center_right, center_down : (n,) float arrays
         Rightward and downward components of the ray through the centre of each cell.  The forward
-        component of all rays is `frame.depth`.
+        component is `frame.depth`.
     cell_width : float
         Width of the cells, in pixels.
 
@@ -167,11 +167,11 @@ def cell_rays(
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Bound how far edge functions deviate, within a cell, from their values at its centre.
+    """Compute how far the values of edge functions in a cell can differ from those at its centre.
 
     A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
-    picture that is zero at an edge.  Here it is approximated by the quadratic polynomial through
-    its values at six points, so the bound ignores its third derivatives.
+    picture that is zero at an edge.  The bound holds for the quadratic polynomial through six
+    values of the function.
 
     Parameters
     ----------
@@ -181,9 +181,9 @@ def bound_variation(values: Floats) -> Floats:
 
     Returns
     -------
-    max_deviation : (...) float array
+    max_difference : (...) float array
         Upper bound on the absolute difference between the polynomial at any point of the cell and
-        its value at the centre.
+        the polynomial at the centre.
     """
     center, right, left, lower, upper, corner = values
     linear_part = np.abs(right - left) + np.abs(lower - upper)
@@ -195,16 +195,15 @@ def bound_variation(values: Floats) -> Floats:
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
     """Fit straight lines to edges in cells, and list the cells of curved edges.
 
-    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, which
-    is a smooth function on the picture that is zero at the edge.
+    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
+    smooth function on the picture that is zero at the edge.
 
     Parameters
     ----------
-    edges : iterable of (cell, values)
-        Batches of n edges.  `cell` (n,) contains the index of the cell that each edge may cross.
-        `values` (6, n) contains the values of the edge function at six points of this cell: the
-        centre; the centres of the right, left, lower and upper side; and the lower right corner.
-        Unknown values are NaN.
+    edges : iterable of (cell_index, values)
+        Batches of edges.  `cell_index` (n,) contains the cell that each of n edges may cross.
+        `values` (6, n) contains the values of the edge function at six points of this cell, in the
+        order of `cell_rays`.  Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
@@ -214,41 +213,29 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
         One line for each edge that crosses its cell.  Edges that turn by more than `_MAX_TURN`
         radians have no line.
     curved_cell : (k,) int array
-        Indices of cells that a curved edge may cross: one index for each edge that no line
-        represents within the tolerance, or whose edge function is unknown (NaN).
+        Index of the cell of each edge that may cross it, and that no line represents within the
+        tolerance.  An edge with unknown values counts as such an edge.
     """
     no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
-    fits = (_fit_batch(cell, values, tolerance) for cell, values in chain([no_edges], edges))
+    fits = (_fit_batch(*batch, tolerance) for batch in chain([no_edges], edges))
     lines, curved_cell = zip(*fits, strict=True)
-    return Lines.joined(lines), np.concatenate(curved_cell)
+    return Lines.concatenate(lines), np.concatenate(curved_cell)
 
 
 def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each of n edges, and list the cells of curved edges.
 
-    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f,
-    which is a smooth function on the picture that is zero at the edge.  It is approximated by
-    f(x) = c + g . x + x . H x / 2, with the gradient g and the matrix H of second derivatives at
-    the centre of the cell.  The line is computed in two steps:
-
-    1. On the straight line x = s g through the centre, f is c + s g^2 + s^2 (g . H g) / 2.  It is
-       zero for s = -2 c / (g^2 + sqrt(g^4 - 2 c g . H g)).  If this point is outside the cell, it
-       is moved along x = s g to the border.  At the point, f is replaced by its tangent plane
-       c + a x + b y.
-    2. Along the line c + a x + b y = 0, whose unit vector is t, f differs from the tangent plane by
-       u^2 (t . H t) / 2 at the distance u from the point.  The mean of this difference over
-       -1/2 < u < 1/2, which is t . H t / 24, is added to c.
-
-    The curvature of the edge is |t . H t| / |g|.  This is also the angle, in radians, by which the
-    edge turns over a length of 1.
+    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f, a
+    smooth function on the picture that is zero at the edge.  The line is the tangent of the edge
+    at a point near the centre of the cell, shifted by the mean distance of the edge from it.
 
     Parameters
     ----------
     cell : (n,) int array
         Index of the cell that each edge may cross.
     values : (6, n) float array
-        Values of the edge functions at six points of the cell: the centre; the centres of the
-        right, left, lower and upper side; and the lower right corner.  Unknown values are NaN.
+        Values of the edge functions at six points of the cells, in the order of
+        `cell_rays`.  Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
@@ -258,34 +245,38 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
         One line for each edge that crosses its cell.  Edges that turn by more than `_MAX_TURN`
         radians have no line.
     curved_cell : (k,) int array
-        Indices of cells that a curved edge may cross: one index for each edge that no line
-        represents within the tolerance, or whose edge function is unknown (NaN).
+        Index of the cell of each edge that may cross it, and that no line represents within the
+        tolerance.  An edge with unknown values counts as such an edge.
     """
     # Scale the values so that powers of the derivatives are finite in any unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
-    # The components (a, b) of the gradient g, and the elements of the matrix H.
+    # Near the centre, f(x) = c + g . x + x . H x / 2, with the gradient g = (a, b) and a matrix H.
     a, b = right - left, lower - upper
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
     h_xy = 4 * (corner - right - lower + center)
-    slope_squared = a * a + b * b
-    # Second derivative in the direction of g: g . H g / g^2
-    second_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / slope_squared
-    sqrt_term = np.sqrt(np.abs(slope_squared * (slope_squared - 2 * center * second_across)))
-    s = -2 * center / (slope_squared + sqrt_term)
+    gradient2 = a * a + b * b
+    # At the point s g, f is c + s g^2 + s^2 (g . H g) / 2.  Find the zero nearest to the centre,
+    # and move it into the cell.
+    h_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / gradient2
+    sqrt_term = np.sqrt(np.abs(gradient2 * (gradient2 - 2 * center * h_across)))
+    s = -2 * center / (gradient2 + sqrt_term)
     s_at_border = 0.5 / np.maximum(np.abs(a), np.abs(b))
     s = np.clip(s, -s_at_border, s_at_border)
     x, y = s * a, s * b
+    # At this point, replace f by its tangent plane c + a x + b y.
     c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
     c -= a * x + b * y
-    slope_squared = a * a + b * b
-    # Second derivative in the direction of t: t . H t
-    second_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / slope_squared
+    gradient2 = a * a + b * b
+    # At the distance u from the point along the line with the unit vector t, f differs from the
+    # plane by u^2 (t . H t) / 2.  Add the mean for -1/2 < u < 1/2 to c.
+    h_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / gradient2
     max_slope_term = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale3((a, b, c + second_along / 24), sign / max_slope_term))
-    # If the slope changes much across the edge, the cell may contain both sides of a small object.
-    turn = np.maximum(np.abs(second_along), np.abs(second_across)) / np.sqrt(slope_squared)
+    lines = Lines(cell, *scale3((a, b, c + h_along / 24), sign / max_slope_term))
+    # Over a length of 1, the edge turns by |t . H t| / |g| radians.  If the gradient changes much
+    # across the edge, the cell may contain both sides of a small object.
+    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(gradient2)
     has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  The comparison is True for NaN.
     may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))
@@ -296,37 +287,29 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
 class InverseDepth(NamedTuple):
     """The surfaces at n hits, given by 1 / t as a function of the ray that meets them at t * ray.
 
-    Let d be a ray from the eye, and t d the point where it meets the surface.
+    A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2):
 
-    - A plane n . x = n . p has 1 / t = d . n / (n . p), which is a linear function of d.
-    - A sphere |t d - C|^2 = r^2 with the centre C has 1 / t = (d . C + sqrt((d . C)^2 - d^2 P)) / P
-      with P = C^2 - r^2.  This is the near intersection or, if the eye is inside (P < 0), the far
-      one.
-
-    Both have the form 1 / t = k . d + sqrt((k . d)^2 - w d^2), with
-
-    - k = n / (n . p) and w = 0 for a plane, without the square root;
-    - k = C / P and w = 1 / P for a sphere.
-
-    A ray that misses the sphere is treated as one that touches it.
+    - For a plane n . x = n . p, k = n / (n . p) and w = 0, without the square root.
+    - For a sphere with the centre C and the radius r, k = C / P and w = 1 / P, with P = C^2 - r^2.
+      This is the near intersection or, if the eye is inside (P < 0), the far one.
 
     Attributes
     ----------
-    linear : tuple of three (n,) float arrays
-        Components of the vector k of each surface, in the axes of the camera.
-    quadratic : (n,) float array
+    k : tuple of three (n,) float arrays
+        Components of the vector k of each surface, in camera axes.
+    w : (n,) float array
         The number w of each surface; 0 for planes.
     """
 
-    linear: Triple
-    quadratic: Floats
+    k: Triple
+    w: Floats
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
-        """Describe the surface at each hit, so that other rays can be intersected with it.
+        """Describe the surface at each of n hits, so that other rays can be intersected with it.
 
-        A ray d from the eye meets the surface at t d, with 1 / t = k . d + sqrt((k . d)^2 - w d^2).
-        This method computes the vector k (`linear`) and the number w (`quadratic`).
+        A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2).
+        This method computes the vector k and the number w of each surface.
 
         Parameters
         ----------
@@ -336,23 +319,22 @@ class InverseDepth(NamedTuple):
         Returns
         -------
         surfaces : InverseDepth
-            The plane of the face for each hit on a box, and the sphere for each hit on a sphere.
-            If the eye is on the sphere, the tangent plane at the hit replaces the sphere.  Planes
-            have w = 0.
+            The sphere of each hit on a sphere, and the plane of the face of each hit on a box.  If
+            the eye is on the sphere, the tangent plane at the hit replaces the sphere.
         """
         spheres = hits.scene.spheres
-        linear, quadratic = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
+        k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             batch = group.interval
             # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
-            linear[:, batch] = [group.expand(part / -group.eye_height) for part in group.normal]
+            k[:, batch] = [group.expand(part / -group.eye_height) for part in group.normal]
             if not group.shape.is_planar:
-                sphere_index = spheres.objects.positions(group.repeat_runs(group.run_object))
-                power = spheres.power[sphere_index]  # P = C^2 - r^2, with centre C and radius r
+                sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
+                power = spheres.power[sphere_index]
                 center = np.array(take3(spheres.from_eye, sphere_index))
-                quadratic[batch] = np.where(power != 0, 1 / power, 0)
-                linear[:, batch] = np.where(power != 0, center / power, linear[:, batch])
-        return cls((linear[0], linear[1], linear[2]), quadratic)
+                w[batch] = np.where(power != 0, 1 / power, 0)
+                k[:, batch] = np.where(power != 0, center / power, k[:, batch])
+        return cls((k[0], k[1], k[2]), w)
 
     def take(self, surface_index: Ints) -> InverseDepth:
         """Select surfaces by index.
@@ -367,30 +349,30 @@ class InverseDepth(NamedTuple):
         selected : InverseDepth
             The m selected surfaces, in the order of `surface_index`.
         """
-        return InverseDepth(take3(self.linear, surface_index), self.quadratic[surface_index])
+        return InverseDepth(take3(self.k, surface_index), self.w[surface_index])
 
     def compute_inverse_t(self, ray: Triple) -> Floats:
         """Compute 1 / t for six rays per surface, where the point t * ray lies on the surface.
 
-        For the ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2).  The vector k (`linear`) and the
-        number w (`quadratic`) describe the surface.  Planes have w = 0, and no square root.  If a
-        ray misses a sphere, the radicand is negative, and is replaced by 0.
+        For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the vector k and the number w of
+        the surface.  Planes have w = 0, and no square root.  A ray that misses a sphere is treated
+        as if it touched the sphere.
 
         Parameters
         ----------
         ray : tuple of three (6, n) float arrays
-            Components of rays from the eye, in the axes of the camera.  Column i contains six rays
-            for surface i.  An array with a single row applies to all six rays.
+            Components of rays from the eye, in camera axes.  Column i contains six rays for surface
+            i.  An array with a single row applies to all six rays.
 
         Returns
         -------
         inverse_t : (6, n) float array
             1 / t of each ray.
         """
-        inverse_t = dot(self.linear, ray)
-        on_sphere = indices(self.quadratic)
-        if on_sphere.size:
-            d = map3(lambda component: component[:, on_sphere], ray)
-            radicand = inverse_t[:, on_sphere] ** 2 - self.quadratic[on_sphere] * dot(d, d)
-            inverse_t[:, on_sphere] += np.sqrt(np.maximum(radicand, 0))
+        inverse_t = dot(self.k, ray)
+        sphere_index = indices(self.w)
+        if sphere_index.size:
+            d = map3(lambda component: component[:, sphere_index], ray)
+            radicand = inverse_t[:, sphere_index] ** 2 - self.w[sphere_index] * dot(d, d)
+            inverse_t[:, sphere_index] += np.sqrt(np.maximum(radicand, 0))
         return inverse_t

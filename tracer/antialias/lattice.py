@@ -67,8 +67,8 @@ class Lattice(NamedTuple):
         grid_side : int
             Number of points along each side of the grid; at least 1.
         ratio : float
-            Minimum ratio of the number of lattice points to the number of grid points; at most 5.
-            With the default, the lattice is usually more accurate than the grid.
+            Minimum number of lattice points for each grid point; at most 5.  With the default, the
+            lattice is usually more accurate than the grid.
 
         Returns
         -------
@@ -89,8 +89,7 @@ class Lattice(NamedTuple):
     def samples(self, rows: slice, columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
 
-        The lattice is mirrored in every second row of pixels.  So an edge can be parallel to the
-        lines of the lattice in only about half of the pixels that it crosses.
+        Every second row of pixels contains the mirror image of the lattice.
 
         Parameters
         ----------
@@ -100,8 +99,7 @@ class Lattice(NamedTuple):
         Returns
         -------
         samples : Rows
-            The lattice points as samples of the picture, in rows from top to bottom, and from left
-            to right within each row.
+            The lattice points as samples of the picture.  Their rows extend across the rectangle.
         """
         sample_row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         sample_column = np.arange(self.columns * columns.start, self.columns * columns.stop)
@@ -115,8 +113,8 @@ class Lattice(NamedTuple):
         Returns
         -------
         points : (size,) complex array
-            Points x + iy relative to the centre of the pixel, in units of the pixel's width: x and
-            y are between -1/2 and 1/2.  The y-axis points down.
+            Points x + iy relative to the centre of the pixel, in widths of the pixel: x and y are
+            between -1/2 and 1/2.  The y-axis points down.
         """
         x, y = self.samples(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
@@ -127,8 +125,7 @@ class Lattice(NamedTuple):
         Parameters
         ----------
         radiance : (3, n) float array
-            Linear RGB radiance of all samples in the rectangle, in rows of samples from top to
-            bottom, and from left to right within each row.
+            Linear RGB radiance of all samples in the rectangle, in rows that extend across it.
         width : int
             Number of pixels in each row of the rectangle.
 
@@ -156,16 +153,16 @@ class Lattice(NamedTuple):
         Returns
         -------
         shift : (n,) float array
-            Shift to the right, in units of the horizontal grid spacing, between -1/2 and 1/2.  The
-            middle row of each lattice is not shifted.  The shifts are negated in every second row
-            of pixels.
+            Shift of each row to the right, as a fraction of the distance between the columns of the
+            grid: between -1/2 and 1/2.
         """
-        lattice_rows = self.rows // self.columns
-        middle = lattice_rows // 2
-        column_step = _COLUMN_STEPS.get(lattice_rows, 0)
-        column = (column_step * (sample_row - middle) + middle) % lattice_rows
+        # A rank-1 lattice of m points lies on a grid of m x m.  The middle row is not shifted.
+        size = self.rows // self.columns
+        middle = size // 2
+        column = (_COLUMN_STEPS.get(size, 0) * (sample_row - middle) + middle) % size
+        # So an edge is parallel to lines of the lattice in about half of the pixels it crosses.
         is_mirrored = sample_row // self.rows % 2
-        return np.where(is_mirrored, middle - column, column - middle) / lattice_rows
+        return np.where(is_mirrored, middle - column, column - middle) / size
 
 
 # One point in each pixel: the centre.

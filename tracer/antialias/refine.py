@@ -1,7 +1,7 @@
 """Antialiasing by adaptive subdivision (Whitted 1980): compute the mean radiance of each pixel.
 
 A *cell* is a pixel or a square part of a pixel.  Its *center sample* is traced through its centre.
-`classify` traces the center samples of many cells, and finds the edges that may cross each cell.
+`classify_cells` traces the center samples, and finds the edges that may cross each cell.
 These decide how the mean radiance of the cell is computed:
 
 1. A *smooth* cell shows one face under the same lights.  Its center sample, corrected for the
@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tracer.antialias.classify import Cells, Classification, classify
+from tracer.antialias.classify import Cells, Classification, classify_cells
 from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
@@ -59,7 +59,7 @@ _MAX_SILHOUETTE_PAIRS = 0.006
 
 
 def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> bool:
-    """Estimate whether uniform samples in all pixels cost less than searching for edges.
+    """Estimate whether sampling all pixels uniformly is cheaper than searching for edges.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
     Returns
     -------
     is_cheaper : bool
-        True if the mean number of pairs of silhouettes that cross the same pixel is large relative
-        to the number of samples per pixel.
+        True if many pairs of silhouettes cross the same pixel, compared with the number of samples
+        per pixel.
     """
     pairs_per_pixel = scene.bounds.silhouette_density(scene.frame)
     return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
@@ -81,20 +81,9 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
 def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:
     """Choose how to refine cells that edges cross: by lattices of samples, or by division.
 
-    A cell is a pixel, or a square part of a pixel.  The choice depends on whether the cells are
-    pixels, and on the number n of samples that are requested along each side of a cell:
-
-    ==============  =======================================  ===========================
-    cells           first step                               second step
-    ==============  =======================================  ===========================
-    n > 6           none                                     division into quarters
-    3 < n <= 6      25 samples in cells with straight edges  division into quarters
-    n <= 3, pixels  5 samples in cells with straight edges   lattice for a grid of n x n
-    n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
-    ==============  =======================================  ===========================
-
-    A cell is finished after the first step if its samples do not reveal an edge that was missed.
-    All other cells go on to the second step.
+    A cell is a pixel, or a square part of a pixel.  It is refined in two steps.  In the first step,
+    it is sampled on a lattice, and finished if the samples do not reveal an edge that was missed.
+    In the second step, it is sampled on another lattice or divided into quarters.
 
     Parameters
     ----------
@@ -105,29 +94,28 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     -------
     first_lattice : Lattice or None
         Sample points of the first step; None if there is no first step.
-    is_first_for_all : bool
-        If False, the first step is only for cells that contain nothing but straight edges.
+    includes_unresolved : bool
+        Whether the first step includes cells that may contain something other than straight edges.
     second_lattice : Lattice or None
         Sample points of the second step; None if the cells are divided into quarters instead.
     """
-    # Tuned on the project's scenes.  Without the first step, cells with 3 < n <= 6 take 1.1 times
-    # as long; pixels with n <= 3 have up to 1.7 times the error; and parts of pixels with n <= 3
-    # take 1.6 to 2.2 times as long.  Without the second step, such parts have up to 1.5 times the
-    # error.
+    # Tuned on the project's scenes.
     if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
         return None, False, None
     if cells.samples_per_side > _MAX_SAMPLED_SIDE:
-        return Lattice(1, 25), False, None
-    if cells.width == 1:
+        return Lattice(1, 25), False, None  # without the first step: 1.1 times the time
+    if cells.width == 1:  # without the first step: up to 1.7 times the error
         return Lattice(1, 5), False, Lattice.at_least(cells.samples_per_side)
+    # Without the first step, such cells take 1.6 to 2.2 times as long.  Without the second step,
+    # they have up to 1.5 times the error.
     return Lattice(1, 13), True, Lattice.at_least(5)
 
 
-def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, per_side: int) -> Floats:
+def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    Pixels that edges cross are divided or sampled.  The root-mean-square error is meant to be at
-    most that of per_side x per_side uniform samples in each pixel.
+    Pixels that edges cross are divided or sampled.  The root-mean-square error should not exceed
+    that of grid_side x grid_side uniform samples in each pixel.
 
     Parameters
     ----------
@@ -135,90 +123,93 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, per_side: i
         The scene, prepared for the camera.
     rows, columns : slice
         Rows and columns of the rectangle's pixels.  Neither range is empty.
-    per_side : int
+    grid_side : int
         Number of samples requested along each side of a pixel, at least 2.
 
     Returns
     -------
-    mean : (rows, columns, 3) float array
+    pixel_mean : (rows, columns, 3) float array
         Mean linear RGB radiance of each pixel.
     """
     # Add one pixel on every side: `estimate_pixel_means` needs the neighbours of each pixel.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
     samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
-    pair_row, pair_column, object_index = find_silhouette_pixels(scene, rows, columns)
+    pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
     pair_pixel = (pair_row - top) * width + pair_column - first_column
-    all_pixels = np.arange(samples.size)
-    tolerance = _TOLERANCE / per_side**1.5
-    center_x, center_y = samples.get_positions(all_pixels)
-    pixels = Cells(1.0, per_side, tolerance, center_x, center_y, pair_pixel, object_index)
-    classified = classify(scene, pixels, samples, all_pixels)
-    estimate = estimate_pixel_means(classified.center, width)
+    pixel_index = np.arange(samples.size)
+    tolerance = _TOLERANCE / grid_side**1.5
+    center_x, center_y = samples.get_positions(pixel_index)
+    pixels = Cells(1.0, grid_side, tolerance, center_x, center_y, pair_pixel, pair_object)
+    classes = classify_cells(scene, pixels, samples, pixel_index)
+    estimate = estimate_pixel_means(classes.center, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    is_refinable = is_inner & ~classified.is_crowded
-    mean = _compute_cell_means(scene, classified, estimate, is_refinable)
-    crowded_index = indices(is_inner & classified.is_crowded)
-    lattice = Lattice.at_least(per_side, ratio=1)
-    mean[:, crowded_index], _ = _sample_cells(scene, classified, crowded_index, lattice)
+    is_refinable = is_inner & ~classes.is_crowded
+    pixel_mean = _compute_cell_means(scene, classes, estimate, is_refinable)
+    crowded_index = indices(is_inner & classes.is_crowded)
+    lattice = Lattice.at_least(grid_side, ratio=1)
+    pixel_mean[:, crowded_index], _ = _sample_cells(scene, classes, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
-    return np.stack([*mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
+    return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
 def _compute_cell_means(
-    scene: PreparedScene, classified: Classification, estimate: SmoothMeans, is_refinable: Bools
+    scene: PreparedScene, classes: Classification, estimate: SmoothMeans, is_refinable: Bools
 ) -> Floats:
     """Compute the mean radiance of cells, and refine those that edges may cross.
 
-    A cell is a pixel, or a square part of a pixel.  Its mean is taken from `estimate` if (1) no
-    edge was found in the cell, and (2) the estimated error is at most the tolerance.  All other
-    cells are sampled on a lattice or divided into quarters (see `_choose_lattices`).
+    A cell is a pixel, or a square part of a pixel.  If no edge was found in a cell, and its
+    estimated error is within the tolerance, the estimated mean is used.  All other cells are
+    sampled on a lattice or divided into quarters.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    classified : Classification
+    classes : Classification
         The n cells, and the edges that may cross them.
     estimate : SmoothMeans
         Estimated mean radiance of each cell, valid if no edge crosses the cell.
     is_refinable : (n,) bool array
-        False for cells whose mean is taken from `estimate` in any case.
+        If False, the estimated mean of the cell is used in any case.
 
     Returns
     -------
-    mean : (3, n) float array
+    cell_mean : (3, n) float array
         Mean linear RGB radiance of each cell.
     """
-    cells, mean = classified.cells, estimate.radiance.copy()
-    first_lattice, is_first_for_all, second_lattice = _choose_lattices(cells)
+    cells, cell_mean = classes.cells, estimate.radiance.copy()
+    first_lattice, includes_unresolved, second_lattice = _choose_lattices(cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
-    has_lines[classified.lines.cell] = True
+    has_lines[classes.lines.cell] = True
     # An unknown error (NaN) makes a cell neither accurate nor inaccurate.
     is_accurate, is_inaccurate = estimate.error <= cells.tolerance, estimate.error > cells.tolerance
-    is_pending = is_refinable & (has_lines | classified.is_unresolved | ~is_accurate)
+    is_pending = is_refinable & (has_lines | classes.is_unresolved | ~is_accurate)
     if first_lattice is not None:
-        has_only_lines = is_pending & has_lines & ~(classified.is_unresolved | is_inaccurate)
-        sampled_index = indices(is_pending if is_first_for_all else has_only_lines)
-        sampled_mean, missed_edge = _sample_cells(scene, classified, sampled_index, first_lattice)
-        finished_index = sampled_index[~missed_edge]
-        mean[:, finished_index], is_pending[finished_index] = sampled_mean[:, ~missed_edge], False
+        has_only_lines = is_pending & has_lines & ~(classes.is_unresolved | is_inaccurate)
+        sampled_index = indices(is_pending if includes_unresolved else has_only_lines)
+        sampled_mean, misses_edge = _sample_cells(scene, classes, sampled_index, first_lattice)
+        finished_index = sampled_index[~misses_edge]
+        cell_mean[:, finished_index] = sampled_mean[:, ~misses_edge]
+        is_pending[finished_index] = False
     pending_index = indices(is_pending)
     if second_lattice is not None:
-        mean[:, pending_index], _ = _sample_cells(scene, classified, pending_index, second_lattice)
-        return mean
-    for batch_index in index_batches(pending_index, _cells_per_batch(scene, samples_per_cell=4)):
-        mean[:, batch_index] = _refine_quarters(scene, classified, estimate.error, batch_index)
-    return mean
+        cell_mean[:, pending_index], _ = _sample_cells(
+            scene, classes, pending_index, second_lattice
+        )
+        return cell_mean
+    for batch_index in index_batches(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
+        cell_mean[:, batch_index] = _refine_quarters(scene, classes, estimate.error, batch_index)
+    return cell_mean
 
 
-def _cells_per_batch(scene: PreparedScene, samples_per_cell: int) -> int:
-    """Choose how many cells to sample together, so that memory is limited.
+def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
+    """Choose how many cells to sample together, to limit the use of memory.
 
     Parameters
     ----------
     scene : PreparedScene
-        The scene.  If many objects overlap in the picture, fewer samples are traced together.
+        The scene.  The more its objects overlap in the picture, the fewer cells are sampled.
     samples_per_cell : int
         Number of samples in each cell (a pixel, or a square part of a pixel).
 
@@ -231,7 +222,7 @@ def _cells_per_batch(scene: PreparedScene, samples_per_cell: int) -> int:
 
 
 def _sample_cells(
-    scene: PreparedScene, classified: Classification, cell_index: Ints, lattice: Lattice
+    scene: PreparedScene, classes: Classification, cell_index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
     """Estimate the mean radiance of cells from a lattice of samples in each cell.
 
@@ -242,7 +233,7 @@ def _sample_cells(
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    classified : Classification
+    classes : Classification
         All cells, and the lines that cross them.
     cell_index : (m,) int array
         Indices of the cells to sample, all different.
@@ -251,46 +242,45 @@ def _sample_cells(
 
     Returns
     -------
-    mean : (3, m) float array
+    cell_mean : (3, m) float array
         Mean linear RGB radiance of each sampled cell.
-    missed_edge : (m,) bool array
-        Whether an edge in the cell was missed.  This is True if two samples in the same region hit
-        different faces or objects, or the same face under different lights.
+    misses_edge : (m,) bool array
+        Whether the lines of the cell miss an edge: two samples in the same region hit different
+        faces, or the same face under different lights.
     """
-    cells, lines, cell_count = classified.cells, classified.lines, cell_index.size
-    mean, missed_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
-    for batch in index_batches(np.arange(cell_count), _cells_per_batch(scene, lattice.size)):
+    cells, lines, cell_count = classes.cells, classes.lines, cell_index.size
+    cell_mean, misses_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
+    for batch in index_batches(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
         batch_lines = lines.take(indices(index_in_batch[lines.cell] >= 0))
         batch_lines = batch_lines._replace(cell=index_in_batch[batch_lines.cell])
         points = place_weighted_points(batch_lines, batch.size, lattice.points())
-        x, y = cells.positions(cell_index[batch][points.cell], points.position)
+        x, y = cells.to_picture(cell_index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]
         radiance, sample_id = compute_radiance_and_ids(scene, samples)
-        for channel_mean, channel_radiance in zip(mean, radiance, strict=True):
+        for channel_mean, channel_radiance in zip(cell_mean, radiance, strict=True):
             channel_mean[batch] = np.bincount(cell, weight * channel_radiance, batch.size)
-        missed_edge[batch[cell[find_samples_in_mixed_regions(region, sample_id)]]] = True
-    return mean, missed_edge
+        misses_edge[batch[cell[find_samples_in_mixed_regions(region, sample_id)]]] = True
+    return cell_mean, misses_edge
 
 
 def _refine_quarters(
-    scene: PreparedScene, classified: Classification, error: Floats, cell_index: Ints
+    scene: PreparedScene, classes: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
     """Divide cells into quarters, and compute the mean radiance of each cell.
 
-    A cell is a pixel, or a square part of a pixel.  It is *unresolved* if it may contain something
-    other than straight edges.  A cell whose quarters are all unresolved, with no straight edge in
-    any of them, may turn out to have no edge at all.  Such a cell is sampled on a lattice.  If (1)
-    the samples show no edge, and (2) the mean of the lattice agrees with the mean of the quarters'
-    centre samples, then the mean of the lattice is used, and the quarters are not refined.
+    A cell is a pixel, or a square part of a pixel.  If all its quarters may contain curved edges,
+    but no straight edge was found in them, the cell may turn out to have no edge at all.  Then it
+    is sampled on a lattice.  If the samples confirm that it has no edge, their mean is used, and
+    the quarters are not refined.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    classified : Classification
+    classes : Classification
         All n cells, and the edges that may cross them.
     error : (n,) float array
         Estimated error of each cell's mean radiance, if no edge crosses the cell; NaN if unknown.
@@ -302,23 +292,24 @@ def _refine_quarters(
     mean : (3, m) float array
         Mean linear RGB radiance of each divided cell.
     """
-    count, tolerance = cell_index.size, classified.cells.tolerance
-    quarters = classified.cells.quarters(cell_index)
+    cell_count, tolerance = cell_index.size, classes.cells.tolerance
+    quarters = classes.cells.divide(cell_index)
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
-    classified_quarters = classify(scene, quarters, samples, order)
-    center, quarter_center = classified.center.take(cell_index), classified_quarters.center
+    quarter_classes = classify_cells(scene, quarters, samples, order)
+    center, quarter_center = classes.center.take(cell_index), quarter_classes.center
     estimate = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
-    is_unresolved = classified_quarters.is_unresolved.reshape(count, 4).all(axis=1)
-    line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=count)
+    is_unresolved = quarter_classes.is_unresolved.reshape(cell_count, 4).all(axis=1)
+    line_count = np.bincount(quarter_classes.lines.cell // 4, minlength=cell_count)
     tested_index = indices(is_unresolved & (line_count == 0))
-    lattice = Lattice.at_least(classified.cells.samples_per_side, ratio=1)
-    sampled_mean, missed_edge = _sample_cells(scene, classified, cell_index[tested_index], lattice)
-    expected_mean = estimate.radiance.reshape(3, count, 4).take(tested_index, axis=1).mean(axis=2)
-    is_confirmed = ~missed_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
-    is_smooth = np.zeros(count, dtype=np.bool_)
+    lattice = Lattice.at_least(classes.cells.samples_per_side, ratio=1)
+    sampled_mean, misses_edge = _sample_cells(scene, classes, cell_index[tested_index], lattice)
+    quarter_radiance = estimate.radiance.reshape(3, cell_count, 4)
+    expected_mean = quarter_radiance.take(tested_index, axis=1).mean(axis=2)
+    is_confirmed = ~misses_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
+    is_smooth = np.zeros(cell_count, dtype=np.bool_)
     is_smooth[tested_index[is_confirmed]] = True
     is_refinable = ~is_smooth.repeat(4)
-    quarter_mean = _compute_cell_means(scene, classified_quarters, estimate, is_refinable)
-    mean: Floats = quarter_mean.reshape(3, count, 4).mean(axis=2)
+    quarter_mean = _compute_cell_means(scene, quarter_classes, estimate, is_refinable)
+    mean: Floats = quarter_mean.reshape(3, cell_count, 4).mean(axis=2)
     mean[:, is_smooth] = sampled_mean[:, is_confirmed]
     return mean

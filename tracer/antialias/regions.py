@@ -56,11 +56,10 @@ class WeightedPoints(NamedTuple):
 
 
 def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
-    """Place points in all cells, and weight them so that they represent the regions between lines.
+    """Place points in cells, and weight them so that they represent the regions between lines.
 
     A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  The
-    weights of the points in a region add up to the exact area of the region, and the weighted mean
-    of the points is the centroid of the region.
+    weights of the points in a region add up to its area, and their weighted mean is its centroid.
 
     Parameters
     ----------
@@ -74,10 +73,9 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
 
     Returns
     -------
-    weighted : WeightedPoints
-        The m points of the first cell, then those of the second cell, and so on.  Additional points
-        follow for regions that contain too few of these: such a region is divided into triangles,
-        and the centroids of the triangles represent it.
+    weighted_points : WeightedPoints
+        The m points of the first cell, then those of the second cell, and so on.  Regions with too
+        few points have additional points at the end: the centroids of triangles that cover them.
     """
     cells, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
@@ -91,17 +89,17 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     triangles = _divide_into_triangles(lines, line_start, max_lines)
     weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
     added_index = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
-    placed = WeightedPoints(cells.repeat(points.size), position, weight, region)
-    field_pairs = zip(placed, triangles, strict=True)
-    return WeightedPoints(*(np.append(field, extra[added_index]) for field, extra in field_pairs))
+    placed_points = WeightedPoints(cells.repeat(points.size), position, weight, region)
+    pairs = zip(placed_points, triangles, strict=True)
+    return WeightedPoints(*(np.append(field, added[added_index]) for field, added in pairs))
 
 
 def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     """Find samples in regions whose samples have different ids.
 
-    Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Two samples
-    have the same id if they hit the same face of the same object, and the same lights are visible
-    from both hits.  So an edge without a line crosses every region that contains different ids.
+    Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Samples with
+    the same id hit the same face of the same object, under the same lights.  Different ids in a
+    region reveal an edge that no line represents.
 
     Parameters
     ----------
@@ -121,7 +119,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 
 
 def _evaluate_lines(
-    lines: Lines, line_start: Ints, line_number: int, cell: Ints, position: Points2D
+    lines: Lines, line_start: Ints, line_number: int, cell_index: Ints, position: Points2D
 ) -> tuple[Ints, Floats]:
     """Evaluate one line of each cell at points in the cell.
 
@@ -134,23 +132,23 @@ def _evaluate_lines(
     line_start : (cells + 1,) int array
         The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     line_number : int
-        Number of the line to evaluate, among those of each cell, counted from 0.
-    cell : (n,) int array
-        Indices of cells.  Cells with at most `line_number` lines are skipped.
+        Which line of each cell to evaluate; 0 is its first line.
+    cell_index : (n,) int array
+        Indices of cells.  Cells without a line of this number are skipped.
     position : (m, n) complex array
-        For each element of `cell`, a column of m points x + iy in the cell.
+        For each element of `cell_index`, a column of m points x + iy in the cell.
 
     Returns
     -------
-    kept : (k,) int array
-        Indices of the elements of `cell` that are not skipped.
+    element_index : (k,) int array
+        Indices of the elements of `cell_index` that are not skipped.
     values : (m, k) float array
         Value c + a x + b y of the line at each point in these cells.
     """
-    line_index = line_start[cell] + line_number
-    kept = indices(line_index < line_start[cell + 1])
-    kept_lines, point = lines.take(line_index[kept]), position[:, kept]
-    return kept, kept_lines.a * point.real + kept_lines.b * point.imag + kept_lines.c
+    line_index = line_start[cell_index] + line_number
+    element_index = indices(line_index < line_start[cell_index + 1])
+    line, point = lines.take(line_index[element_index]), position[:, element_index]
+    return element_index, line.a * point.real + line.b * point.imag + line.c
 
 
 def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> WeightedPoints:
@@ -171,21 +169,21 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     Returns
     -------
     triangles : WeightedPoints
-        The centroid of each triangle, weighted with the area of the triangle relative to that of
-        the cell.  The number of the triangle's region is cell * 2^max_lines + sum of 2^k over those
-        lines k = 0, 1, ... of the cell on whose positive side the triangle lies.
+        The centroid of each triangle, weighted with the fraction of the cell that it covers.  Bit k
+        of its region number is 1 on the positive side of line k of the cell; the bits from
+        `max_lines` on are the index of the cell.
     """
     cell = np.arange(line_start.size - 1).repeat(2)
     region = cell << max_lines
-    square = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
-    corners: Points2D = np.tile(square[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
+    square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+    corners: Points2D = np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
         triangle, values = _evaluate_lines(lines, line_start, line_number, cell, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
         region[triangle[positive_count == 3]] |= 1 << line_number
         crossed = indices((positive_count == 1) | (positive_count == 2))
-        # Rotate the corners so that the first corner is the one that is alone on its side.
+        # Rotate the corners so that the first corner, a, is the one that is alone on its side.
         is_first_positive, parent = positive_count[crossed] == 1, triangle[crossed]
         first_corner = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
         order = (first_corner + np.arange(3)[:, None]) % 3
@@ -199,9 +197,9 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         region[parent] = parent_region | is_first_positive << line_number
         region = np.concatenate([region, *[parent_region | ~is_first_positive << line_number] * 2])
         cell = np.concatenate([cell, cell[parent], cell[parent]])
-    side, other_side = corners[1] - corners[0], corners[2] - corners[0]
+    side_ab, side_ac = corners[1] - corners[0], corners[2] - corners[0]
     # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
-    area = np.abs(side.real * other_side.imag - side.imag * other_side.real) / 2
+    area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
     return WeightedPoints(cell, corners.sum(axis=0) / 3, area, region)
 
 
@@ -210,17 +208,14 @@ def _compute_weights(
 ) -> tuple[Floats, Bools]:
     """Compute weights with which the points in each region represent the region.
 
-    The weights of the points in a region add up to the area of the region, and the weighted mean of
-    the points is the centroid of the region.  Let p be a point, q the mean of all points in its
-    region, and S the covariance matrix of these points.  Let w be the area of the region divided by
-    the number of points.  With the weights w (1 + t . (p - q)), the weighted mean of the points is
-    q + S t.  For t = S^-1 (centroid - q), it is the centroid of the region.
+    The weights of the points in a region add up to its area, and their weighted mean is its
+    centroid.
 
     Parameters
     ----------
     position : (n,) complex array
-        Positions p = x + iy of the points, relative to the centres of their cells (pixels, or
-        square parts of pixels), in units of the cell's width.
+        Positions x + iy of the points relative to the centres of their cells (pixels, or square
+        parts of pixels), in widths of the cell.
     region : (n,) int array
         Number of the region that contains each point.
     triangles : WeightedPoints
@@ -231,17 +226,20 @@ def _compute_weights(
     Returns
     -------
     weight : (n,) float array
-        Weight of each point, as a fraction of the cell's area.  It is 0 in regions that their
-        points cannot represent: there are fewer than three, or they lie almost on a straight line.
+        Weight of each point, as a fraction of the cell's area; 0 if the region is not represented.
     is_represented : (region_count,) bool array
-        Whether the points in each region can represent the region.
+        Whether the points in each region can represent it.  They cannot if there are fewer than
+        three, or if they lie almost on a straight line.
     """
 
     def sum_by_region(value_region: Ints, values: Floats) -> Floats:
-        """Sum the values (n,) in each region, where `value_region` (n,) gives their regions."""
+        """Return the sum of the values (n,) in each region, given the region (n,) of each value."""
         sums = np.bincount(value_region, values, minlength=region_count)
         return sums.astype(np.float64, copy=False)  # NumPy returns integers if there are no values
 
+    # Let q be the mean of the points p in a region, S their covariance matrix, and w the region's
+    # area divided by their number.  With the weights w (1 + t . (p - q)), the weighted mean of the
+    # points is q + S t.  It is the centroid for t = S^-1 (centroid - q).
     point_count = np.maximum(np.bincount(region, minlength=region_count), 1)
     area = sum_by_region(triangles.region, triangles.weight)
     q_x = sum_by_region(region, position.real) / point_count

@@ -63,19 +63,17 @@ class SmoothMeans(NamedTuple):
     error: Floats
 
 
-def estimate_pixel_means(center: CenterSamples, width: int) -> SmoothMeans:
+def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
     """Estimate the mean radiance of pixels without edges from samples at their centres.
 
-    The mean of a smooth function f over a pixel is f + (f_xx + f_yy) / 24, plus terms of higher
-    order.  Here f, f_xx and f_yy are the value and the second derivatives at the centre.  Second
-    differences between a pixel and its two neighbours approximate f_xx (in the row) and f_yy (in
-    the column).  A second difference is used only if both neighbours have the same id as the pixel,
-    that is, if all three samples hit the same face of the same object, and the same lights are
-    visible from the three hits.
+    The mean of a smooth function f over a pixel is about f + (f_xx + f_yy) / 24, with the value and
+    the second derivatives of f at the centre.  The derivatives are approximated by differences
+    between neighbouring pixels.  Only pixels with the same id are compared: their samples hit the
+    same face of the same object, under the same lights.
 
     Parameters
     ----------
-    center : CenterSamples
+    pixel_samples : CenterSamples
         Radiance and id of the samples at the centres of a rectangle of pixels, row by row.
     width : int
         Number of pixels in each row of the rectangle.
@@ -83,49 +81,43 @@ def estimate_pixel_means(center: CenterSamples, width: int) -> SmoothMeans:
     Returns
     -------
     means : SmoothMeans
-        Estimated mean radiance of each pixel (`radiance`) and its estimated error (`error`).  Both
-        are meaningless for pixels at the border of the rectangle.  The error is the larger of two
-        numbers, one from the row and one from the column:
-
-        1. If both neighbours have the pixel's id, the number is the absolute second difference,
-           divided by 24.
-        2. If only one of them has the id, the number is the absolute difference between this
-           neighbour and the pixel, divided by 24.
-        3. If neither has the id, the number is NaN, and so is the error.
+        Estimated mean radiance of each pixel (`radiance`), and its estimated error (`error`).  The
+        error is NaN if no neighbour in the row, or none in the column, has the same id.  Both
+        estimates are meaningless at the border of the rectangle.
     """
-    radiance, center_id = center
-    correction, error = np.zeros(radiance.shape), np.zeros(center_id.size)
+    radiance, pixel_id = pixel_samples
+    correction, error = np.zeros(radiance.shape), np.zeros(pixel_id.size)
     for stride in (1, width):
         inner_pixels = slice(stride, -stride)
-        has_same_id = center_id[stride:] == center_id[:-stride]
+        has_same_id = pixel_id[stride:] == pixel_id[:-stride]
         difference = (radiance[:, stride:] - radiance[:, :-stride]) * has_same_id
-        second_difference = (difference[:, stride:] - difference[:, :-stride]) / 24
+        axis_correction = (difference[:, stride:] - difference[:, :-stride]) / 24
         same_id_before, same_id_after = has_same_id[:-stride], has_same_id[stride:]
-        max_difference = np.abs(second_difference).max(axis=0)
-        axis_error = np.where(same_id_before | same_id_after, max_difference, np.nan)
+        # If only one neighbour has the id, its difference from the pixel estimates the error.
+        max_correction = np.abs(axis_correction).max(axis=0)
+        axis_error = np.where(same_id_before | same_id_after, max_correction, np.nan)
         error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
-        correction[:, inner_pixels] += second_difference * (same_id_before & same_id_after)
+        correction[:, inner_pixels] += axis_correction * (same_id_before & same_id_after)
     return SmoothMeans(radiance + correction, error)
 
 
 def estimate_quarter_means(
-    center: CenterSamples, error: Floats, quarter_center: CenterSamples, tolerance: float
+    cell_samples: CenterSamples, error: Floats, quarter_samples: CenterSamples, tolerance: float
 ) -> SmoothMeans:
     """Estimate the mean radiance of quarters of cells from samples at their centres.
 
-    A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: the
-    difference between the mean of the four quarter samples and the cell's own sample is divided by
-    3, and added to the sample of each quarter.  This correction is made only if all five samples
-    have the same id, that is, if they hit the same face of the same object, and the same lights are
-    visible from all five hits.
+    A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: subtract
+    the sample of the cell from the mean of the four quarter samples, and add a third of the
+    difference to each quarter sample.  This correction is made only if all five samples have the
+    same id: they hit the same face of the same object, under the same lights.
 
     Parameters
     ----------
-    center : CenterSamples
+    cell_samples : CenterSamples
         Radiance and id of the samples at the centres of m cells.
     error : (m,) float array
         Estimated error of the mean radiance of each cell, if no edge crosses it; NaN if unknown.
-    quarter_center : CenterSamples
+    quarter_samples : CenterSamples
         Radiance and id of the samples at the centres of the 4 m quarters: the four of the first
         cell, then the four of the second cell, and so on.
     tolerance : float
@@ -135,24 +127,19 @@ def estimate_quarter_means(
     -------
     means : SmoothMeans
         Estimated mean radiance of each of the 4 m quarters (`radiance`), valid if no edge crosses
-        the quarter, and its estimated error (`error`): the larger of the following two estimates,
-        the only known one, or NaN if both are unknown.
-
-        1. The *own* error is half the correction, because the remaining error is of higher order in
-           the width of the cell.  It is unknown if the five samples have different ids.
-        2. The *inherited* error is a quarter of the cell's error, because errors decrease with the
-           square of the width.  If the own error is unknown, an edge may be near, where light may
-           decrease like a square root; then it is half the cell's error.  The inherited error is
-           ignored if it is at most the tolerance, and the quarter's sample hits a surface but has a
-           different id from the cell's sample.
+        the quarter, and its estimated error (`error`), which is NaN if unknown.
     """
-    cell_id, quarter_id = center.id.repeat(4), quarter_center.id
-    mean_of_quarters = quarter_center.radiance.reshape(3, -1, 4).mean(axis=2)
+    cell_id, quarter_id = cell_samples.id.repeat(4), quarter_samples.id
+    mean_of_quarters = quarter_samples.radiance.reshape(3, -1, 4).mean(axis=2)
     has_same_id = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
-    correction = np.where(has_same_id, (mean_of_quarters - center.radiance) / 3, 0)
+    correction = np.where(has_same_id, (mean_of_quarters - cell_samples.radiance) / 3, 0)
+    # The remaining error is of higher order in the width of the cell than the correction.
     own_error = np.where(has_same_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
+    # Errors decrease with the square of the width.  But if ids differ, an edge may be near, where
+    # light may decrease like a square root.
     inherited_error = error.repeat(4) / np.where(np.isnan(own_error), 2, 4)
+    # A small error of the cell says nothing about a quarter with a different surface.
     hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)
     inherited_error[hits_other_surface & (inherited_error <= tolerance)] = np.nan
-    radiance = quarter_center.radiance + correction.repeat(4, axis=1)
+    radiance = quarter_samples.radiance + correction.repeat(4, axis=1)
     return SmoothMeans(radiance, np.fmax(inherited_error, own_error))

@@ -20,7 +20,7 @@ from tracer.geometry.rounding import (
     OUTSIDE,
     PLANE_ROUNDING,
     SURFACE_TOLERANCE,
-    hit_tolerance,
+    compute_hit_tolerance,
 )
 from tracer.geometry.silhouette import silhouette_planes
 from tracer.scene.model import Surfaces
@@ -32,14 +32,14 @@ class Boxes:
 
     Attributes
     ----------
-    is_planar, frame, objects, bounds, is_eye_inside, curvature, coordinate_size
+    is_planar, frame, objects, bounds, is_eye_inside, curvature, coordinate_bound
         As in `Spheres`.
     min_pt, max_pt : (3, n) float arrays
-        Opposite corners, with the smallest and with the largest coordinates.
+        Corners with the smallest and with the largest coordinates x, y and z.
     planes : tuple of three (6, n) float arrays
-        Slope, tilt and level of planes through the eye and the edges of each box's silhouette (see
+        Coefficients a, b and c of six planes through the eye and the silhouette of each box (see
         `silhouette_planes`).  A ray with the direction (ray_right, ray_down, depth) meets the box
-        only if slope * ray_right + tilt * ray_down + level >= 0 for all six planes.
+        only if a * ray_right + b * ray_down + c >= 0 for all six planes.
     """
 
     is_planar: ClassVar = True
@@ -52,11 +52,11 @@ class Boxes:
     bounds: ScreenBounds
     is_eye_inside: Bools
     curvature: Floats
-    coordinate_size: Floats
+    coordinate_bound: Floats
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Extract a scene's boxes, and precompute the data for tracing camera rays.
+        """Extract the boxes of a scene, and precompute the data for tracing camera rays.
 
         Parameters
         ----------
@@ -73,21 +73,20 @@ class Boxes:
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
-        # Components of the normals of the silhouette planes, in camera axes.
-        right, down, ahead = frame.vector_to_camera(silhouette_planes(low, high))
-        # If the eye is on a face, the box is seen from inside, and only rays into the box meet it.
-        # These rays are bounded by the plane of the face.
+        normals = frame.vector_to_camera(silhouette_planes(low, high))
+        # If the eye is on a face, the plane of the face separates the rays that lead into the box
+        # from those that miss it.
         is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
-        for component, axis in zip((right, down, ahead), frame.axes, strict=True):
+        for component, axis in zip(normals, frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
-        coordinate_size: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
+        coordinate_bound: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
         objects, curvature = box_range(surfaces), np.zeros(is_eye_inside.size)
-        planes, bounds = (right, down, ahead * frame.depth), _find_screen_bounds(frame, low, high)
-        eye_data = planes, bounds, is_eye_inside
-        return cls(frame, objects, min_pt, max_pt, *eye_data, curvature, coordinate_size)
+        planes = normals[0], normals[1], normals[2] * frame.depth
+        camera_data = planes, _find_screen_bounds(frame, low, high), is_eye_inside
+        return cls(frame, objects, min_pt, max_pt, *camera_data, curvature, coordinate_bound)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Return opposite corners of all n boxes, in scene axes.
+        """Return two opposite corners of each of the n boxes, in scene axes.
 
         Returns
         -------
@@ -99,57 +98,57 @@ class Boxes:
 
     # Intersections with rays from the eye.
 
-    def row_extent(self, object_index: Ints, row_y: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the columns that a box covers in a row, for n (box, row) pairs.
+    def row_extent(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
+        """Compute which columns each of n boxes covers in a row of the picture.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's box among all objects of the scene.
-        row_y : (n,) float array
-            Top edge of each pair's row, in pixels from the top of the picture.
+            Index of each box among all objects of the scene.
+        top : (n,) float array
+            Top edge of the row for each box, in pixels from the top of the picture.
         height : float
             Height of the rows, in pixels; 0 if each row is a line.
 
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the interval of columns, in pixels from the left edge of the picture.  The
-            interval contains all positions at which a ray in the row meets the box; if there are
-            none, left > right.
+            Ends of the interval of columns, in pixels from the left edge of the picture.  All rays
+            of the row that meet the box lie in this interval.  If there are none, left > right.
         """
-        frame, box_index = self.frame, self.objects.positions(object_index)
-        ray_down = frame.ray_down(row_y + height / 2)
+        frame, box_index = self.frame, self.objects.to_local(object_index)
+        ray_down = frame.ray_down(top + height / 2)
         min_right, max_right = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
-        # The margin also covers the rounding errors of ray directions.
+        # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane in range(6):
-            slope, tilt, level = (component[plane].take(box_index) for component in self.planes)
-            # A ray meets the box only if slope * ray_right + tilt * ray_down + level >= 0.  Use the
-            # ray of the row for which this bound on `ray_right` is loosest.
-            max_remainder = tilt * ray_down + np.abs(tilt) * margin + level
-            # If the slope is 0, the bound is infinite: the plane admits all rays of the row, or
-            # none.  The sum turns a slope of -0 into 0.
-            bound = -max_remainder / (slope + 0.0)
-            np.fmax(min_right, bound, out=min_right, where=slope >= 0)
-            np.fmin(max_right, bound, out=max_right, where=slope < 0)
+            a, b, c = (coefficients[plane].take(box_index) for coefficients in self.planes)
+            # A ray meets the box only if a * ray_right + b * ray_down + c >= 0.  Use the loosest
+            # of these bounds on `ray_right` for the rays of the row.
+            max_remainder = b * ray_down + np.abs(b) * margin + c
+            # If a is 0, the bound is infinite.  Adding 0 turns -0 into 0.
+            bound = -max_remainder / (a + 0.0)
+            np.fmax(min_right, bound, out=min_right, where=a >= 0)
+            np.fmin(max_right, bound, out=max_right, where=a < 0)
         return frame.column_of(min_right), frame.column_of(max_right)
 
     def intersect(
         self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
-        """Compute the distances at which rays from the eye hit boxes, and the faces that they hit.
+        """Compute where rays from the eye hit boxes, and which faces they hit.
 
         The method is that of slabs (Kay and Kajiya, Ray tracing complex scenes, 1986).  A slab is
-        the space between the planes of two opposite faces.  Slabs are closed: a ray that lies in
-        the plane of a face hits the box.  A ray has the direction (ray_right, ray_down, depth), in
-        camera axes.  Rays are given in spans: consecutive rays in one row of the picture, with the
-        same `ray_down`, that are tested with the same box.
+        the space between the planes of two opposite faces.  A ray that lies in the plane of a face
+        hits the box.
+
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  A span is a sequence
+        of rays in one row of the picture.  They have the same `ray_down`, and are tested with the
+        same box.
 
         Parameters
         ----------
         object_index : (spans,) int array
-            Index of each span's box among all objects of the scene.
+            Index of the box of each span, among all objects of the scene.
         ray_down : (spans,) float array
             Downward component of the rays in each span.
         ray_right : (n,) float array
@@ -160,25 +159,24 @@ class Boxes:
         Returns
         -------
         t : (n,) float array
-            Distance from the eye, in units of the length of the ray's direction, at which the ray
-            enters the box; infinity if the ray misses the box.  If the eye is inside the box or on
-            its surface, this is the distance at which the ray leaves the box.
+            Multiple of the ray's direction at which the ray enters the box; infinity if it misses
+            the box.  If the eye is inside the box or on its surface, this is where the ray leaves.
         face_code : (n,) int8 array
-            The face at this distance: twice the axis (0, 1 or 2) to which the face is
-            perpendicular, plus 1 if the normal that faces the eye has a positive component.
+            The face that is hit: twice the axis (0, 1 or 2) to which it is perpendicular, plus 1 if
+            its normal towards the eye has a positive component.
         """
-        frame, box_index = self.frame, self.objects.positions(object_index)
+        frame, box_index = self.frame, self.objects.to_local(object_index)
         enter_ts, leave_ts, face_codes = [], [], []
         for axis in range(3):
-            right, down, ahead = frame.axes[:, axis].tolist()
-            span_part = ray_down * down + frame.depth * ahead
-            direction = ray_right * right + repeat_runs(span_part, ray_count)
+            axis_right, axis_down, axis_ahead = frame.axes[:, axis].tolist()
+            span_term = ray_down * axis_down + frame.depth * axis_ahead
+            direction = ray_right * axis_right + repeat_runs(span_term, ray_count)
             low = self.min_pt[axis, box_index] - frame.eye[axis]
             high = self.max_pt[axis, box_index] - frame.eye[axis]
             is_eye_above = high < 0
             if np.all(is_eye_above | (low > 0)):
-                # The eye is outside of all slabs, so it is known which plane is nearer.  A ray away
-                # from the slab gets an exit before its entry, and so misses the box.
+                # The eye is outside every slab, so one plane is known to be nearer.  A ray that
+                # points away from the slab leaves it before entering it, and so misses the box.
                 planes = np.where(is_eye_above, high, low), np.where(is_eye_above, low, high)
                 enter_t, leave_t = (repeat_runs(plane, ray_count) / direction for plane in planes)
             else:
@@ -190,11 +188,11 @@ class Boxes:
             face_codes.append((direction < 0).view(np.int8) + np.int8(2 * axis))
         enter_t, leave_t = np.maximum(*enter_ts[:2]), np.minimum(*leave_ts[:2])
         enter_t, leave_t = np.maximum(enter_t, enter_ts[2]), np.minimum(leave_t, leave_ts[2])
-        t, face_ts, hits = enter_t, enter_ts, enter_t <= leave_t
+        t, face_ts, is_hit = enter_t, enter_ts, enter_t <= leave_t
         is_eye_inside = self.is_eye_inside[box_index]
         if is_eye_inside.any():
             is_eye_inside = repeat_runs(is_eye_inside, ray_count)
-            t, hits = np.where(is_eye_inside, leave_t, t), hits | is_eye_inside
+            t, is_hit = np.where(is_eye_inside, leave_t, t), is_hit | is_eye_inside
             face_ts = [
                 np.where(is_eye_inside, leave_t, enter_t)
                 for enter_t, leave_t in zip(enter_ts, leave_ts, strict=True)
@@ -202,10 +200,10 @@ class Boxes:
         # A ray through an edge or a corner hits the face of the first axis.
         face_code = np.where(face_ts[1] == t, face_codes[1], face_codes[2])
         face_code = np.where(face_ts[0] == t, face_codes[0], face_code)
-        return np.where(hits & (t > 0), t, np.inf), face_code
+        return np.where(is_hit & (t > 0), t, np.inf), face_code
 
     def tangent_planes(
-        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, face_code: Sides
+        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the plane of the face on which each run of hits lies.
 
@@ -217,8 +215,8 @@ class Boxes:
             Index of each run's box among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        from_eye, t : (3, n) and (n,) float arrays
-            Ignored; present because `Spheres.tangent_planes` needs them.
+        to_hit, t : (3, n) and (n,) float arrays
+            Ignored: only `Spheres.tangent_planes` uses them.
         face_code : (n,) int8 array
             Second result of `intersect` for the ray through each hit: twice the axis of the face,
             plus 1 if its normal has a positive component.
@@ -227,29 +225,29 @@ class Boxes:
         -------
         face_axis : (runs,) int array
             Axis to which the face is perpendicular: 0, 1 or 2.
-        sign : (runs,) float array
-            1 if the normal of the face points up its axis, and -1 if it points down.
-        level : (runs,) float array
-            Coordinate of the face along its axis, in scene axes.
+        normal_sign : (runs,) float array
+            1 if the normal points in the positive direction of this axis, otherwise -1.
+        face_position : (runs,) float array
+            Coordinate of the face along this axis, in scene axes.
         normal : tuple of three (runs,) float arrays
             Unit normals that face the eye, in camera axes.
         eye_height : (runs,) float array
             Distance of the eye from the plane of the face.
         """
-        box_index = self.objects.positions(object_index)
+        box_index = self.objects.to_local(object_index)
         run_face_code = face_code.take(run_length.cumsum() - run_length)
-        face_axis, sign = run_face_code.astype(np.intp) >> 1, np.where(run_face_code & 1, 1.0, -1.0)
-        low = take_2d(self.min_pt, face_axis, box_index)
-        high = take_2d(self.max_pt, face_axis, box_index)
-        level = np.where(self.is_eye_inside[box_index] == (sign > 0), low, high)
-        eye_height = sign * (self.frame.eye[face_axis] - level)
-        right, down, ahead = (np.asarray(sign * axis[face_axis]) for axis in self.frame.axes)
-        return face_axis, sign, level, (right, down, ahead), eye_height
+        face_axis = run_face_code.astype(np.intp) >> 1
+        normal_sign = np.where(run_face_code & 1, 1.0, -1.0)
+        low, high = (take_2d(pt, face_axis, box_index) for pt in (self.min_pt, self.max_pt))
+        face_position = np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
+        eye_height = normal_sign * (self.frame.eye[face_axis] - face_position)
+        right, down, ahead = (np.asarray(normal_sign * axis[face_axis]) for axis in self.frame.axes)
+        return face_axis, normal_sign, face_position, (right, down, ahead), eye_height
 
     # Tests of shadow segments: segments from hits to lights.
 
     def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
-        """Look up opposite corners of selected boxes.
+        """Look up two opposite corners of each given box.
 
         Parameters
         ----------
@@ -261,18 +259,18 @@ class Boxes:
         low, high : tuples of three (n,) float arrays
             Smallest and largest coordinates x, y and z of each box, in scene axes.
         """
-        box_index = self.objects.positions(object_index)
+        box_index = self.objects.to_local(object_index)
         return take3(self.min_pt, box_index), take3(self.max_pt, box_index)
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide whether a light lies inside a box, for n (box, light) pairs.
+        """Test whether a light is inside each of n boxes.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's box among all objects of the scene.
+            Index of each box among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of each pair's light, in scene axes.  Their shape broadcasts
+            Coordinates x, y and z of the light for each box, in scene axes.  Their shape broadcasts
             with (n,).
 
         Returns
@@ -281,27 +279,26 @@ class Boxes:
             `INSIDE` if the light is inside the box; `OUTSIDE` if it is outside or on the surface.
             The array has the broadcast shape of (n,) and the lights.
         """
-        is_inside = self.signed_distance(object_index, light) < 0
-        return np.where(is_inside, INSIDE, OUTSIDE).astype(np.int8)
+        distance = self.signed_distance(object_index, light)
+        return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distance of a point from a box, for n (box, point) pairs.
-
-        The result is the largest of the signed distances from the planes of the six faces.
+        """Compute the signed distance of a point from each of n boxes.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's box among all objects of the scene.
+            Index of each box among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of each pair's point, in scene axes.  Their shape broadcasts
+            Coordinates x, y and z of the point for each box, in scene axes.  Their shape broadcasts
             with (n,).
 
         Returns
         -------
         distance : float array
-            Negative inside the box.  For points outside, it may be less than the distance from the
-            box.  The array has the broadcast shape of (n,) and the points.
+            Largest signed distance from the planes of the six faces: negative inside the box.
+            Outside, the actual distance from the box may be larger.  The array has the broadcast
+            shape of (n,) and the points.
         """
         low, high = self.corners(object_index)
         plane_distances = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
@@ -312,25 +309,25 @@ class Boxes:
         object_index: Ints,
         hit: Triple,
         light: Triple,
-        side: Sides,
+        light_side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test whether a box blocks the segment from a hit to a light, for n (box, segment) pairs.
+        """Test whether each of n boxes blocks the segment from a hit to a light.
 
-        A segment is blocked if it crosses the surface of the box strictly between its own ends.  A
-        segment in the plane of a face is not blocked; a segment that crosses a flat box is blocked.
-        An end that is within the rounding error of a face's plane is moved onto the plane.
+        A box blocks a segment that crosses its surface strictly between the ends of the segment.
+        It does not block a segment that lies in the plane of a face.  Before the test, an end that
+        is within rounding error of the plane of a face is moved onto the plane.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's box among all objects of the scene.
+            Index of each box among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each segment, in scene axes.
-        side : (n,) int8 array
-            Ignored; present because `Spheres.occludes` needs it.
+        light_side : (n,) int8 array
+            Ignored: only `Spheres.occludes` uses it.
         growth : (n,) float array, optional
-            Distance by which the box is grown on all sides before the test; negative to shrink it.
+            Distance by which the box grows on all sides before the test; negative to shrink it.
             A box that shrinks to nothing blocks nothing.
 
         Returns
@@ -341,23 +338,23 @@ class Boxes:
         low, high = self.corners(object_index)
         if growth is not None:
             low, high = map3(lambda x: x - growth, low), map3(lambda x: x + growth, high)
-        coordinate_size = self.coordinate_size[self.objects.positions(object_index)]
-        start = _snap_to_faces(hit, low, high, hit_tolerance(coordinate_size, hit, self.frame.eye))
-        end = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * coordinate_size)
-        blocked = _crosses_surface(start, end, low, high)
+        coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
+        tolerance = compute_hit_tolerance(coordinate_bound, hit, self.frame.eye)
+        snapped_hit = _snap_to_faces(hit, low, high, tolerance)
+        snapped_light = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * coordinate_bound)
+        blocked = _crosses_surface(snapped_hit, snapped_light, low, high)
         if growth is not None:
             blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
         return blocked
 
     def test_capsules(
-        self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
+        self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether a box may block some segments in a capsule, and whether it blocks all.
+        """Test whether each of n boxes blocks some or all segments in a capsule.
 
-        A capsule consists of all points within a given distance of its axis, the segment from
-        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  It contains all segments from
-        the ball around `start` to `end`; the results refer to these segments.  Both tests are
-        conservative: rounding errors are on the safe side.
+        A capsule consists of all points within a given distance of its axis, which leads from
+        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The segments lead to `end` from
+        all points within this distance of `start`.  Both tests err on the safe side.
 
         Parameters
         ----------
@@ -365,7 +362,7 @@ class Boxes:
             Index, among all objects of the scene, of the box to test with each capsule.
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
-        thickness : (n,) float array
+        capsule_radius : (n,) float array
             Radius of each capsule.
 
         Returns
@@ -375,22 +372,21 @@ class Boxes:
         blocks_all : (n,) bool array
             True only if the box certainly blocks all segments.
         """
-        # Allow for `occludes`, which moves ends of segments onto faces.
-        coordinate_size = self.coordinate_size[self.objects.positions(object_index)]
-        thickness = thickness + 2 * SURFACE_TOLERANCE * coordinate_size
-        # Positions along the axis, in units of its length, at which the axis enters and leaves two
-        # boxes: the box grown by the thickness on all sides, and the box shrunk by the thickness.
-        enter_t, leave_t = np.array(-np.inf), np.array(np.inf)
-        shrunk_enter_t, shrunk_leave_t = enter_t, leave_t
+        # Allow for the distance by which `occludes` moves ends of segments.
+        coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
+        capsule_radius = capsule_radius + 2 * SURFACE_TOLERANCE * coordinate_bound
+        # At these fractions of its length, the axis enters and leaves (1) the box grown by the
+        # capsule's radius on all sides, and (2) the box shrunk by the radius.
+        enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
         low, high = self.corners(object_index)
-        # Component i of the vectors is x in the first pass, then y and z.
+        # Coordinate i is x in the first pass, then y, then z.
         for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
             direction, to_low, to_high = end_i - start_i, low_i - start_i, high_i - start_i
             if np.count_nonzero(direction) < direction.size:
-                length_scale = np.abs(to_low) + np.abs(to_high) + thickness
+                length_scale = np.abs(to_low) + np.abs(to_high) + capsule_radius
                 direction = direction + (direction == 0) * (MIN_COMPONENT * length_scale)
             near_t, far_t = _intersect_slab(to_low, to_high, direction)
-            margin = thickness / np.abs(direction)
+            margin = capsule_radius / np.abs(direction)
             shrunk_enter_t = np.maximum(shrunk_enter_t, near_t + margin)
             shrunk_leave_t = np.minimum(shrunk_leave_t, far_t - margin)
             near_t -= margin
@@ -410,8 +406,8 @@ def _intersect_slab(
     Parameters
     ----------
     low, high : (n,) float arrays
-        Coordinates of the two planes relative to the start of the line, along the axis to which the
-        planes are perpendicular.
+        Coordinates of the two planes along the axis to which they are perpendicular, relative to
+        the point where the line starts.
     direction : (n,) float array
         Component of the line's direction along this axis.
     is_closed : bool
@@ -420,7 +416,7 @@ def _intersect_slab(
     Returns
     -------
     enter_t, leave_t : (n,) float arrays
-        Distances along the line, in units of the direction's length.  A line parallel to the planes
+        Positions along the line, as multiples of its direction.  A line parallel to the planes
         enters at -inf and leaves at inf if it is inside the slab; otherwise it enters at inf and
         leaves at -inf.
     """
@@ -435,52 +431,52 @@ def _intersect_slab(
 
 
 def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> Bools:
-    """Test whether a segment crosses the surface of a box, for n (segment, box) pairs.
+    """Test whether each of n segments crosses the surface of a box.
 
     Parameters
     ----------
     start, end : tuples of three (n,) float arrays
         Coordinates x, y and z of the two ends of each segment.
     low, high : tuples of three (n,) float arrays
-        Smallest and largest coordinates x, y and z of each box.
+        Smallest and largest coordinates x, y and z of the box for each segment.
 
     Returns
     -------
-    crosses : (n,) bool array
+    crosses_surface : (n,) bool array
         Whether the segment enters or leaves the box strictly between its ends.
     """
     enter_t, leave_t = np.array(-np.inf), np.array(np.inf)
-    # Component i of the vectors is x in the first pass, then y and z.
+    # Coordinate i is x in the first pass, then y, then z.
     for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
         near_t, far_t = _intersect_slab(low_i - start_i, high_i - start_i, end_i - start_i)
         enter_t, leave_t = np.maximum(enter_t, near_t), np.minimum(leave_t, far_t)
     is_within_segment = ((enter_t > 0) & (enter_t < 1)) | ((leave_t > 0) & (leave_t < 1))
-    crosses: Bools = (enter_t <= leave_t) & is_within_segment
-    return crosses
+    crosses_surface: Bools = (enter_t <= leave_t) & is_within_segment
+    return crosses_surface
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move each point that is close to the plane of a box face onto this plane.
+    """Move points that are close to the plane of a box face onto this plane.
 
     Parameters
     ----------
     point : tuple of three (n,) float arrays
-        For each of n (point, box) pairs, the coordinates x, y and z of the point.
+        Coordinates x, y and z of the points.
     low, high : tuples of three (n,) float arrays
-        Smallest and largest coordinates x, y and z of each pair's box.
+        Smallest and largest coordinates x, y and z of the box for each point.
     tolerance : (n,) float array
-        Maximum distance at which a point is moved onto a plane.
+        Maximum distance by which each point is moved along an axis.
 
     Returns
     -------
-    snapped : tuple of three (n,) float arrays
-        The new coordinates; unchanged for points that are not close to a plane.
+    snapped_point : tuple of three (n,) float arrays
+        The new coordinates, which are unchanged for points that are not close to a plane.
     """
 
-    def snap_coordinate(value: Floats, low: Floats, high: Floats) -> Floats:
-        """Replace each coordinate within the tolerance of `low` or `high` by this bound."""
-        is_on_low, is_on_high = np.abs(value - low) <= tolerance, np.abs(value - high) <= tolerance
-        return np.where(is_on_low, low, np.where(is_on_high, high, value))
+    def snap_coordinate(x: Floats, low_x: Floats, high_x: Floats) -> Floats:
+        """Replace each coordinate by `low_x` or `high_x` if it is within the tolerance of it."""
+        is_on_low, is_on_high = np.abs(x - low_x) <= tolerance, np.abs(x - high_x) <= tolerance
+        return np.where(is_on_low, low_x, np.where(is_on_high, high_x, x))
 
     return map3(snap_coordinate, point, low, high)
 
@@ -498,24 +494,24 @@ def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> Screen
     Returns
     -------
     bounds : ScreenBounds
-        The rectangle of each box: infinitely large if the box extends from ahead of the eye to
-        behind it, and empty if the whole box is behind the eye.
+        The rectangle of each box.  It is infinite if the box is partly behind the eye, and empty
+        if the box is entirely behind the eye.
     """
-    # Along each axis, corner i is at `high` if bit `axis` of i is set, and otherwise at `low`.
+    # Along each axis, corner i is at `high` if bit number `axis` of i is 1, otherwise at `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
     right, down, ahead = frame.vector_to_camera((x, y, z))
     is_partly_behind, is_partly_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
 
-    def slope_range(component: Floats) -> tuple[Floats, Floats]:
+    def find_slope_range(component: Floats) -> tuple[Floats, Floats]:
         """Return the smallest and the largest slope of the eight corners of each box.
 
-        A slope is a component of a corner, in an (8, n) array, divided by the corner's depth.  The
-        two results, (n,) arrays, are -inf and inf if the box extends from ahead of the eye to
-        behind it, and both -inf if the whole box is behind the eye.
+        The slope of a corner is its `component`, in an (8, n) array, divided by its depth.  Both
+        results are (n,) arrays.  A box partly behind the eye has the slopes -inf and inf; a box
+        entirely behind the eye has -inf twice.
         """
         slope = component / ahead
         minimum = np.where(is_partly_behind, -np.inf, slope.min(axis=0))
         maximum_behind = np.where(is_partly_ahead, np.inf, -np.inf)
         return minimum, np.where(is_partly_behind, maximum_behind, slope.max(axis=0))
 
-    return ScreenBounds.from_slopes(frame, slope_range(down), slope_range(right))
+    return ScreenBounds.from_slopes(frame, find_slope_range(down), find_slope_range(right))

@@ -65,7 +65,7 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        vector : tuple of three (n,) float arrays
+        from_eye : tuple of three (n,) float arrays
             Rightward, downward and forward components of the vectors from the eye to the points.
         """
         x, y, z = (points - self.eye).T
@@ -103,12 +103,12 @@ class CameraFrame(NamedTuple):
         x, y, z = (self.scene_component(vector, axis) for axis in range(3))
         return x, y, z
 
-    def point_to_scene(self, vector: Triple) -> Triple:
-        """Convert vectors from the eye, in camera axes, to positions in the scene.
+    def point_to_scene(self, from_eye: Triple) -> Triple:
+        """Convert points from camera axes to scene axes.
 
         Parameters
         ----------
-        vector : tuple of three float arrays
+        from_eye : tuple of three float arrays
             Rightward, downward and forward components of the vectors from the eye to the points, in
             arrays of one shape.
 
@@ -118,7 +118,7 @@ class CameraFrame(NamedTuple):
             Coordinates x, y and z of the points, in arrays of the same shape.
         """
         eye_x, eye_y, eye_z = self.eye.tolist()
-        x, y, z = self.vector_to_scene(vector)
+        x, y, z = self.vector_to_scene(from_eye)
         return eye_x + x, eye_y + y, eye_z + z
 
     def scene_component(self, vector: Triple, axis: int) -> Floats:
@@ -148,7 +148,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         column : float array
-            Distances from the left edge of the picture, in pixels; need not be integers.
+            Distances from the left edge of the picture, in pixels.  They need not be integers.
 
         Returns
         -------
@@ -166,7 +166,7 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         row : float array
-            Distances from the upper border of the picture, in pixels; need not be integers.
+            Distances from the upper border of the picture, in pixels.  They need not be integers.
 
         Returns
         -------
@@ -213,16 +213,16 @@ class CameraFrame(NamedTuple):
         return (ray_down - self.center_down) / self.pixel_height + self.height / 2
 
     def depth_layer(self, depth: Floats, packet_width: float) -> Ints:
-        """Assign each point to a layer of depth; layers farther from the eye are thicker.
+        """Assign each of n points to a depth layer.
 
-        Near a horizon, points that are neighbours in the picture may be far apart in the scene.
-        Packets (groups of neighbouring hits) are therefore confined to one layer.  The thickness of
-        a layer is `_LAYER_ASPECT` times the width of a packet at this depth.
+        Packets are groups of neighbouring hits.  Near a horizon, neighbours in the picture may be
+        far apart in the scene, so packets are confined to one layer.  A layer's thickness is
+        `_LAYER_ASPECT` times the width of a packet at its depth.
 
         Parameters
         ----------
         depth : (n,) float array
-            Depth of each point: the forward component of the vector from the eye.  Positive.
+            Forward component of the vector from the eye to each point; positive.
         packet_width : float
             Width of a packet, in pixels.
 
@@ -246,7 +246,7 @@ class CameraFrame(NamedTuple):
 def camera_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
-    """Compute a camera's eye, axes and pixel grid, which determine its rays.
+    """Compute the eye, the axes and the pixel grid that determine a camera's rays.
 
     The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
 
@@ -294,7 +294,7 @@ class ScreenBounds(NamedTuple):
     ----------
     top, bottom, left, right : (n,) float arrays
         Sides of the rectangles, in pixels from the upper left corner of the picture.  For an object
-        that is not visible, the rectangle is outside of the picture, or top > bottom.
+        that is not visible, the rectangle is outside the picture, or top > bottom.
     """
 
     top: Floats
@@ -308,15 +308,15 @@ class ScreenBounds(NamedTuple):
     ) -> ScreenBounds:
         """Compute the bounding rectangles of n objects from the slopes of the rays that meet them.
 
+        The y slope of a ray is its downward component divided by its forward component.  The x
+        slope is its rightward component divided by its forward component.
+
         Parameters
         ----------
         frame : CameraFrame
             The rays of the camera.
-        y_slopes : pair of (n,) float arrays
-            For each object, the smallest and the largest slope of the rays that meet it: their
-            downward component divided by their forward component.
-        x_slopes : pair of (n,) float arrays
-            The same with the rightward component instead of the downward one.
+        y_slopes, x_slopes : pairs of (n,) float arrays
+            The smallest and the largest slope of the rays that meet each object.
 
         Returns
         -------
@@ -363,7 +363,7 @@ class ScreenBounds(NamedTuple):
         return is_in_picture
 
     def window(self, frame: CameraFrame) -> tuple[slice, slice]:
-        """Compute a rectangle of pixels that contains all visible objects, with a margin.
+        """Compute a rectangle of pixels that contains all visible objects.
 
         Parameters
         ----------
@@ -375,24 +375,24 @@ class ScreenBounds(NamedTuple):
         rows, columns : slices
             Rows and columns of pixels; empty slices if no object is visible.
         """
-        visible = self.take(self.in_picture(frame))
+        visible_bounds = self.take(self.in_picture(frame))
 
-        def covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
-            """Return the smallest slice of the picture's pixels that covers all intervals.
+        def find_covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
+            """Return the slice of pixels along one axis of the picture that covers all intervals.
 
-            Each interval, from starts[i] to stops[i] in pixels, is first enlarged by one pixel at
-            each end.  Along the axis of the intervals, the picture has `pixel_count` pixels.
+            Interval i leads from starts[i] to stops[i], in pixels.  A margin of one pixel at each
+            end allows for rounding errors.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
 
         return (
-            covered_pixels(visible.top, visible.bottom, frame.height),
-            covered_pixels(visible.left, visible.right, frame.width),
+            find_covered_pixels(visible_bounds.top, visible_bounds.bottom, frame.height),
+            find_covered_pixels(visible_bounds.left, visible_bounds.right, frame.width),
         )
 
     def depth_complexity(self, frame: CameraFrame) -> float:
-        """Bound the mean number of objects on a ray, for every row of the picture.
+        """Compute an upper bound on the mean number of objects that the rays of a row meet.
 
         Parameters
         ----------
@@ -402,12 +402,11 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         depth_complexity : float
-            Upper bound, for every row, on the mean number of objects that its rays meet.  Hidden
-            objects are counted, too.
+            The bound, which holds for every row of the picture.  Hidden objects are counted, too.
         """
         visible, width = self.take(self.in_picture(frame)), frame.width
         covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
-        # Going down the rows, add each object's width at its top, and subtract it at its bottom.
+        # From row to row, add the widths of objects that begin and subtract those that end.
         order = np.append(visible.top - 1, visible.bottom + 1).argsort()
         width_change = np.append(covered_width, -covered_width)[order]
         return float(width_change.cumsum().max(initial=0) / width)
@@ -415,7 +414,7 @@ class ScreenBounds(NamedTuple):
     def silhouette_density(self, frame: CameraFrame) -> float:
         """Estimate how often the silhouettes of two objects cross the same pixel.
 
-        The estimate assumes that objects are about as wide as high, at random positions.
+        The estimate assumes that objects are as tall as they are wide, at random positions.
 
         Parameters
         ----------
@@ -425,10 +424,9 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         pair_count : float
-            Mean number per pixel of ordered pairs of different objects whose silhouettes both cross
-            the pixel.
+            Mean number of such pairs of objects per pixel.  Pairs (i, j) and (j, i) both count.
         """
         top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
-        # The silhouette of an object that is about as wide as high crosses about 4 * height pixels.
+        # The silhouette of an object that is as tall as wide crosses about 4 * height pixels.
         crossing_probability = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
         return float(crossing_probability.sum() ** 2 - (crossing_probability**2).sum())

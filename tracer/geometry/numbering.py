@@ -44,7 +44,7 @@ class ObjectRange(NamedTuple):
         return np.arange(self.start, self.start + self.size)
 
     def contains(self, object_index: Ints) -> Bools:
-        """Test whether each object, given by its index, has this shape.
+        """Test which objects have this shape.
 
         Parameters
         ----------
@@ -58,25 +58,25 @@ class ObjectRange(NamedTuple):
         """
         return (object_index >= self.start) & (object_index < self.start + self.size)
 
-    def positions(self, object_index: Ints) -> Ints:
-        """Convert indices among all objects to positions among the objects of this shape.
+    def to_local(self, object_index: Ints) -> Ints:
+        """Convert indices among all objects to indices among the objects of this shape.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Indices of objects of the shape, among all objects of the scene.
+            Indices, among all objects of the scene, of objects of this shape.
 
         Returns
         -------
-        position : (n,) int array
-            Positions in arrays that contain only the objects of the shape.  If these objects come
-            first in the scene, this is `object_index` itself, not a copy.
+        local_index : (n,) int array
+            Indices in arrays that contain only the objects of this shape.  This is `object_index`
+            itself, not a copy, if the shape comes first in the scene.
         """
         return object_index - self.start if self.start else object_index
 
 
 def sphere_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of a scene's object indices that belongs to the spheres.
+    """Return the index range of a scene's spheres, among all its objects.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def sphere_range(surfaces: Surfaces) -> ObjectRange:
 
 
 def box_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the range of object indices of a scene's boxes, which follow its spheres.
+    """Return the index range of a scene's boxes, among all its objects.
 
     Parameters
     ----------

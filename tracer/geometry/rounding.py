@@ -83,34 +83,34 @@ MIN_COMPONENT = 1e-30
 MIN_DIVISOR = 1e-300
 
 
-def side_of_surface(height: Floats, tolerance: Floats) -> NDArray[np.int8]:
-    """Decide whether each point lies outside, on or inside a surface.
+def determine_side(distance: Floats, tolerance: Floats) -> NDArray[np.int8]:
+    """Determine whether each of n points is outside, on or inside a surface.
 
     Parameters
     ----------
-    height : (n,) float array
-        Signed distance of each point from the surface, positive outside.
+    distance : (n,) float array
+        Signed distance of each point from the surface, negative inside.
     tolerance : (n,) float array
-        Maximum distance at which a point is treated as on the surface.
+        Maximum distance at which each point counts as on the surface.
 
     Returns
     -------
     side : (n,) int8 array
         `OUTSIDE` (1), `ON` (0) or `INSIDE` (-1) for each point.
     """
-    return (height > tolerance).view(np.int8) - (height < -tolerance).view(np.int8)
+    return (distance > tolerance).view(np.int8) - (distance < -tolerance).view(np.int8)
 
 
-def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Compute the maximum distance at which each hit is treated as on a surface.
+def compute_hit_tolerance(coordinate_bound: Floats, hit: Triple, eye: Floats) -> Floats:
+    """Compute the maximum distance at which each of n hits counts as on a surface.
 
-    A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit grows
-    with its distance from the eye and with the coordinates of the surface.
+    A hit is the point where a ray from the eye meets a surface.  Its rounding error grows with
+    its distance from the eye and with the coordinates of the surface.
 
     Parameters
     ----------
-    coordinate_size : (n,) float array
-        Upper bound on |x| + |y| + |z| for all points of the surface near each hit.
+    coordinate_bound : (n,) float array
+        Upper bound on |x| + |y| + |z| for all points of the surface of each hit.
     hit : tuple of three (n,) float arrays
         Coordinates x, y and z of the hits, in scene axes.
     eye : (3,) float array
@@ -122,4 +122,4 @@ def hit_tolerance(coordinate_size: Floats, hit: Triple, eye: Floats) -> Floats:
         Maximum distance from the surface, in the scene's unit of length.
     """
     eye_to_hit = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
-    return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_size)
+    return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_bound)

@@ -29,8 +29,8 @@ from tracer.geometry.rounding import (
     OUTSIDE,
     SQUARE_ROUNDING,
     UNIT_TOLERANCE,
-    hit_tolerance,
-    side_of_surface,
+    compute_hit_tolerance,
+    determine_side,
 )
 from tracer.scene.model import Surfaces
 
@@ -65,7 +65,7 @@ class Spheres:
         Whether the eye is inside the sphere, or on it.
     curvature : (n,) float array
         Curvature of the surface: 1 / radius; 0 for planar shapes.
-    coordinate_size : (n,) float array
+    coordinate_bound : (n,) float array
         Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on
         the surface are proportional to it.
     """
@@ -81,11 +81,11 @@ class Spheres:
     bounds: ScreenBounds
     is_eye_inside: Bools
     curvature: Floats
-    coordinate_size: Floats
+    coordinate_bound: Floats
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Extract a scene's spheres, and precompute the data for tracing camera rays.
+        """Extract the spheres of a scene, and precompute the data for tracing camera rays.
 
         Parameters
         ----------
@@ -108,113 +108,104 @@ class Spheres:
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (right, down, ahead), radius2 = from_eye, radius * radius
         slopes = (
-            _tangent_slopes(sideways, ahead, radius2, sideways * sideways + ahead * ahead - radius2)
-            for sideways in (down, right)
+            _tangent_slopes(lateral, ahead, radius2, lateral * lateral + ahead * ahead - radius2)
+            for lateral in (down, right)
         )
-        bounds = ScreenBounds.from_slopes(frame, *slopes)
-        objects, coordinate_size = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        eye_data = from_eye, power, bounds, power <= 0
-        return cls(frame, objects, center, radius, *eye_data, 1 / radius, coordinate_size)
+        objects, coordinate_bound = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
+        camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
+        return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
 
     def bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Compute the axis-aligned bounding boxes of all n objects, in scene axes.
+        """Compute the axis-aligned bounding boxes of all n spheres, in scene axes.
 
         Returns
         -------
         low, high : (3, n) float arrays
-            Smallest and largest coordinates of each object.
+            Smallest and largest coordinates of each sphere.
         """
         return self.center - self.radius, self.center + self.radius
 
     # Intersections with rays from the eye.
 
-    def row_extent(self, object_index: Ints, row_y: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the columns that an object covers in a row, for n (object, row) pairs.
+    def row_extent(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
+        """Compute which columns each of n spheres covers in a row of the picture.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's object among all objects of the scene.
-        row_y : (n,) float array
-            Top edge of each pair's row, in pixels from the top of the picture.
+            Index of each sphere among all objects of the scene.
+        top : (n,) float array
+            Top edge of the row for each sphere, in pixels from the top of the picture.
         height : float
-            Height of the rows, in pixels.  If it is 0, a row is a line, and the result is exact
-            except for rounding errors.  Otherwise the result is conservative: it contains all
-            positions at which any ray in the row meets the object.
+            Height of the rows, in pixels.  If it is 0, each row is a line, and the result is exact
+            except for rounding errors.  Otherwise the interval may be too large, but not too small.
 
         Returns
         -------
         left, right : (n,) float arrays
             Ends of the interval of columns, in pixels from the left edge of the picture.  If no
-            ray in the row meets the object, left > right or both are NaN.
+            ray of the row meets the sphere, left > right or both are NaN.
         """
-        # At the sphere, every ray in the row is within a margin of the ray below or above it on the
-        # row's centre line.  So if a ray in the row meets the sphere, the ray on the centre line
-        # meets the sphere grown by this margin.
-        frame, sphere_index = self.frame, self.objects.positions(object_index)
+        # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
+        # the sphere grown by the distance between the two rays.
+        frame, sphere_index = self.frame, self.objects.to_local(object_index)
         radius = self.radius[sphere_index]
         slope_margin = 0.5 * height * frame.pixel_height / frame.depth
         max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
         grown_radius = radius + slope_margin * max_depth
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
-        ray_down = frame.ray_down(row_y + height / 2)
-        discs = self._cut_discs(sphere_index, grown_radius, ray_down)
-        ray_ahead, right, ahead, disc_radius2 = discs
-        low_slope, high_slope = _tangent_slopes(right, ahead, disc_radius2, power)
+        discs = self._cut_discs(sphere_index, grown_radius, frame.ray_down(top + height / 2))
+        ray_ahead, center_right, center_ahead, disc_radius2 = discs
+        low_slope, high_slope = _tangent_slopes(center_right, center_ahead, disc_radius2, power)
         return frame.column_of(low_slope * ray_ahead), frame.column_of(high_slope * ray_ahead)
 
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Compute the disc that a plane of rays cuts out of a sphere, for n (sphere, plane) pairs.
+        """Compute the discs that planes of rays cut out of n spheres.
 
         A ray has the direction (ray_right, ray_down, depth), in camera axes.  All rays with the
-        same `ray_down` lie in one plane through the eye.  This plane has two axes: to the right,
-        along a row of the picture; and ahead, perpendicular to the row.
+        same `ray_down` lie in one plane through the eye.  In this plane, points have coordinates
+        to the right, along a row of the picture, and ahead, perpendicular to the row.
 
         Parameters
         ----------
         sphere_index : (n,) int array
-            Index of each pair's sphere among all spheres.
+            Index of each sphere among all spheres.
         radius : (n,) float array
             Radius to use instead of the sphere's own radius.
         ray_down : (n,) float array
-            Downward component of the rays in each plane.
+            Downward component of the rays in the plane for each sphere.
 
         Returns
         -------
         ray_ahead : (n,) float array
-            Forward component of the rays in each plane: sqrt(ray_down^2 + depth^2).
-        right, ahead : (n,) float arrays
-            Components, along the axes of the plane, of the vector from the eye to the centre of
-            each disc.
+            Forward component of the rays in the plane: sqrt(ray_down^2 + depth^2).
+        center_right, center_ahead : (n,) float arrays
+            Coordinates of the disc's centre in the plane, relative to the eye.
         disc_radius2 : (n,) float array
-            Squared radius of each disc; negative if the plane misses the sphere.
+            Squared radius of the disc; negative if the plane misses the sphere.
         """
-        (right, down, forward), depth = take3(self.from_eye, sphere_index), self.frame.depth
+        (center_right, down, forward), depth = take3(self.from_eye, sphere_index), self.frame.depth
         ray_ahead = np.sqrt(ray_down * ray_down + depth * depth)
         plane_distance = (down * depth - forward * ray_down) / ray_ahead
-        ahead = (down * ray_down + forward * depth) / ray_ahead
+        center_ahead = (down * ray_down + forward * depth) / ray_ahead
         disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
-        return ray_ahead, right, ahead, disc_radius2
+        return ray_ahead, center_right, center_ahead, disc_radius2
 
     def intersect(
         self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Floats]:
-        """Compute the distances at which rays from the eye hit objects.
+        """Compute where rays from the eye hit spheres.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  Rays are given in
-        spans: consecutive rays in one row of the picture, with the same `ray_down`, that are tested
-        with the same object.  The rays of a row lie in a plane through the eye, and this plane cuts
-        a disc out of a sphere.  Rays and discs are intersected in the plane.  The nearer root of
-        A t^2 - 2 B t + C = 0 is computed in the stable form t = C / (B + sqrt(B^2 - A C)) (Haines,
-        Günther and Akenine-Möller, Precision improvements for ray/sphere intersection, Ray Tracing
-        Gems, ch. 7).
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  A span is a sequence
+        of rays in one row of the picture.  They have the same `ray_down`, and are tested with the
+        same sphere.
 
         Parameters
         ----------
         object_index : (spans,) int array
-            Index of each span's object among all objects of the scene.
+            Index of the sphere of each span, among all objects of the scene.
         ray_down : (spans,) float array
             Downward component of the rays in each span.
         ray_right : (n,) float array
@@ -225,26 +216,28 @@ class Spheres:
         Returns
         -------
         t : (n,) float array
-            Distance from the eye, in units of the length of the ray's direction; infinity if the
-            ray misses the object.  If the eye is inside the object or on its surface, this is the
-            distance at which the ray leaves the object.
-        hit_data : (n,) array
-            Argument for `tangent_planes`.  For spheres, this is |n . d| radius, where n is the unit
-            normal and d is the ray's direction.  For boxes, it is an int8 code of the face.
+            Multiple of the ray's direction at which the ray enters the sphere; infinity if it
+            misses the sphere.  If the eye is inside the sphere or on its surface, this is where the
+            ray leaves the sphere.
+        sqrt_term : (n,) float array
+            |n . d| radius, with the unit normal n at the hit and the ray's direction d;
+            `tangent_planes` needs it.
         """
-        sphere_index, depth = self.objects.positions(object_index), self.frame.depth
+        sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
-        ray_ahead, right, ahead, disc_radius2 = discs
+        ray_ahead, center_right, center_ahead, disc_radius2 = discs
         length2 = repeat_runs(ray_down * ray_down + depth * depth, ray_count)
         length2 = ray_right * ray_right + length2
-        # Cross product and dot product of the ray and the vector (right, ahead) to the disc centre.
-        # In the quadratic equation, A is `length2`, B is the dot product, and C is `power`: the
-        # squared distance of the eye from the sphere's centre, minus the squared radius.
-        cross_product = repeat_runs(right * ray_ahead, ray_count)
-        cross_product -= repeat_runs(ahead, ray_count) * ray_right
+        # Solve A t^2 - 2 B t + C = 0 in the plane of the rays of a span, which cuts a disc out of
+        # the sphere.  A is `length2`, B is the dot product of the ray and the vector to the disc's
+        # centre, and C is `power`.  The nearer root is C / (B + sqrt(B^2 - A C)) (Haines, Günther
+        # and Akenine-Möller, Precision improvements for ray/sphere intersection, Ray Tracing Gems,
+        # ch. 7).
+        cross_product = repeat_runs(center_right * ray_ahead, ray_count)
+        cross_product -= repeat_runs(center_ahead, ray_count) * ray_right
         sqrt_term = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
-        dot_product = repeat_runs(right, ray_count) * ray_right
-        dot_product += repeat_runs(ahead * ray_ahead, ray_count)
+        dot_product = repeat_runs(center_right, ray_count) * ray_right
+        dot_product += repeat_runs(center_ahead * ray_ahead, ray_count)
         divisor = dot_product + sqrt_term
         power = self.power[sphere_index]
         is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
@@ -256,91 +249,84 @@ class Spheres:
         return np.where(t > 0, t, np.inf), sqrt_term
 
     def tangent_planes(
-        self, object_index: Ints, run_length: Ints, from_eye: Floats, t: Floats, hit_data: Floats
+        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, sqrt_term: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """Compute the tangent plane of the surface at each of n hits.
+        """Compute the tangent plane of the sphere at each of n hits.
 
-        Hits are given in runs: consecutive hits on the same face of the same object.
+        A run consists of consecutive hits on the same sphere.
 
         Parameters
         ----------
         object_index : (runs,) int array
-            Index of each run's object among all objects of the scene.
+            Index of each run's sphere among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        from_eye : (3, n) float array
+        to_hit : (3, n) float array
             Vectors from the eye to the hits, in camera axes.
-        t, hit_data : (n,) arrays
+        t, sqrt_term : (n,) float arrays
             The results of `intersect` for the rays through the hits.
 
         Returns
         -------
         face_axis : (runs,) int array
-            Axis to which the face is perpendicular: 0, 1 or 2; `NO_FACE` for spheres.
-        sign : (runs,) float array
-            1 if the normal of the face points up its axis, and -1 if it points down; for spheres,
-            a meaningless 0-dimensional array.
-        level : (runs,) float array
-            Coordinate of the face along its axis, in scene axes; for spheres, a meaningless
-            0-dimensional array.
-        normal : tuple of three float arrays
-            Unit normals that face the eye, in camera axes: (n,) for spheres, (runs,) for
-            boxes.
-        eye_height : float array
-            Distance of the eye from the tangent plane: (n,) for spheres, (runs,) for boxes.
+            `NO_FACE` for each run.
+        normal_sign, face_position : 0-dimensional float arrays
+            Meaningless, because spheres have no faces: see `Boxes.tangent_planes`.
+        normal : tuple of three (n,) float arrays
+            Unit normals that face the eye, in camera axes.
+        eye_height : (n,) float array
+            Distance of the eye from the tangent plane.
         """
-        sphere_index = self.objects.positions(object_index)
-        # If the eye is inside, the normal points to the centre, and its sign is negative.
-        normal_sign = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
-        signed_curvature = repeat_runs(1 / (normal_sign * self.radius[sphere_index]), run_length)
+        sphere_index = self.objects.to_local(object_index)
+        # If the eye is inside, the normal that faces it points to the centre.
+        eye_side = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
+        signed_curvature = repeat_runs(1 / (eye_side * self.radius[sphere_index]), run_length)
         centers = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
-        components = zip(from_eye, centers, strict=True)
+        components = zip(to_hit, centers, strict=True)
         right, down, ahead = ((hit - center) * signed_curvature for hit, center in components)
-        face_axis, sign, level = np.full(sphere_index.size, NO_FACE), np.ones(()), np.zeros(())
-        return face_axis, sign, level, (right, down, ahead), hit_data * np.abs(signed_curvature) * t
+        face_axis = np.full(sphere_index.size, NO_FACE)
+        eye_height = sqrt_term * np.abs(signed_curvature) * t
+        return face_axis, np.ones(()), np.zeros(()), (right, down, ahead), eye_height
 
     # Tests of shadow segments: segments from hits to lights.
 
     def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
-        """Decide whether a light lies outside, on or inside an object, for n (object, light) pairs.
+        """Test whether a light is outside, on or inside each of n spheres.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's object among all objects of the scene.
+            Index of each sphere among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of each pair's light, in scene axes.  Their shape broadcasts
-            with (n,).
+            Coordinates x, y and z of the light for each sphere, in scene axes.  Their shape
+            broadcasts with (n,).
 
         Returns
         -------
         side : int8 array
-            `OUTSIDE`, `ON` (for spheres only) or `INSIDE`.  The array has the broadcast shape of
-            (n,) and the lights.
+            `OUTSIDE`, `ON` or `INSIDE`.  The array has the broadcast shape of (n,) and the lights.
         """
-        tolerance = LIGHT_TOLERANCE * self.coordinate_size[self.objects.positions(object_index)]
-        return side_of_surface(self.signed_distance(object_index, light), tolerance)
+        tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
+        return determine_side(self.signed_distance(object_index, light), tolerance)
 
     def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distance of a point from an object, for n (object, point) pairs.
+        """Compute the signed distance of a point from each of n spheres.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's object among all objects of the scene.
+            Index of each sphere among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of each pair's point, in scene axes.  Their shape broadcasts
-            with (n,).
+            Coordinates x, y and z of the point for each sphere, in scene axes.  Their shape
+            broadcasts with (n,).
 
         Returns
         -------
         distance : float array
-            Distance of each point from the surface, negative inside.  For boxes, this is the
-            largest signed distance from the planes of the six faces; for points outside, it may be
-            less than the distance from the box.  The array has the broadcast shape of (n,) and the
-            points.
+            Distance from the surface, negative inside.  The array has the broadcast shape of (n,)
+            and the points.
         """
-        sphere_index = self.objects.positions(object_index)
+        sphere_index = self.objects.to_local(object_index)
         to_center = map3(np.subtract, take3(self.center, sphere_index), point)
         return np.sqrt(dot(to_center, to_center)) - self.radius[sphere_index]
 
@@ -349,96 +335,87 @@ class Spheres:
         object_index: Ints,
         hit: Triple,
         light: Triple,
-        side: Sides,
+        light_side: Sides,
         growth: Floats | None = None,
     ) -> Bools:
-        """Test, for n (object, segment) pairs, whether the object blocks the segment.
+        """Test whether each of n spheres blocks the segment from a hit to a light.
 
-        Segments lead from hits to lights.  A segment is blocked if it crosses the surface of the
-        object strictly between its own ends.  An end within the rounding error of the surface is
-        treated as on the surface.  If a hit is on a sphere, the segment starts on the eye's side of
-        the sphere.
+        A sphere blocks a segment that crosses its surface strictly between the ends of the segment.
+        An end within rounding error of the surface counts as on the surface.  If the hit is on the
+        sphere, the segment starts on the eye's side of the surface.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index of each pair's object among all objects of the scene.
+            Index of each sphere among all objects of the scene.
         hit, light : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each segment, in scene axes.
-        side : (n,) int8 array
-            The side of the object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`,
-            from `side_of_light`.
+        light_side : (n,) int8 array
+            Side of the sphere on which the light lies: the result of `side_of_light`.
         growth : (n,) float array, optional
-            Distance by which the object is grown before the test; negative to shrink it.  An object
+            Distance by which the sphere grows before the test; negative to shrink it.  A sphere
             that shrinks to nothing blocks nothing.
 
         Returns
         -------
         blocked : (n,) bool array
-            Whether the object blocks the segment.
+            Whether the sphere blocks the segment.
         """
-        sphere_index = self.objects.positions(object_index)
+        sphere_index = self.objects.to_local(object_index)
         to_light = map3(np.subtract, light, hit)
         to_center = map3(np.subtract, take3(self.center, sphere_index), hit)
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
-        # If both ends are outside, the segment is blocked if its line comes closest to the centre
-        # between the ends and inside the sphere.
+        # If both ends are outside, the sphere blocks the segment if the point of the line closest
+        # to the centre lies inside the sphere and between the ends.
         projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
         closest_t = projection / length2
         perpendicular = map3(lambda center, step: center - closest_t * step, to_center, to_light)
         is_line_cut = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
-        tolerance = hit_tolerance(self.coordinate_size[sphere_index], hit, self.frame.eye)
-        hit_side = side_of_surface(hit_height, tolerance)
+        tolerance = compute_hit_tolerance(self.coordinate_bound[sphere_index], hit, self.frame.eye)
+        hit_side = determine_side(hit_height, tolerance)
         # If an end is on the surface or inside the sphere, the sides of both ends decide.
-        special_index = indices((hit_side != OUTSIDE) | (side != OUTSIDE))
+        special_index = indices((hit_side != OUTSIDE) | (light_side != OUTSIDE))
         if special_index.size:
-            hit_side, side = hit_side[special_index], side[special_index]
+            hit_side, light_side = hit_side[special_index], light_side[special_index]
             projection, length2 = projection[special_index], length2[special_index]
             is_eye_inside = self.is_eye_inside[sphere_index[special_index]]
-            leaves_sphere = (projection < 0) | (side == OUTSIDE)
+            leaves_sphere = (projection < 0) | (light_side == OUTSIDE)
             blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
             blocks_to_surface = (hit_side == OUTSIDE) & (projection < length2)
-            blocks_otherwise = np.where(side == ON, blocks_to_surface, hit_side != side)
+            blocks_otherwise = np.where(light_side == ON, blocks_to_surface, hit_side != light_side)
             blocked[special_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
         return blocked
 
     def test_capsules(
-        self, object_index: Ints, start: Triple, end: Triple, thickness: Floats
+        self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether an object may block some segments in a capsule, and whether it blocks all.
+        """Test whether each of n spheres blocks some or all segments in a capsule.
 
-        A capsule consists of all points within a given distance of its axis, the segment from
-        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  It contains all segments from
-        the ball around `start` to `end`.  Here, *segments* are these segments only.
-
-        1. The object blocks no segment if it does not meet the capsule, or if the capsule lies
-           entirely inside the object.
-        2. The object blocks all segments if it contains a whole cross-section of the capsule, and
-           the ball around `start` is outside the object.
-
-        Both tests are conservative: rounding errors are on the safe side.
+        A capsule consists of all points within a given distance of its axis, which leads from
+        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The segments lead to `end` from
+        all points within this distance of `start`.  Both tests err on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
-            Index, among all objects of the scene, of the object to test with each capsule.
+            Index, among all objects of the scene, of the sphere to test with each capsule.
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
-        thickness : (n,) float array
+        capsule_radius : (n,) float array
             Radius of each capsule.
 
         Returns
         -------
         may_block : (n,) bool array
-            False only if the object certainly blocks no segment.
+            False only if the sphere certainly blocks no segment.
         blocks_all : (n,) bool array
-            True only if the object certainly blocks all segments.
+            True only if the sphere certainly blocks all segments.
         """
-        sphere_index = self.objects.positions(object_index)
+        sphere_index = self.objects.to_local(object_index)
         center, radius = take3(self.center, sphere_index), self.radius[sphere_index]
         axis = map3(np.subtract, end, start)
         to_center = map3(np.subtract, center, start)
@@ -449,11 +426,11 @@ class Spheres:
         line_distance2 = start_distance2 - projection * projection / length2
         # Bound on the rounding errors of squared distances.
         square_error = SQUARE_ROUNDING * start_distance2
-        outer_radius2 = (radius + thickness) ** 2 + square_error
-        inner_radius2 = np.maximum(radius - thickness, 0) ** 2 - square_error
+        outer_radius2 = (radius + capsule_radius) ** 2 + square_error
+        inner_radius2 = np.maximum(radius - capsule_radius, 0) ** 2 - square_error
         starts_outside = start_distance2 > outer_radius2
         ends_outside = end_distance2 > outer_radius2
-        # Whether the sphere's centre lies before the start of the axis, or past its end.
+        # Whether the centre projects to a point before the start of the axis, or past its end.
         is_before, is_past_end = projection < 0, projection > length2
         contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
@@ -465,7 +442,7 @@ class Spheres:
 
 
 def _tangent_slopes(
-    right: Floats, ahead: Floats, disc_radius2: Floats, power: Floats
+    center_right: Floats, center_ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
     """Compute the slopes of the two rays from the origin that touch each of n discs in a plane.
 
@@ -473,27 +450,28 @@ def _tangent_slopes(
 
     Parameters
     ----------
-    right, ahead : (n,) float arrays
+    center_right, center_ahead : (n,) float arrays
         Coordinates of the centre of each disc.
     disc_radius2 : (n,) float array
         Squared radius of each disc; negative or NaN if there is no disc.
     power : (n,) float array
-        right^2 + ahead^2 - disc_radius2 for each disc: negative if the origin is inside the disc.
+        Squared distance of the disc's centre from the origin, minus `disc_radius2`: negative if
+        the origin is inside the disc.
 
     Returns
     -------
-    low, high : (n,) float arrays
-        A ray with ahead > 0 meets the disc if its slope is between these; NaN if there is no disc.
+    low_slope, high_slope : (n,) float arrays
+        Range of the slopes of rays that lead ahead and meet the disc; NaN if there is no disc.
     """
-    # The tangents make equal angles with the direction of the centre.  If the origin is inside the
-    # disc, all rays meet the disc.  If it is within rounding errors of the border of the disc, half
-    # of the rays meet the disc.
-    power_bound = np.maximum(power - MIN_POWER * (right * right + ahead * ahead), 0)
+    # The tangents make equal angles with the direction of the centre.  The angle is infinite if the
+    # origin is inside the disc, and pi / 2 if it is within rounding error of the border.
+    center_distance2 = center_right * center_right + center_ahead * center_ahead
+    power_bound = np.maximum(power - MIN_POWER * center_distance2, 0)
     half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(power_bound))
-    center_angle = np.arctan2(right, ahead)
+    center_angle = np.arctan2(center_right, center_ahead)
     half_angle[power < 0] = np.inf
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
     angle = angle.clip(-np.pi / 2, np.pi / 2)
     # The computed tangent of pi / 2 is 1.6e16, but the slopes of rays may be larger.
-    low, high = np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
-    return low, high
+    slope = np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
+    return slope[0], slope[1]

@@ -153,7 +153,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
         [
             # A light that is inside by less than the tolerance counts as on the surface.
             shape.signed_distance(shape.objects.indices(), (x, y, z))
-            < -LIGHT_TOLERANCE * shape.coordinate_size
+            < -LIGHT_TOLERANCE * shape.coordinate_bound
             for shape in prepared_scene.shapes
         ],
         axis=1,

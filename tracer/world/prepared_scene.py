@@ -148,12 +148,12 @@ class PreparedScene:
         table = np.array(colors).reshape(-1, 7).T.take(surfaces.shader_index, axis=1)
         self.diffuse, self.specular, self.exponent = table[:3], table[3:6], table[6]
         self.is_glossy = np.any(table[3:6] > 0, axis=0)
-        coordinate_size = np.concatenate([shape.coordinate_size for shape in shapes])
-        self.position_error = POSITION_ROUNDING * (coordinate_size + np.abs(frame.eye).sum())
+        coordinate_bound = np.concatenate([shape.coordinate_bound for shape in shapes])
+        self.position_error = POSITION_ROUNDING * (coordinate_bound + np.abs(frame.eye).sum())
         # Packets lie along rows.  If pixels are narrower than high, packets have more pixels; if
         # pixels are lower than wide, there are more packets instead.
         pixel_count = frame.width * frame.height * sqrt(frame.pixel_height / frame.pixel_width)
-        self.packet_width = _PACKET_SCALE * sqrt(pixel_count / max(coordinate_size.size, 1))
+        self.packet_width = _PACKET_SCALE * sqrt(pixel_count / max(coordinate_bound.size, 1))
         self._lights, self.light_count = scene.lights, len(scene.lights)
         self._cache, self._lock = dict[int, Lights](), Lock()
 
