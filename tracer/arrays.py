@@ -257,7 +257,7 @@ def find_runs(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
     return starts, np.append(starts[1:], arrays[0].size) - starts
 
 
-def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
+def split_by_size(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
     """Divide items of different sizes into batches, and yield a slice for each batch.
 
     Parameters
@@ -281,7 +281,7 @@ def batches(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
         start = stop
 
 
-def index_batches(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
+def split_indices(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
     """Divide an array of indices into batches.
 
     Parameters

@@ -35,7 +35,7 @@ from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, cel
 from tracer.antialias.edges import CellSurfaces, compute_footprints, evaluate_silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
-from tracer.arrays import Bools, Floats, Ints, index_batches, indices
+from tracer.arrays import Bools, Floats, Ints, indices, split_indices
 from tracer.trace.lighting import Shading, compute_light_geometry, find_narrow_highlights
 from tracer.trace.occlusion import find_shadow_edges
 from tracer.trace.samples import Samples
@@ -282,7 +282,7 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
         Values of the edge function at six points of the cell, in the order of `cell_rays`.
     """
     frame = scene.frame
-    for batch in index_batches(np.arange(cells.pair_cell.size)):
+    for batch in split_indices(np.arange(cells.pair_cell.size)):
         cell_index, object_index = cells.pair_cell[batch], cells.pair_object[batch]
         ray_right = frame.ray_right(cells.center_x[cell_index])
         ray_down = frame.ray_down(cells.center_y[cell_index])

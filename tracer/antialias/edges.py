@@ -28,10 +28,10 @@ from tracer.arrays import (
     Triple,
     dot,
     enumerate_ranges,
-    index_batches,
     indices,
     map3,
     scale3,
+    split_indices,
     take3,
 )
 from tracer.geometry.camera import CameraFrame
@@ -313,7 +313,7 @@ class CellSurfaces(NamedTuple):
         max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
         hidden_depth = InverseDepth.from_hits(hidden_hits)
-        for hidden_index in index_batches(indices(is_close)):
+        for hidden_index in split_indices(indices(is_close)):
             ray, inverse_t = self.trace_rays(visible_index[hidden_index])
             hidden_inverse_t = hidden_depth.take(hidden_index).compute_inverse_t(ray)
             yield self.cell[visible_index[hidden_index]], inverse_t - hidden_inverse_t
@@ -429,7 +429,7 @@ class CellSurfaces(NamedTuple):
             of the cell, in the order of `cell_rays`.  The function is 1 / t1 - 1 / t2, where the
             ray meets the visible surface at t1 * ray and the plane at t2 * ray.
         """
-        for batch in index_batches(indices(may_meet)):
+        for batch in split_indices(indices(may_meet)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
             face_component = self.hits.scene.frame.scene_component(ray, axis)
             yield self.cell[hit_index[batch]], inverse_t - face_component / plane_offset[batch]
@@ -459,7 +459,7 @@ class CellSurfaces(NamedTuple):
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.points_to_camera(light_position)
-        for batch in index_batches(np.arange(edge_triples.shape[1])):
+        for batch in split_indices(np.arange(edge_triples.shape[1])):
             light_index, hit_index, occluder_index = edge_triples[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
             # The vector from the light to the surface is t * ray - light.  Divide it by t.
@@ -499,7 +499,7 @@ class CellSurfaces(NamedTuple):
         light_from_eye = scene.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.
         max_turn = self.footprint * scene.curvature[hit_object]
-        for pair_index in index_batches(indices(n_dot_l**2 < max_turn * max_turn * length2)):
+        for pair_index in split_indices(indices(n_dot_l**2 < max_turn * max_turn * length2)):
             light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
             # The ray meets the sphere at ray / inverse_t.  Multiply all vectors by inverse_t.

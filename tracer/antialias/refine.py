@@ -32,7 +32,7 @@ from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
 from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, index_batches, indices
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices, split_indices
 from tracer.trace.radiance import compute_radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
@@ -198,7 +198,7 @@ def _compute_cell_means(
             scene, classes, pending_index, second_lattice
         )
         return cell_mean
-    for batch_index in index_batches(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
+    for batch_index in split_indices(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
         cell_mean[:, batch_index] = _refine_quarters(scene, classes, estimate.error, batch_index)
     return cell_mean
 
@@ -250,7 +250,7 @@ def _sample_cells(
     """
     cells, lines, cell_count = classes.cells, classes.lines, cell_index.size
     cell_mean, misses_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
-    for batch in index_batches(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
+    for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
         batch_lines = lines.take(indices(index_in_batch[lines.cell] >= 0))

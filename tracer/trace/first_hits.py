@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracer.arrays import BATCH_SIZE, Floats, Ints, index_batches
+from tracer.arrays import BATCH_SIZE, Floats, Ints, split_indices
 from tracer.scene.model import Scene
 from tracer.trace.hits import Hits
 from tracer.trace.samples import Scattered
@@ -111,7 +111,7 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
         raise ValueError("x and y must be finite")
     prepared_scene = PreparedScene(scene)
     arrays = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
-    for batch in index_batches(np.arange(ray_count), prepared_scene.limit_batch(_RAYS_PER_BATCH)):
+    for batch in split_indices(np.arange(ray_count), prepared_scene.limit_batch(_RAYS_PER_BATCH)):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
         for array, values in zip(arrays, vars(batch_hits).values(), strict=True):

@@ -43,11 +43,11 @@ from tracer.arrays import (
     Bools,
     Floats,
     Ints,
-    batches,
     enumerate_ranges,
     find_runs,
     indices,
     put_2d,
+    split_by_size,
     take3,
     take_2d,
 )
@@ -198,7 +198,7 @@ def _query_grid(
             candidates[1] += start
             for shape in shapes:
                 group = candidates.take(indices(shape.objects.contains(candidates[2])), axis=1)
-                for batch in batches(packets.child_count[group[1]]):
+                for batch in split_by_size(packets.child_count[group[1]]):
                     yield shape, group[:, batch]
 
 

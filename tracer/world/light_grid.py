@@ -54,11 +54,11 @@ from tracer.arrays import (
     Bools,
     Floats,
     Ints,
-    batches,
     enumerate_ranges,
     find_runs,
     indices,
     join_ranges,
+    split_by_size,
 )
 from tracer.geometry.rounding import DIRECTION_ROUNDING, MIN_DIVISOR, POSITION_ROUNDING
 
@@ -202,7 +202,7 @@ class LightGrid(NamedTuple):
         patch_index = self.patch_of_octant.take(octant_index)
         rectangles = _map_to_patch(rectangles, patch_index, self.patch_origin, self.patch_size)
         for part_index, starts, lengths in self._find_ranges(rectangles, patch_index):
-            for batch in batches(lengths, _PAIRS_PER_BATCH):
+            for batch in split_by_size(lengths, _PAIRS_PER_BATCH):
                 pair_part = part_index[batch].repeat(lengths[batch])
                 pair_entry = self.listed_entry.take(join_ranges(starts[batch], lengths[batch]))
                 is_within = self.entry_bounds.take(pair_entry, axis=0) >= bounds.take(pair_part, 0)
@@ -591,7 +591,7 @@ def _find_overlaps(
     cell_ranges = (cells_per_side * rectangles).clip(0, cells_per_side - 1).astype(np.intp)
     first_column, last_column, first_row, last_row = cell_ranges
     column_count, row_count = last_column - first_column + 1, last_row - first_row + 1
-    for batch in batches(column_count * row_count, _CELLS_PER_BATCH):
+    for batch in split_by_size(column_count * row_count, _CELLS_PER_BATCH):
         # A strip consists of the cells that one rectangle overlaps in one column.
         strip_rectangle, column = enumerate_ranges(column_count[batch], first_column[batch])
         strip_rectangle += batch.start
