@@ -116,12 +116,12 @@ def format_section(
 
 
 def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Timing]:
-    """Time renderings of a scene that alternate between the tracer and Mitsuba, in this process.
+    """Time the tracer and Mitsuba alternately, as both render a scene in this process.
 
     Parameters
     ----------
     scene : Scene
-        The scene in the tracer's format.
+        The scene.
     mitsuba_xml : str
         The same scene in Mitsuba's XML format.  It is loaded before the clock starts.
 
@@ -172,15 +172,15 @@ def benchmark_whole_process(quick: bool) -> str:
             commands["POV-Ray"] = povray.prepare_command(scene, Path(png_path))
         tasks = {name: make_command_task(command) for name, command in commands.items()}
         timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
-        baselines = (timings[x] for x in ("Mitsuba exact", "Mitsuba stock", "the same, scalar"))
-        over_exact, *over_stock = (compute_speedup(timings["tracer"], x) for x in baselines)
-        cells = (*timings.values(), over_exact, min(over_stock))
-        rows.append((f"{scene_name} {size[0]}×{size[1]}", *cells))
+        fastest_stock = min(timings["Mitsuba stock"], timings["the same, scalar"])
+        baselines = timings["Mitsuba exact"], fastest_stock
+        speedups = [compute_speedup(timings["tracer"], baseline) for baseline in baselines]
+        rows.append((f"{scene_name} {size[0]}×{size[1]}", *timings.values(), *speedups))
     return format_section(
         "Whole process: from XML to PNG",
-        f"Milliseconds, from the shell. Mitsuba {variant} has a warm kernel cache. Its stock"
-        f" plugins are also timed in {SCALAR}, which has no kernels to load; the speedup over stock"
-        " is over the faster of the two. `import numpy` starts OpenBLAS's threads; the tracer"
+        f"Milliseconds, from the shell. Mitsuba's kernels for {variant} are cached. Its stock"
+        f" plugins are also timed in {SCALAR}, which needs no kernels; the speedup over stock is"
+        " relative to the faster of the two. `import numpy` starts OpenBLAS's threads; the tracer"
         " imports NumPy without them.",
         ("scene", *commands, *_SPEEDUP_COLUMNS),
         rows,
@@ -208,22 +208,22 @@ def benchmark_rendering(quick: bool) -> str:
         scenes |= {f"field-{count}": build_field(count) for count in (1000, 10_000)}
         for name in _SELECTED_SCENES if quick else scenes:
             scene = resize_picture(scenes[name], *size)
-            exact_scene, stock_scene = str(convert_exact(scene)), str(convert_stock(scene, 1))
-            tracer_timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_scene)
-            second_tracer_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_scene)
-            over_exact = compute_speedup(tracer_timing, exact_timing)
-            speedups.append((over_exact, compute_speedup(second_tracer_timing, stock_timing)))
+            exact_xml, stock_xml = str(convert_exact(scene)), str(convert_stock(scene, 1))
+            tracer_timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_xml)
+            second_tracer_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_xml)
+            exact_speedup = compute_speedup(tracer_timing, exact_timing)
+            speedups.append((exact_speedup, compute_speedup(second_tracer_timing, stock_timing)))
             cells = tracer_timing, exact_timing, stock_timing, *speedups[-1]
             rows.append((f"{name} {size[0]}×{size[1]}", *cells))
         mean_speedups = map(geometric_mean, zip(*speedups, strict=True))
         rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *mean_speedups))
     return format_section(
         "Rendering alone",
-        "Milliseconds in one process, one sample per pixel, timed alternately with pauses of 20 ms,"
-        " because Mitsuba's threads keep spinning that long. The tracer uses one process, Mitsuba"
-        f" {variant} {count_processors()} processors, with scene and kernels ready. Exact: the same"
-        " picture, by this project's plugins. Stock: a similar one by Mitsuba's built-in plugins,"
-        " with one light per sample; its speedup refers to a second timing of the tracer.",
+        "Milliseconds for one sample per pixel. The renderers are timed alternately, with pauses of"
+        " 20 ms until Mitsuba's threads stop spinning. The tracer uses one process; Mitsuba"
+        f" {variant} uses {count_processors()} processors, and its scene and kernels are ready."
+        " Exact: the same picture, by this project's plugins. Stock: a similar picture by Mitsuba's"
+        " built-in plugins, with one light per sample, against a second timing of the tracer.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUP_COLUMNS),
         rows,
     )
@@ -250,7 +250,7 @@ def benchmark_objects(quick: bool) -> str:
         mitsuba_xml = str(convert_exact(scene))
         tasks: dict[str, Task] = {"parse": partial(ET.parse, scene_file)}
         tasks |= {"load": partial(load_scene, scene_file), "render": partial(render, scene)}
-        # Exclude Mitsuba's many objects from garbage collection: they would distort the timings.
+        # Exempt Mitsuba's many objects from garbage collection, which would distort the timings.
         gc.collect()
         gc.freeze()
         timings = time_interleaved(tasks, ROUNDS)
@@ -259,9 +259,9 @@ def benchmark_objects(quick: bool) -> str:
     return format_section(
         "Many objects",
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
-        " pixel. Loading turns XML text into a scene that is ready to render; in Mitsuba, each"
-        " object is a separate shape. `xml.etree` only parses the text. Before its first picture,"
-        " Mitsuba compiles its kernels. Mitsuba is timed once.",
+        " pixel. Loading turns XML text into a scene that is ready to render; `xml.etree` only"
+        " parses the text. In Mitsuba, each object is a separate shape, and kernels are compiled"
+        " before the first picture. Mitsuba is timed once.",
         ("objects", "xml.etree", "tracer: loading", "rendering",
          "Mitsuba: loading", "first picture", "next picture"),
         rows,
@@ -269,7 +269,7 @@ def benchmark_objects(quick: bool) -> str:
 
 
 def _time_mitsuba_once(mitsuba_xml: str) -> list[Timing]:
-    """Time Mitsuba once as it loads a scene and renders it twice.
+    """Time Mitsuba once, as it loads a scene and renders it twice.
 
     Parameters
     ----------
@@ -296,8 +296,8 @@ def prepare_animation_commands(
 ) -> dict[str, list[list[str]]]:
     """Write an animation's frames as scene files, and return the commands that render them.
 
-    The files are written to the build folder, in each renderer's format.  In each frame, the eye is
-    further away from the scene than in the frame before.
+    The files are written to the build folder, in each renderer's format.  From frame to frame, the
+    eye moves away from the scene.
 
     Parameters
     ----------
@@ -309,9 +309,9 @@ def prepare_animation_commands(
     Returns
     -------
     commands : dict of str to list of commands
-        Maps the name of each renderer to the commands to run, one after the other.  A command is a
-        list of a program and its arguments.  POV-Ray, if installed, needs one command per frame;
-        every other renderer needs one command for all frames.
+        Maps the name of each renderer to its commands, which run one after another.  POV-Ray has a
+        command for each frame, and is missing if it is not installed; the others have one command.
+        A command is a list of a program and its arguments.
     """
     scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
@@ -322,15 +322,15 @@ def prepare_animation_commands(
         frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
         save_scene(frame_scene, scene_file := build_path(f"frame-{frame_index}.xml"))
         scene_files.append(str(scene_file))
-        converted = {"exact": convert_exact(frame_scene), "stock": convert_stock(frame_scene, 1)}
-        for flavour, mitsuba_scene in converted.items():
+        documents = {"exact": convert_exact(frame_scene), "stock": convert_stock(frame_scene, 1)}
+        for flavour, document in documents.items():
             mitsuba_file = build_path(f"frame-{frame_index}.{flavour}.xml")
-            mitsuba_file.write_text(str(mitsuba_scene))
+            mitsuba_file.write_text(str(document))
             mitsuba_paths[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
-        picture = build_path(f"frame-{frame_index}.png")
-        povray_commands.append(povray.prepare_command(frame_scene, picture))
+        povray_picture = build_path(f"frame-{frame_index}.png")
+        povray_commands.append(povray.prepare_command(frame_scene, povray_picture))
     tracer_command = [sys.executable, "-m", "tracer", "--quiet", "--processes"]
-    half_commands = [shlex.join([*tracer_command, "1", *scene_files[odd::2]]) for odd in (0, 1)]
+    half_commands = [shlex.join([*tracer_command, "1", *scene_files[start::2]]) for start in (0, 1)]
     pool_script = [sys.executable, "-c", _POOL_SCRIPT]
     mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT, use_variant().variant]
     commands = {
@@ -378,7 +378,7 @@ def benchmark_frames(quick: bool) -> str:
 
 
 def run_commands(commands: Sequence[Sequence[str]]) -> None:
-    """Run commands one after the other, and raise CalledProcessError if one fails."""
+    """Run commands one after another, and raise CalledProcessError if one fails."""
     for command in commands:
         make_command_task(command)()
 
@@ -387,7 +387,7 @@ SECTIONS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, ben
 
 
 def main() -> None:
-    """Run all benchmarks, print each result when it is ready, and write the Markdown page."""
+    """Run all benchmarks, print each result as soon as it is ready, and write `benchmark.md`."""
     arguments = make_parser("reference.benchmark", "small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
     sections = [

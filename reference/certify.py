@@ -69,25 +69,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     output_path = arguments.output or f"{scene_path}.certified.png"
     input_paths = [Path(file) for file in (scene_path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output_path)], input_paths)
-    failure_if_not = partial(errors_as_failure, exit_status=FAILED_STATUS)
-    with failure_if_not(scene_path, "read", memory_remedy="split the scene"):
+    as_failure = partial(errors_as_failure, exit_status=FAILED_STATUS)
+    with as_failure(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     judged_codes = _read_codes(arguments.judge, scene) if arguments.judge else None
     start = perf_counter()
     with (
-        failure_if_not(scene_path, "certified", error_types=(ValueError, RuntimeError)),
+        as_failure(scene_path, "certified", error_types=(ValueError, RuntimeError)),
         Progress(1, "pictures") as progress,
     ):
         certificate = certify(scene, float(arguments.error), progress.update)
-    lines, wrong_count = _summarise_certificate(certificate, arguments.error), 0
     seconds = perf_counter() - start
+    lines = _summarise_certificate(certificate, arguments.error)
+    wrong_count = 0
     if judged_codes is not None:
         wrong_count, verdict = count_wrong_codes(certificate, judged_codes)
         lines.append(f"{arguments.judge}: {verdict}")
     lines.append(f"{output_path}: {certificate.cell_count} cells in {seconds:.2f} s")
-    with failure_if_not(output_path, "written", "choose another with -o"):
+    with as_failure(output_path, "written", "choose another with -o"):
         write_png(output_path, certificate.image)
-    with failure_if_not("standard output", "written"):
+    with as_failure("standard output", "written"):
         print_or_raise(sys.stdout, "\n".join(map(make_printable, lines)))
     return 1 if wrong_count else 0
 
@@ -97,12 +98,12 @@ def _make_command_parser() -> CommandParser:
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
-    options: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
+    fraction: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
     help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
-    add_argument("--error", help=help_text, **options)
+    add_argument("--error", help=help_text, **fraction)
     help_text = "the picture to write (SCENE.xml.certified.png)"
     add_argument("-o", "--output", type=parse_path, metavar="OUT.png", help=help_text)
-    help_text = "a picture of the scene, whose certainly wrong 8-bit codes are counted"
+    help_text = "count the 8-bit codes that are certainly wrong in this picture of the scene"
     add_argument("--judge", type=parse_path, metavar="PICTURE.png", help=help_text)
     return command_parser
 
@@ -122,14 +123,14 @@ def _parse_positive_fraction(argument: str) -> Fraction:
 
 
 def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read the 8-bit codes of a picture, and check that it has the size that a scene specifies.
+    """Read the 8-bit codes of a picture, and check that the picture has a scene's size.
 
     Parameters
     ----------
     path : str
         The picture file.
     scene : Scene
-        The scene that specifies the size.
+        The scene whose size the picture must have.
 
     Returns
     -------
@@ -144,39 +145,39 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     codes = read_picture(Path(path)).codes
     height, width, _ = codes.shape
     if (width, height) != (scene.width, scene.height):
-        sizes = f"its size is {width} x {height}, the scene's {scene.width} x {scene.height}"
-        reason, remedy = f"cannot be judged: {sizes}", "choose a picture of that size"
-        raise Failure(path, reason, remedy, FAILED_STATUS)
+        mismatch = f"its size is {width} x {height}, the scene's {scene.width} x {scene.height}"
+        remedy = "choose a picture of that size"
+        raise Failure(path, f"cannot be judged: {mismatch}", remedy, FAILED_STATUS)
     return codes
 
 
 def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) -> list[str]:
-    """Summarise in two or three lines what is proven about a picture.
+    """Summarise what a certificate proves about a picture.
 
     Parameters
     ----------
     certificate : Certificate
         The picture, with bounds on the mean radiance of each pixel.
     permitted_error : Fraction
-        The requested limit on the error of each pixel's mean radiance.
+        The error of a pixel's mean radiance that the user permits.
 
     Returns
     -------
     lines : list of str
-        The lines to print.
+        Two or three lines to print.
     """
-    exceeds_permitted = certificate.error > float(permitted_error)
-    exceeding_count, has_certain_codes = np.count_nonzero(exceeds_permitted), certificate.is_certain
-    pixel_count = exceeds_permitted.size
+    pixel_count = certificate.error.size
+    exceeding_count = np.count_nonzero(certificate.error > float(permitted_error))
+    certain_count = np.count_nonzero(certificate.is_certain)
     lines = [
         f"{pixel_count - exceeding_count} of {pixel_count} pixels are within {permitted_error};"
         f" all within {certificate.error.max():.2g}",
-        f"{np.count_nonzero(has_certain_codes)} of {pixel_count} pixels have certain codes,"
-        f" {has_certain_codes.mean():.2%}",
+        f"8-bit codes are certain in {certain_count} of {pixel_count} pixels,"
+        f" {certain_count / pixel_count:.2%}",
     ]
     if exceeding_count:
-        explanation = "exceed the permitted error: edges touch each other there"
-        lines.append(f"{exceeding_count} pixels {explanation}")
+        claim = f"{exceeding_count} pixels exceed the permitted error"
+        lines.append(f"{claim}: edges touch each other there")
     return lines
 
 
@@ -193,9 +194,9 @@ def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]
     Returns
     -------
     wrong_count : int
-        Number of codes that no radiance within the bounds can have.
+        Number of codes that no radiance within the bounds can produce.
     verdict : str
-        A phrase that gives this number, and the position and value of the worst code.
+        A phrase that states this number, and the position and value of the worst code.
     """
     lowest_codes = to_codes(certificate.low).astype(int)
     highest_codes = to_codes(certificate.high).astype(int)
@@ -203,9 +204,9 @@ def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]
     wrong_count = int(np.count_nonzero(deviation))
     if not wrong_count:
         return 0, "no code is certainly wrong"
-    row, column, channel = worst = np.unravel_index(deviation.argmax(), deviation.shape)
-    limits = sorted({lowest_codes[worst], highest_codes[worst]})
-    position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst]}"
+    worst_index = row, column, channel = np.unravel_index(deviation.argmax(), deviation.shape)
+    limits = sorted({lowest_codes[worst_index], highest_codes[worst_index]})
+    position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst_index]}"
     requirement = f"must be {' to '.join(map(str, limits))}"
     verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {deviation.max()}"
     return wrong_count, f"{verdict}, {position} and {requirement}"

@@ -112,9 +112,9 @@ class CheckResult:
     tracer_image : (h, w, 3) float array
         The tracer's picture, in linear radiance.
     tracer_seconds : float
-        Time to render it.  A first rendering, which takes longer, is not measured.
+        Time of the tracer's second rendering, because the first takes longer.
     mitsuba : Rendering
-        Mitsuba's picture, with Mitsuba's variant and the time to render it.
+        Mitsuba's picture, with Mitsuba's variant and the rendering time.
     is_edge : (h, w) bool array
         Pixels that differ, but may do so because an edge is close to their centre.
     is_tie : (h, w) bool array
@@ -143,17 +143,16 @@ class CheckResult:
 
     @property
     def is_excluded(self) -> Bools:
-        """Mask (h, w) of the pixels that affect no figure: those near edges, and ties."""
+        """Mask (h, w) of the pixels that do not count in the figures: edge pixels and ties."""
         return self.is_edge | self.is_tie
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict on the tracer's picture, which is one of three.
+        """The verdict on the tracer's picture.
 
-        - "agrees": it equals Mitsuba's, apart from excluded pixels.
-        - "DIFFERS": exact arithmetic contradicts the tracer, or the pictures differ too much as a
-          whole.
-        - "undecided": pixels differ, but exact arithmetic confirms the tracer.
+        - "agrees": The pictures are equal, within tolerance.
+        - "DIFFERS": Exact arithmetic contradicts the tracer, or a figure is out of tolerance.
+        - "undecided": Some pixels differ, but exact arithmetic confirms the tracer.
         """
         if self.is_disputed.any():
             return "DIFFERS" if self.is_wrong.any() else "undecided"
@@ -161,28 +160,27 @@ class CheckResult:
 
     @property
     def remarks(self) -> list[str]:
-        """The reasons for the verdict, as sentences without a full stop; may be empty."""
+        """The reasons for the verdict, as sentences without full stops; may be empty."""
         sentences = []
         if self.is_tie.any():
-            tie_count = _format_pixel_count(self.is_tie)
-            sentences.append(f"surfaces tie on {tie_count}, where Mitsuba shows another one")
+            ties = _format_pixel_count(self.is_tie)
+            sentences.append(f"where surfaces coincide, Mitsuba shows the other one on {ties}")
         if not self.is_disputed.any():
             clauses = describe_exceeded_tolerances(self.figures)
             return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
-        row, column = np.argwhere(self.is_wrong if self.is_wrong.any() else self.is_examined)[0]
-        pixels = f"{_format_pixel_count(self.is_disputed)}, the first at column {column}, row {row}"
+        is_example = self.is_wrong if self.is_wrong.any() else self.is_disputed
+        row, column = np.argwhere(is_example)[0]
+        pixels, position = _format_pixel_count(self.is_disputed), f"column {column}, row {row}"
+        sentences.append(f"the pictures differ on {pixels}, for example at {position}")
         examined_count, wrong_count = int(self.is_examined.sum()), int(self.is_wrong.sum())
         if wrong_count:
-            wrong_share = f"{wrong_count} of {examined_count} pixels that were examined"
-            finding = f"exact arithmetic contradicts the tracer on {wrong_share}"
-            sentence = f"{finding}; they differ on {pixels}"
-        else:
-            finding = f"exact arithmetic confirms the tracer on {examined_count} that were examined"
-            sentence = f"Mitsuba or the converter is wrong on {pixels}; {finding}"
-        return [*sentences, sentence]
+            finding = f"contradicts the tracer on {wrong_count} of {examined_count} examined pixels"
+            return [*sentences, f"exact arithmetic {finding}"]
+        finding = f"exact arithmetic confirms the tracer on all {examined_count} examined pixels"
+        return [*sentences, f"Mitsuba or the converter is wrong: {finding}"]
 
     def format_report(self) -> str:
-        """Format the verdict, the figures, the rendering times and the remarks, one per line."""
+        """Format the verdict, figures, rendering times and remarks as lines of text."""
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.figures}",
@@ -195,13 +193,13 @@ class CheckResult:
 
 
 def _format_pixel_count(mask: Bools) -> str:
-    """Format the number of True pixels in a mask (h, w), for example as "1,234 pixels"."""
+    """Format the number of True pixels in a mask (h, w), such as "1,234 pixels"."""
     count = int(mask.sum())
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
 def describe_exceeded_tolerances(figures: Figures) -> list[str]:
-    """Describe each measure by which two pictures that should be equal differ too much.
+    """Describe the measures of difference that are out of tolerance.
 
     Parameters
     ----------
@@ -211,7 +209,7 @@ def describe_exceeded_tolerances(figures: Figures) -> list[str]:
     Returns
     -------
     clauses : list of str
-        One clause per such figure, for example "SSIM 0.99800 is below 0.999".
+        One clause per such measure, for example "SSIM 0.99800 is below 0.999".
     """
     clauses = []
     if figures.ssim < MIN_SSIM:
@@ -222,32 +220,32 @@ def describe_exceeded_tolerances(figures: Figures) -> list[str]:
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find the pixels of another renderer's picture whose radiance a nearby edge can explain.
+    """Find pixels whose radiance can be explained by an edge close to their centre.
 
     The tracer renders the scene four times, each time with all samples shifted diagonally.  An edge
-    can explain a pixel whose radiance lies in the range of these four pictures.
+    explains a pixel if the pixel's radiance lies in the range of these four pictures.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     picture : (h, w, 3) float array
-        The other renderer's picture of the scene, in linear radiance.
+        Picture of the scene by another renderer, in linear radiance.
     shift : float
-        Distance in pixels, along each axis, by which the tracer's samples are shifted.
+        Distance by which samples are shifted along each axis, in pixels.
     tolerance : float
-        Linear radiance by which a pixel may lie outside this range.
+        Linear radiance by which a pixel may lie outside the range.
 
     Returns
     -------
     is_near_edge : (h, w) bool array
-        Whether an edge can explain the pixel's radiance.
+        Pixels that an edge explains.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
-    low = np.min(shifted_pictures, axis=0) - tolerance
-    high = np.max(shifted_pictures, axis=0) + tolerance
-    is_near_edge: Bools = ((low <= picture) & (picture <= high)).all(axis=2)
+    lower_bound = np.min(shifted_pictures, axis=0) - tolerance
+    upper_bound = np.max(shifted_pictures, axis=0) + tolerance
+    is_near_edge: Bools = ((lower_bound <= picture) & (picture <= upper_bound)).all(axis=2)
     return is_near_edge
 
 
@@ -284,7 +282,7 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the pictures of a scene by the tracer and by this project's Mitsuba plugins.
+    """Render a scene with the tracer and with this project's Mitsuba plugins, and compare.
 
     Parameters
     ----------
@@ -307,14 +305,14 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     ValueError
         If a radiance is not finite.
     """
-    render_loaded = load_into_mitsuba(str(convert_exact(scene)), variant)
+    render_with_mitsuba = load_into_mitsuba(str(convert_exact(scene)), variant)
     if use_variant(variant).variant == LLVM:
-        render_loaded()  # compiles the kernel
-    return compare(scene, name, render_loaded())
+        render_with_mitsuba()  # compiles the kernel
+    return compare(scene, name, render_with_mitsuba())
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare how the tracer and Mitsuba's built-in (stock) plugins render a scene's diffuse light.
+    """Compare the tracer and Mitsuba's built-in (stock) plugins on the diffuse light of a scene.
 
     Mitsuba requires square pixels, so the height of both pictures may differ from the scene's.
 
@@ -339,8 +337,11 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
     ValueError
         If a radiance is not finite.
     """
-    surfaces = (replace(s, shader=Lambertian(diffuse=s.shader.diffuse)) for s in scene.surfaces)
-    diffuse_scene = replace(make_pixels_square(scene), surfaces=Surfaces.from_objects(surfaces))
+    surfaces = Surfaces.from_objects(
+        replace(surface, shader=Lambertian(diffuse=surface.shader.diffuse))
+        for surface in scene.surfaces
+    )
+    diffuse_scene = replace(make_pixels_square(scene), surfaces=surfaces)
     image, start_time = np.zeros((diffuse_scene.height, diffuse_scene.width, 3)), perf_counter()
     for light in diffuse_scene.lights:
         image += _render_diffuse_light(replace(diffuse_scene, lights=(light,)), variant)
@@ -349,12 +350,11 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
 
 
 def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
-    """Render a scene with one light, which does not fall off, using Mitsuba's stock plugins.
+    """Render the diffuse light of a scene with a single light, using Mitsuba's stock plugins.
 
     Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
-    To undo the fall-off, Mitsuba also outputs the point that each pixel shows, and the radiance is
-    multiplied by the squared distance from this point to the light.  More than one light is not
-    possible, because Mitsuba would choose one of them at random for each pixel.
+    To undo the fall-off, the radiance of each pixel is multiplied by the squared distance from the
+    point that the pixel shows to the light.
 
     Parameters
     ----------
@@ -382,14 +382,14 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
-    image = load_into_mitsuba(str(document), variant)().image
-    radiance, hit_position = image[..., :3], image[..., -3:]
-    position, intensity = next(emitter.iter("point")), next(emitter.iter("rgb"))
-    light_vector = hit_position - [float(position.get(axis, "")) for axis in "xyz"]
-    squared_distance: Floats = (light_vector**2).sum(axis=2, keepdims=True)
+    channels = load_into_mitsuba(str(document), variant)().image
+    radiance, hit_position = channels[..., :3], channels[..., -3:]
+    point_element, rgb_element = next(emitter.iter("point")), next(emitter.iter("rgb"))
+    vector_from_light = hit_position - [float(point_element.get(axis, "")) for axis in "xyz"]
+    squared_distance: Floats = (vector_from_light**2).sum(axis=2, keepdims=True)
     # Mitsuba's radiance at distance 1 for a reflectance of 1 and perpendicular light.
     divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
-    unit_radiance = float(intensity.get("value", "").split()[0]) / divisor
+    unit_radiance = float(rgb_element.get("value", "").split()[0]) / divisor
     return radiance * squared_distance / unit_radiance * light.intensity
 
 
@@ -433,7 +433,7 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     # so that a bug that brightens one picture cannot increase them.
     scale = max(1.0, min(float(tracer_image.max()), float(mitsuba_image.max())))
     difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale
-    # If the pictures differ too much as a whole, compare the pixels again, with less tolerance.
+    # If the pictures differ too much as a whole, compare the pixels with a smaller tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
         is_different, max_difference = difference > tolerance, tolerance * scale
         is_edge = is_different.copy()
@@ -468,13 +468,13 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
 def _examine_exactly(
     scene: Scene, tracer_image: Floats, mitsuba_image: Floats, is_different: Bools, tolerance: float
 ) -> tuple[Bools, Bools, Bools]:
-    """Use exact arithmetic to decide which of two pictures is wrong where they differ.
+    """Decide in exact arithmetic which of two pictures is wrong where they differ.
 
-    A pixel is right if its radiance is exact for the scene, or for a scene so similar that the two
-    may be indistinguishable in float64.  If surfaces coincide, the tracer must show the one that
-    comes first in the scene file; Mitsuba may show the first or the last.  A pixel that is right in
-    both pictures is a tie.  Pixels are examined in batches, until a batch contains one that is not
-    a tie.
+    A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
+    may not distinguish the two.  If surfaces coincide, the tracer must show the first of them in
+    the scene file, and Mitsuba may show the first or the last.
+
+    Pixels are examined in batches, up to the first batch with a pixel that is not a tie.
 
     Parameters
     ----------
@@ -490,7 +490,7 @@ def _examine_exactly(
     Returns
     -------
     is_tie : (h, w) bool array
-        Pixels that are ties.
+        Pixels that are right in both pictures.
     is_examined : (h, w) bool array
         Pixels of the last batch that are not ties; all False if every pixel is a tie.
     is_wrong : (h, w) bool array
@@ -503,7 +503,7 @@ def _examine_exactly(
         rows, columns = positions[batch_index::batch_count].T
         radiance = np.stack([tracer_image[rows, columns], mitsuba_image[rows, columns]])
         tracer_is_right, mitsuba_is_right = np.zeros((2, len(rows)), dtype=np.bool_)
-        for similar_scene, shift in _similar_scenes(scene):
+        for similar_scene, shift in _generate_similar_scenes(scene):
             x, y = columns + 0.5 + shift, rows + 0.5 + shift
             trace = partial(plain.trace, similar_scene, x, y, arithmetic="decimal")
             errors = [np.abs(radiance - trace(ties=tie).radiance) for tie in ("first", "last")]
@@ -520,11 +520,11 @@ def _examine_exactly(
     return is_tie, is_examined, is_wrong
 
 
-def _similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene, and variations of it that may be indistinguishable in float64.
+def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
+    """Yield a scene, and variations that float64 may not distinguish from it.
 
-    Two variations shift the samples by 1e-6 of a pixel; two others make all spheres larger or
-    smaller by 1e-12 of their radius.
+    In two variations, the samples are shifted by 1e-6 of a pixel.  In two others, all spheres grow
+    or shrink by 1e-12 of their radius.
 
     Parameters
     ----------
@@ -536,14 +536,14 @@ def _similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
     similar_scene : Scene
         The scene itself, or a copy with larger or smaller spheres.
     shift : float
-        Distance in pixels by which to shift the samples to the right and down.
+        Distance by which to shift the samples to the right and down, in pixels.
     """
     for shift in (0.0, -_MAX_SHIFT, _MAX_SHIFT):
         yield scene, shift
     for radius_factor in (1 - _MAX_GROWTH, 1 + _MAX_GROWTH):
         surfaces = (
-            replace(s, radius=s.radius * radius_factor) if isinstance(s, Sphere) else s
-            for s in scene.surfaces
+            replace(item, radius=item.radius * radius_factor) if isinstance(item, Sphere) else item
+            for item in scene.surfaces
         )
         yield replace(scene, surfaces=Surfaces.from_objects(surfaces)), 0.0
 
@@ -554,7 +554,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command-line arguments; by default those of this process.
+        The command-line arguments; by default those of the process.
 
     Returns
     -------
@@ -575,10 +575,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command_parser.add_argument("--flavour", choices=flavours, default="exact", help="see above")
     options = command_parser.parse_args(arguments)
     scene_paths = skip_converted_scenes(options.scenes)
-    ending = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
-    default_paths = [str(path.parent / f"{path.stem}{ending}") for path in scene_paths]
-    scene_names = [*map(str, scene_paths)]
-    outputs = choose_output_paths(command_parser, scene_names, options.output, default_paths)
+    suffix = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"
+    default_paths = [str(path.parent / f"{path.stem}{suffix}") for path in scene_paths]
+    scenes = [*map(str, scene_paths)]
+    outputs = choose_output_paths(command_parser, scenes, options.output, default_paths)
     set_up_mitsuba(options.variant, exit_status=MISUSED)
     make_output_folder(options.output)
     # Ignore warnings, for example of a black picture: the comparison shows what is wrong.
@@ -588,7 +588,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
-    """Return the exit status of a command that has compared several scenes.
+    """Choose the exit status of a command that has compared several scenes.
 
     Parameters
     ----------
@@ -598,17 +598,18 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     Returns
     -------
     exit_status : int
-        1 if a scene differs or a comparison failed; otherwise 3 if a scene is undecided; otherwise
-        0.
+        1 if a scene differs or a comparison failed, 3 if one is undecided and none is worse,
+        otherwise 0.
     """
     statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
     )
-    return max(statuses, key=(0, STATUS["undecided"], FAILED).index, default=0)
+    from_best_to_worst = 0, STATUS["undecided"], FAILED
+    return max(statuses, key=from_best_to_worst.index, default=0)
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:
-    """Compare the tracer and Mitsuba on one scene, print the result, and write a picture of it.
+    """Check one scene, print the result, and write a comparison picture.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from reference.benchmark import format_section, prepare_animation_commands, run_
 from reference.command import HERE, build_path, make_parser
 from reference.measured.measurements import describe_origin
 
-_FRAMES = 1_000_000
+_FRAME_COUNT = 1_000_000
 
 # Assumptions, which are not measured: the price of a core for an hour in dollars; the memory, in
 # bytes, of the computer that gathers the results; and the number of frames in a larger task.
@@ -32,7 +32,7 @@ _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
 
 
 def _measure_cpu_seconds(commands: list[list[str]]) -> float:
-    """Run commands one after the other, and measure their CPU time.
+    """Run commands one after another, and measure their CPU time.
 
     Parameters
     ----------
@@ -51,21 +51,21 @@ def _measure_cpu_seconds(commands: list[list[str]]) -> float:
     return user_seconds + times_after.children_system - times_before.children_system
 
 
-def _measure_scheduler_seconds(task_count: int) -> float:
+def _measure_seconds_per_task(task_count: int) -> float:
     """Measure how long Dask takes to schedule a task that does almost nothing.
 
     Parameters
     ----------
     task_count : int
-        Number of tasks to time.  The same number runs untimed beforehand, to warm up the worker.
+        Number of tasks to time.  As a warm-up, the same number of tasks runs untimed beforehand.
 
     Returns
     -------
     seconds : float
-        Elapsed time per task, in seconds.
+        Elapsed time per task.
     """
-    options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
-    with LocalCluster(1, **options) as cluster, Client(cluster) as client:
+    cluster_options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
+    with LocalCluster(1, **cluster_options) as cluster, Client(cluster) as client:
         client.gather(client.map(abs, range(task_count)))
         start = perf_counter()
         client.gather(client.map(abs, range(task_count, 2 * task_count)))
@@ -73,42 +73,42 @@ def _measure_scheduler_seconds(task_count: int) -> float:
 
 
 def main() -> None:
-    """Measure the costs and limits of rendering on a cluster, and write and print the page."""
+    """Measure the costs and limits of rendering on a cluster; write and print `cluster.md`."""
     arguments = make_parser("reference.cluster", "few and small frames").parse_args()
     frame_count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
     commands = prepare_animation_commands(frame_count, size)
     renderers = [name for name in _RENDERERS if name in commands]
     cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / frame_count for name in renderers}
     tracer_seconds = cpu_seconds["tracer, 1 process"]
-    task_seconds = _measure_scheduler_seconds(50 * frame_count)
+    seconds_per_task = _measure_seconds_per_task(50 * frame_count)
     png_files = [build_path(f"frame-{k}.xml.png") for k in range(frame_count)]
-    png_bytes = sum(path.stat().st_size for path in png_files) / frame_count
-    core_count = tracer_seconds / task_seconds
+    png_size = sum(path.stat().st_size for path in png_files) / frame_count
+    max_cores = tracer_seconds / seconds_per_task
     costs = format_section(
         "What they would cost",
         f"Measured with {frame_count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time"
         " for reading scenes, rendering and writing PNG files. POV-Ray starts anew for each frame;"
         " the other programs start once. The price of a core is an assumption. The tracer's PNG"
-        f" files take {png_bytes * _FRAMES / 1e9:,.0f} GB.",
+        f" files take {png_size * _FRAME_COUNT / 1e9:,.0f} GB.",
         ("renderer", "CPU ms per frame", "core hours", f"at ${_DOLLARS_PER_CORE_HOUR} per hour"),
         [
-            (name, f"{1e3 * seconds:.0f}", f"{(hours := seconds * _FRAMES / 3600):,.0f}",
+            (name, f"{1e3 * seconds:.0f}", f"{(hours := seconds * _FRAME_COUNT / 3600):,.0f}",
              f"${hours * _DOLLARS_PER_CORE_HOUR:,.2f}")
             for name, seconds in cpu_seconds.items()
         ],
     )  # fmt: skip
     limits = format_section(
         "What would break first",
-        f"Measured: Dask's scheduler takes {1e3 * task_seconds:.2f} ms per task, and a PNG file"
-        f" takes {png_bytes / 1e3:,.0f} kB. Computed: when each limit is reached with one frame"
+        f"Measured: Dask's scheduler takes {1e3 * seconds_per_task:.2f} ms per task, and a PNG file"
+        f" takes {png_size / 1e3:,.0f} kB. Computed: when each limit is reached with one frame"
         " per task.",
         ("limit", "reached with", "remedy"),
         [
-            ("the scheduler is too slow for the workers", f"{core_count:,.0f} cores",
-             f"{_FRAMES_PER_TASK} frames per task, for {core_count * _FRAMES_PER_TASK:,.0f} cores;"
+            ("the scheduler is too slow for the workers", f"{max_cores:,.0f} cores",
+             f"{_FRAMES_PER_TASK} frames per task, for {max_cores * _FRAMES_PER_TASK:,.0f} cores;"
              f" a lost worker then costs {tracer_seconds * _FRAMES_PER_TASK:,.0f} s of CPU time"),
             (f"gathered PNG files fill a memory of {_CLIENT_BYTES / 1e9:.0f} GB",
-             f"{_CLIENT_BYTES / png_bytes:,.0f} frames", "tasks that write the files themselves"),
+             f"{_CLIENT_BYTES / png_size:,.0f} frames", "tasks that write the files themselves"),
             ("a folder has too many files for its file system", "(not measured)",
              "a folder for each thousand frames"),
         ],

@@ -17,8 +17,8 @@ FAILED_STATUS = 3
 
 
 def list_scene_files() -> list[Path]:
-    """Return the sorted paths of this project's scene files, without converted Mitsuba scenes."""
-    return sorted(p for p in SCENES.glob("*.xml") if not p.name.endswith(".mitsuba.xml"))
+    """List this project's scene files in sorted order, without converted Mitsuba scenes."""
+    return sorted(path for path in SCENES.glob("*.xml") if not path.name.endswith(".mitsuba.xml"))
 
 
 def build_path(name: str) -> Path:

@@ -22,7 +22,7 @@ GAMMA = 2.2
 
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
-_SSIM_WINDOW = 7
+_SSIM_SIDE = 7
 # Large pictures are compared in bands of rows, of at most about this number of pixels each.  The
 # comparison of a band takes about 100 bytes of memory per pixel.
 _PIXELS_PER_BAND = 500_000
@@ -60,7 +60,7 @@ class Figures:
     """Measures of the difference between two pictures, in linear light.
 
     The difference of a pixel is the largest of the absolute differences of its three channels.
-    Some pixels may be masked; they affect only the structural similarity.
+    Excluded pixels affect only the structural similarity.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class Figures:
 
 
 def measure_differences(
-    first_image: Floats, second_image: Floats, mask: Bools | None = None
+    first_image: Floats, second_image: Floats, is_excluded: Bools | None = None
 ) -> Figures:
     """Measure how much two pictures differ in linear radiance.
 
@@ -98,8 +98,8 @@ def measure_differences(
     ----------
     first_image, second_image : (height, width, 3) float arrays
         The two pictures, in linear radiance.
-    mask : (height, width) bool array, optional
-        True for pixels to exclude from every measure except the structural similarity.
+    is_excluded : (height, width) bool array, optional
+        Pixels to exclude from every measure except the structural similarity.
 
     Returns
     -------
@@ -110,21 +110,21 @@ def measure_differences(
     Raises
     ------
     ValueError
-        If the shapes differ, a value is not finite, or every pixel is masked.
+        If the shapes differ, a value is not finite, or every pixel is excluded.
     """
     shape, images = first_image.shape, (first_image, second_image)
     if shape != second_image.shape:
         raise ValueError(f"the pictures' shapes differ: {shape} and {second_image.shape}")
     if not all(np.isfinite(image).all() for image in images):
         raise ValueError("a picture contains values that are not finite")
-    is_kept = np.ones(shape[:2], dtype=np.bool_) if mask is None else ~mask
-    if not is_kept.any():
-        raise ValueError("every pixel is masked")
-    padding = [(0, max(_SSIM_WINDOW - size, 0)) for size in shape[:2]] + [(0, 0)]
-    encoded = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in images]
-    encoded = [np.pad(image, padding, mode="edge") for image in encoded]
-    ssim = structural_similarity(*encoded, win_size=_SSIM_WINDOW, channel_axis=2, data_range=1.0)
-    channel_difference = np.abs(first_image - second_image)[is_kept]
+    is_compared = np.ones(shape[:2], dtype=np.bool_) if is_excluded is None else ~is_excluded
+    if not is_compared.any():
+        raise ValueError("every pixel is excluded")
+    padding = [(0, max(_SSIM_SIDE - size, 0)) for size in shape[:2]] + [(0, 0)]
+    encoded_pair = [image.clip(0, 1).astype(np.float32) ** (1 / GAMMA) for image in images]
+    padded_pair = [np.pad(image, padding, mode="edge") for image in encoded_pair]
+    ssim = structural_similarity(*padded_pair, win_size=_SSIM_SIDE, channel_axis=2, data_range=1.0)
+    channel_difference = np.abs(first_image - second_image)[is_compared]
     pixel_difference = channel_difference.max(axis=1)
     return Figures(
         ssim=float(ssim),
@@ -136,15 +136,13 @@ def measure_differences(
     )
 
 
-def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Differences]:
+def compare_codes(codes_a: Codes, codes_b: Codes) -> tuple[float, float, float, Differences]:
     """Measure how much two gamma-encoded pictures differ in linear light.
-
-    To save memory, the pictures are compared in bands of rows.
 
     Parameters
     ----------
-    first, second : (height, width, 3) uint8 arrays
-        8-bit codes of the pictures.
+    codes_a, codes_b : (height, width, 3) uint8 arrays
+        8-bit codes of pictures A and B.
 
     Returns
     -------
@@ -153,30 +151,30 @@ def compare_codes(first: Codes, second: Codes) -> tuple[float, float, float, Dif
     rmse, maximum : float
         Root mean square and maximum of the absolute differences of all pixels and channels.
     difference : (height, width) float32 array
-        For each pixel, the difference of the channel that differs most; positive if the first
-        picture is brighter.
+        For each pixel, the difference of the channel that differs most; positive if picture A
+        is brighter.
     """
-    (height, width, _), window_margin = first.shape, _SSIM_WINDOW - 1
+    (height, width, _), window_margin = codes_a.shape, _SSIM_SIDE - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows in which a structural-similarity window can begin.
+    # Number of rows in which a window of the structural similarity can begin.
     window_row_count = max(1, height - window_margin)
     ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
     for band_start in range(0, height, band_height):
-        # The rows of the band, and those below it into which the band's windows extend.
+        # The windows that begin in a band extend into the rows below it.
         rows = slice(band_start, band_start + band_height + window_margin)
-        first_light, second_light = decode_to_linear(first[rows]), decode_to_linear(second[rows])
-        figures = measure_differences(first_light, second_light)
+        light_a, light_b = decode_to_linear(codes_a[rows]), decode_to_linear(codes_b[rows])
+        figures = measure_differences(light_a, light_b)
         weight = max(0, min(band_height, window_row_count - band_start)) / window_row_count
         ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
-        channel_difference = (first_light - second_light)[:band_height]
+        channel_difference = (light_a - light_b)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
         difference_bands.append(select_largest_channel(channel_difference))
-    rmse = float(np.sqrt(sum_of_squares / first.size))
+    rmse = float(np.sqrt(sum_of_squares / codes_a.size))
     return ssim, rmse, maximum, np.concatenate(difference_bands)
 
 
 def write_comparison(
-    path: str | Path, images: tuple[Codes, Codes], difference: Differences, labels: tuple[str, str]
+    path: str | Path, images: tuple[Codes, Codes], difference: Differences, titles: tuple[str, str]
 ) -> None:
     """Write a PNG file that shows two pictures and their amplified difference side by side.
 
@@ -187,10 +185,10 @@ def write_comparison(
     path : str or Path
         The file to write.  An existing file is replaced only if it is a PNG file.
     images : tuple of two (height, width, 3) uint8 arrays
-        8-bit codes of the left and the right picture.
+        The left and the right picture, as 8-bit codes.
     difference : (height, width) float32 array
         For each pixel, the difference in linear radiance; positive if the left picture is brighter.
-    labels : tuple of two str
+    titles : tuple of two str
         Titles of the left and the right picture.  Long titles are cut off.
 
     Raises
@@ -199,7 +197,7 @@ def write_comparison(
         If the file cannot be written.
     """
     difference_codes, gain = amplify_difference(difference)
-    titles = (*labels, f"difference, {gain:,.10g} times" if gain else "no difference")
+    panel_titles = (*titles, f"difference, {gain:,.10g} times" if gain else "no difference")
     legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
     height, width = difference.shape
     zoom = -(-_MIN_PANEL // max(width, height))
@@ -208,7 +206,7 @@ def write_comparison(
     size = 3 * panel_width + 4 * _MARGIN, top + zoom * height + _LABEL_HEIGHT + _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
     band_height = max(1, _PIXELS_PER_BAND // width)
-    panels = zip((*images, difference_codes), titles, legends, strict=True)
+    panels = zip((*images, difference_codes), panel_titles, legends, strict=True)
     for panel_index, (codes, title, legend) in enumerate(panels):
         left = _MARGIN + panel_index * (panel_width + _MARGIN)
         for text, y in ((title, _MARGIN), (legend, top + zoom * height + 4)):
@@ -223,7 +221,7 @@ def write_comparison(
 
 
 def select_largest_channel(channel_difference: Floats) -> Differences:
-    """Select, for each pixel, the difference in the channel that differs most.
+    """Select the difference of the channel that differs most, for each pixel of two pictures.
 
     Parameters
     ----------
@@ -241,7 +239,7 @@ def select_largest_channel(channel_difference: Floats) -> Differences:
 
 
 def amplify_difference(difference: Differences) -> tuple[Codes, float]:
-    """Draw the amplified difference between two pictures.
+    """Amplify the difference between two pictures, and show it in colour.
 
     Parameters
     ----------
@@ -254,21 +252,21 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     codes : (height, width, 3) uint8 array
         A picture that is orange where the first picture is brighter, and blue where it is darker.
     gain : float
-        Factor by which the difference is amplified: the largest 1, 2 or 5 times a power of ten for
-        which 99.9 % of the amplified differences are at most 1.  0 if the pictures are equal.
+        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, so that 99.9 %
+        of the amplified differences are at most 1.  0 if the pictures are equal.
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
-    shown_maximum = float(np.percentile(np.abs(difference), _PERCENTILE))
-    shown_maximum = shown_maximum or float(np.abs(difference).max())
-    if shown_maximum == 0:
+    largest_shown = float(np.percentile(np.abs(difference), _PERCENTILE))
+    largest_shown = largest_shown or float(np.abs(difference).max())
+    if largest_shown == 0:
         return codes, 0.0
-    power_of_ten = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
+    power_of_ten = float(10.0 ** np.floor(np.log10(1 / largest_shown)))
     gains = [factor * power_of_ten for factor in (1, 2, 5)]
-    gain = max(gain for gain in gains if gain * shown_maximum <= 1)
+    gain = max(gain for gain in gains if gain * largest_shown <= 1)
     brighter_code, darker_code = (255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])).astype(
         np.float32
     )
     for row_codes, row in zip(codes, difference, strict=True):  # row by row, to save memory
-        amplified = np.clip(gain * row, -1, 1)[:, None]
-        row_codes[:] = np.round(np.maximum(brighter_code * amplified, -darker_code * amplified))
+        factor = np.clip(gain * row, -1, 1)[:, None]
+        row_codes[:] = np.round(np.maximum(factor * brighter_code, -factor * darker_code))
     return codes, gain

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
 from reference.command import HERE, SCENES, make_parser
-from reference.judges import certificate
+from reference.judges.certificate import _Picture, certify
 from reference.measured.charts import plt
 from tracer import Scene, load_scene, render, to_codes
 from tracer.antialias.classify import Cells, Classification, classify_cells
@@ -44,7 +44,7 @@ _CLASS_COLORS = np.array([[0.86, 0.93, 0.98], [0.99, 0.86, 0.6], [0.94, 0.62, 0.
 
 
 def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows]:
-    """Load one of this project's scenes, change the picture's width, and prepare it for rendering.
+    """Load a scene of this project, with a new picture size, and prepare it for rendering.
 
     Parameters
     ----------
@@ -82,7 +82,6 @@ def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
     height, width, _ = colors.shape
     axes.imshow(colors, extent=(0, width, height, 0), interpolation="nearest")
     axes.set(xticks=[], yticks=[], title=title)
-    axes.grid(visible=False)
 
 
 def draw_spans() -> None:
@@ -94,16 +93,14 @@ def draw_spans() -> None:
     scene, prepared_scene, samples = _load_and_prepare("four-spheres", 96)
     row, object_count, ray_count = scene.height // 2, len(scene.surfaces), 0
     _, (image_axes, spans_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 3.6), width_ratios=(1, 1.6))
-    _show_picture(
-        image_axes, to_codes(render(scene, samples=16)) / 255, f"Row {row} of the picture"
-    )
+    colors = to_codes(render(scene, samples=16)) / 255
+    _show_picture(image_axes, colors, f"Row {row} of the picture")
     image_axes.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     for shape in prepared_scene.shapes:
-        object_index, span_row, span_start, span_length = samples.find_spans(shape, prepared_scene)
-        in_row = np.flatnonzero(span_row == row)
-        object_index, span_length = object_index[in_row], span_length[in_row]
+        spans = np.stack(samples.find_spans(shape, prepared_scene))
+        object_index, _, span_start, span_length = spans[:, spans[1] == row]
         color = prepared_scene.diffuse[:, object_index].T ** (1 / 2.2)
-        first_column = span_start[in_row] - row * scene.width
+        first_column = span_start - row * scene.width
         spans_axes.barh(object_index, span_length, 0.7, first_column, color=color, ec="k", zorder=2)
         ray_count += int(span_length.sum())
     spans_axes.set(xlabel="column of the pixel", xlim=(0, scene.width))
@@ -120,12 +117,12 @@ def draw_packets() -> None:
     square_level, row_level = build_packet_levels(hits, faces_light, None)
     # Sort the hits by row packet, and the row packets by square packet.
     hit_index = join_ranges(row_level.child_start, row_level.child_count)
-    row_packet = np.arange(row_level.child_count.size).repeat(row_level.child_count)
-    square_packet = np.arange(square_level.child_count.size).repeat(square_level.child_count)
+    row_packet_index = np.arange(row_level.child_count.size).repeat(row_level.child_count)
+    square_packet_index = np.arange(square_level.child_count.size).repeat(square_level.child_count)
     _, axes = plt.subplots(1, 3, figsize=(_WIDTH, 2.2))
     _show_picture(axes[0], to_codes(render(scene)) / 255, f"{hits.sample.size:,} hits")
-    packet_of_hit = {"row": row_packet, "square": square_packet[row_packet]}
-    for packet_axes, (name, packet_index) in zip(axes[1:], packet_of_hit.items(), strict=True):
+    packet_indices = {"row": row_packet_index, "square": square_packet_index[row_packet_index]}
+    for packet_axes, (name, packet_index) in zip(axes[1:], packet_indices.items(), strict=True):
         image, packet_count = np.ones((scene.height, scene.width, 3)), packet_index[-1] + 1
         packet_color = np.random.default_rng(3).uniform(0.3, 1, (packet_count, 3))
         image.reshape(-1, 3)[hits.sample[hit_index]] = packet_color[packet_index]
@@ -136,8 +133,8 @@ def draw_packets() -> None:
 def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     """Compute the outlines of a light grid's cells in the octahedral map of directions.
 
-    The map unfolds all directions into the square from -1 to 1.  The octants towards positive z
-    fill the inner diamond, and the other octants are folded outwards.
+    The map unfolds all directions into the square from -1 to 1.  The octants with positive z fill
+    the inner diamond, and the other octants fill the square's corners.
 
     Parameters
     ----------
@@ -167,7 +164,7 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
 
 
 def draw_light_grid() -> None:
-    """Draw the grid of directions around a light, each cell coloured by its number of objects."""
+    """Draw the grid of directions around a light, and colour cells by their number of objects."""
     scene, prepared_scene, _ = _load_and_prepare("many-objects", 320)
     grid = prepared_scene.prepare_lights(slice(1, 2)).grid
     assert grid is not None
@@ -183,12 +180,12 @@ def draw_light_grid() -> None:
 
 
 def _clip_lines(classification: Classification) -> Iterable[Floats]:
-    """Clip straight edges to the cells (pixels or parts of pixels) that they cross.
+    """Clip the lines along straight edges to the cells (pixels or parts of pixels).
 
     Parameters
     ----------
     classification : Classification
-        The cells, and the lines along the straight edges that cross them.
+        The cells, and for each of them the lines that cross it.
 
     Yields
     ------
@@ -196,17 +193,17 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
         The two end points (x, y) of a clipped line, in pixels.
     """
     cells, sides = classification.cells, np.array([-0.5, 0.5])
-    for cell, a, b, c in zip(*classification.lines, strict=True):
+    for cell_index, a, b, c in zip(*classification.lines, strict=True):
         # The line a x + b y + c = 0 meets each of the four sides of the square at most once.
         crossings = [*zip(sides, -(c + a * sides) / b, strict=True)]
         crossings += [*zip(-(c + b * sides) / a, sides, strict=True)]
         ends = [point for point in crossings if np.abs(point).max() <= 0.5 + 1e-9]
         if len(ends) >= 2:
-            yield np.array(ends[:2]) + np.array([cells.center_x[cell], cells.center_y[cell]])
+            yield np.add(ends[:2], (cells.center_x[cell_index], cells.center_y[cell_index]))
 
 
 def draw_classes() -> None:
-    """Draw pixels coloured by class, with their edges and samples."""
+    """Draw pixels in the colours of their classes, with the straight edges and samples inside."""
     scene, prepared_scene, _ = _load_and_prepare("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
@@ -237,16 +234,15 @@ def draw_classes() -> None:
 def draw_certificate() -> None:
     """Draw the cells into which the certificate divides a picture."""
     scene, _, _ = _load_and_prepare("four-spheres", 48)
-    picture_class = certificate._Picture
-    with patch.object(picture_class, "add", autospec=True, side_effect=picture_class.add) as spy:
-        result = certificate.certify(scene, 1 / 256)
+    with patch.object(_Picture, "add", autospec=True, side_effect=_Picture.add) as add_spy:
+        certificate = certify(scene, 1 / 256)
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     outlines: list[Floats] = []
-    for _, cells, cell_index, _ in (call.args for call in spy.call_args_list):
+    for _, cells, cell_index, _ in (call.args for call in add_spy.call_args_list):
         centers = np.stack([cells.x[cell_index], cells.y[cell_index]], axis=-1)
         outlines += [*(centers[:, None] + cells.width * corners)]
     _, (image_axes, cell_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.7))
-    _show_picture(image_axes, to_codes(result.image) / 255, "Certified within 1/256")
+    _show_picture(image_axes, to_codes(certificate.image) / 255, "Certified within 1/256")
     _show_picture(cell_axes, np.ones((scene.height, scene.width, 3)), f"{len(outlines):,} cells")
     cell_axes.add_collection(PolyCollection(outlines, fc="#dbeefb", ec="#0072b2", lw=0.3))
     _save_figure("certificate")
@@ -254,15 +250,14 @@ def draw_certificate() -> None:
 
 def _save_figure(name: str) -> None:
     """Save the current figure as a PNG file in the folder of illustrations, and close it."""
-    figure = plt.gcf()
-    figure.tight_layout()
-    figure.savefig(_FOLDER / f"{name}.png", dpi=_DOTS_PER_INCH, bbox_inches="tight")
-    plt.close(figure)
+    plt.tight_layout()
+    plt.savefig(_FOLDER / f"{name}.png", dpi=_DOTS_PER_INCH, bbox_inches="tight")
+    plt.close()
 
 
 @np.errstate(all="ignore")  # as the tracer does when it renders
 def main() -> None:
-    """Draw all illustrations, and save them in the folder of the study."""
+    """Draw all illustrations again."""
     make_parser("reference.illustrations").parse_args()
     for draw in (draw_spans, draw_packets, draw_light_grid, draw_classes, draw_certificate):
         draw()

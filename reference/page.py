@@ -31,7 +31,7 @@ Pair: TypeAlias = dict[str, Any]
 
 
 class Cell(NamedTuple):
-    """A text in the overview table of a page, perhaps with a thumbnail.
+    """A piece of text in a page's overview table, with an optional thumbnail.
 
     Attributes
     ----------
@@ -65,14 +65,16 @@ def prepare_pair(
     gain : float
         Factor by which the difference is amplified; 0 if the pictures are equal.
     **content
-        Further template values.
+        Further template values by name:
 
-        Required: `name` and `verdict` (str, shown in the heading), `is_good` (bool, whether the
-        verdict is a success), `left_name` and `right_name` (str, the names of the pictures), and
-        `figures` (a sequence of (name, value) tuples).
-
-        Optional: `comment` (str), `faults` and `notes` (sequences of paragraphs), `worst_pixel`
-        (column and row of a pixel to mark with a ring), and `thumbnail` (bytes of a PNG).
+        - `name`, `verdict` : str, shown in the heading
+        - `is_good` : bool, whether the verdict is a success
+        - `left_name`, `right_name` : str, the names of the pictures
+        - `figures` : sequence of (name, value) tuples
+        - `comment` : str, optional
+        - `faults`, `notes` : sequences of paragraphs, optional
+        - `worst_pixel` : column and row of a pixel to mark with a ring, optional
+        - `thumbnail` : bytes of a PNG file, optional
 
     Returns
     -------
@@ -96,18 +98,20 @@ def render_page(**content: Any) -> str:
     Parameters
     ----------
     **content
-        Values for the page template.
+        Values for the page template by name:
 
-        Required: `title` (str, the heading), `introduction` and `verdict` (str, the beginning and
-        the end of the first paragraph), `is_good` (bool, whether the verdict is a success),
-        `table_name` (str), `column_titles` (a sequence of str), `rows` (the table as nested
-        sequences: rows, columns, and one or more `Cell` objects), `pairs` (a sequence of results of
-        `prepare_pair`), and `legend` (str).
-
-        Optional: `source` (str, the origin of the pictures), `faults` (a sequence of paragraphs on
-        failed comparisons), `charts` (a sequence of (title, SVG bytes) tuples), `notes` (a sequence
-        of paragraphs below the table), and `is_folded` (bool, whether to hide the pictures of pairs
-        with a good verdict until the reader clicks).
+        - `title`, `table_name` : str, the headings of the page and of its table
+        - `introduction`, `verdict` : str, the beginning and the end of the first paragraph
+        - `is_good` : bool, whether the verdict is a success
+        - `column_titles` : sequence of str
+        - `rows` : nested sequences of rows, columns, and one or more `Cell` objects
+        - `pairs` : sequence of results of `prepare_pair`
+        - `legend` : str
+        - `source` : str, the origin of the pictures, optional
+        - `faults` : sequence of paragraphs on failed comparisons, optional
+        - `charts` : sequence of (title, SVG bytes) tuples, optional
+        - `notes` : sequence of paragraphs below the table, optional
+        - `is_folded` : bool, whether to hide pairs with a good verdict at first, optional
 
     Returns
     -------
@@ -122,7 +126,7 @@ def render_page(**content: Any) -> str:
     id_by_png: dict[bytes, str] = {}
 
     def format_image_attributes(png: bytes) -> Markup:
-        """Format HTML attributes that contain a PNG, or the id of an earlier image equal to it."""
+        """Format the HTML attributes of an image: its content, or the id of an equal image."""
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"

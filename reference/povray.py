@@ -45,8 +45,7 @@ def _format_vector(numbers: Iterable[float]) -> str:
 def _convert_shader(shader: Shader) -> str:
     """Convert a Lambertian or Blinn-Phong shader to a texture in the POV-Ray language.
 
-    A coloured highlight becomes grey, the mean of its channels, because POV-Ray has no coloured
-    highlights.
+    A coloured highlight becomes grey, because POV-Ray has no coloured highlights.
     """
     finish = "ambient 0 diffuse 1"
     if isinstance(shader, Phong) and any(shader.specular):
@@ -93,14 +92,15 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
     for light in scene.lights:
         color = f"{exposure!r} * {_format_vector(light.intensity)}"
         lines.append(f"light_source {{ {_format_vector(light.position)} rgb {color} }}")
-    textures = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
-    lines += [f"#declare {name} = {_convert_shader(shader)}" for shader, name in textures.items()]
+    texture_names = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
+    for shader, name in texture_names.items():
+        lines.append(f"#declare {name} = {_convert_shader(shader)}")
     for surface in scene.surfaces:
         if isinstance(surface, Sphere):
             shape = f"sphere {{ {_format_vector(surface.center)}, {surface.radius!r}"
         else:
             shape = f"box {{ {_format_vector(surface.min_pt)}, {_format_vector(surface.max_pt)}"
-        lines.append(f"{shape} texture {{ {textures[surface.shader]} }} }}\n")
+        lines.append(f"{shape} texture {{ {texture_names[surface.shader]} }} }}\n")
     return "\n".join(lines)
 
 
@@ -133,10 +133,10 @@ def prepare_command(
 
 
 def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
-    """Write a scene as a POV-Ray scene file, and return the command that renders a linear picture.
+    """Write a scene as a POV-Ray scene file, and return the command that renders it linearly.
 
-    The picture has 16 bits per channel, and its radiance is clipped at 4 (`WHITE`).  Read it with
-    `read_linear_picture`.
+    The command writes linear radiance, clipped at 4 (`WHITE`), with 16 bits per channel.  Read the
+    picture with `read_linear_picture`.
 
     Parameters
     ----------
@@ -153,14 +153,12 @@ def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> l
     command : list of str
         The program and its arguments.
     """
-    options = ("+FP16", "File_Gamma=1.0", *options)
-    return prepare_command(scene, picture_path, *options, exposure=1 / WHITE)
+    linear_options = ("+FP16", "File_Gamma=1.0", *options)
+    return prepare_command(scene, picture_path, *linear_options, exposure=1 / WHITE)
 
 
 def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
-    """Read a linear picture with 16 bits per channel, which POV-Ray has rendered.
-
-    POV-Ray renders such a picture with the command from `prepare_linear_command`.
+    """Read a picture that POV-Ray has rendered with the command from `prepare_linear_command`.
 
     Parameters
     ----------

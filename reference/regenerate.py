@@ -88,18 +88,18 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
     Returns
     -------
     sheet : Image
-        The overview, which begins with the narrowest pictures.
+        The overview, with the narrowest pictures first.
     """
-    pictures = [(_render_image(load_scene(path), _PICTURE_HEIGHT), path.stem) for path in paths]
+    pictures = {path.stem: _render_image(load_scene(path), _PICTURE_HEIGHT) for path in paths}
     row_height = _PICTURE_HEIGHT + _NAME_HEIGHT + _GAP
     sheet = Image.new("RGB", (_SHEET_WIDTH, row_height * len(pictures)), "white")
-    sheet_draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_NAME_SIZE)
+    drawing, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_NAME_SIZE)
     x = y = 0
-    for picture, name in sorted(pictures, key=lambda item: item[0].width):
+    for name, picture in sorted(pictures.items(), key=lambda item: item[1].width):
         if x + picture.width > _SHEET_WIDTH:
             x, y = 0, y + row_height
         sheet.paste(picture, (x, y))
-        sheet_draw.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
+        drawing.text((x, y + _PICTURE_HEIGHT + 3), name, fill=(60, 60, 60), font=font)
         x += picture.width + _GAP
     return sheet.crop((0, 0, _SHEET_WIDTH, y + row_height - _GAP))
 

@@ -39,23 +39,23 @@ from tracer.command.progress import track
 from tracer.messages import make_printable
 
 # Name of the page in a folder.
-_NAME = "report.html"
+_PAGE_NAME = "report.html"
 CHARTS = {
     "Accuracy against time": HERE / "speed_accuracy.svg",
     "Where methods fail": HERE / "stability.svg",
 }
-# Code of excluded pixels, in all channels, in the picture of the difference.
+# 8-bit code of excluded pixels, in all channels, in the picture of the difference.
 _EXCLUDED_CODE = 76
 _HEAD = ("scene", "verdict", "SSIM", "largest difference", "excluded", "tracer's time", "Mitsuba's")
 _DIFFERENCE_LEGEND = (
-    "The difference is shown amplified: orange where the tracer is brighter, blue where it is"
-    " darker, grey where a pixel is excluded, because an edge is so close to its centre that"
-    " float32 cannot decide, or because surfaces coincide."
+    "The difference is amplified: orange where the tracer is brighter, blue where it is darker."
+    " Grey pixels are excluded, because an edge is too close to their centre for float32, or"
+    " because surfaces coincide."
 )
 
 
 def render_report(
-    results: Sequence[tuple[CheckResult, str]],
+    described_results: Sequence[tuple[CheckResult, str]],
     charts: Iterable[tuple[str, bytes]] = (),
     failures: Sequence[str] = (),
 ) -> str:
@@ -63,7 +63,7 @@ def render_report(
 
     Parameters
     ----------
-    results : sequence of (CheckResult, str)
+    described_results : sequence of (CheckResult, str)
         The comparisons to show, each with a description of its scene.
     charts : iterable of (str, bytes)
         Titles and SVGs of charts to show at the end.
@@ -75,20 +75,21 @@ def render_report(
     html : str
         The page, which contains all pictures and charts.
     """
-    agreeing_count = sum(result.verdict == "agrees" for result, _ in results)
-    all_agree = bool(results) and agreeing_count == len(results) and not failures
-    variants = ", ".join(sorted({result.mitsuba.variant for result, _ in results}))
+    results, scene_count = [result for result, _ in described_results], len(described_results)
+    agreeing_count = sum(result.verdict == "agrees" for result in results)
+    all_agree = 0 < agreeing_count == scene_count and not failures
+    variants = ", ".join(sorted({result.mitsuba.variant for result in results}))
     return render_page(
         title="Pencil tracer and Mitsuba 3, scene by scene",
-        introduction=f"{len(results)} scene{'s' * (len(results) != 1)}, sampled at the pixels'"
-        " centres by both renderers and compared in linear light: away from edges they may differ"
-        f" by at most {EXACT.difference:g}.",
+        introduction=f"{scene_count} scene{'s' * (scene_count != 1)}, rendered by both with one"
+        " sample at the centre of each pixel and compared in linear light. Away from edges, pixels"
+        f" may differ by at most {EXACT.difference:g}.",
         verdict="All agree." if all_agree else f"{agreeing_count} agree.",
         is_good=all_agree,
         table_name="All scenes",
         column_titles=_HEAD,
-        rows=[_format_overview_row(k, result) for k, (result, _) in enumerate(results)],
-        pairs=[_prepare_result(result, comment) for result, comment in results],
+        rows=[_format_overview_row(index, result) for index, result in enumerate(results)],
+        pairs=[_prepare_result(result, comment) for result, comment in described_results],
         legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {describe_origin()}",
         faults=[f"Not compared: {failure}" for failure in failures],
@@ -112,33 +113,33 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
         For each column of the table, a list with a single cell.
     """
     verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
-    excluded = f"{result.is_excluded.mean():.2%}"
-    metrics = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded
+    excluded_share = f"{result.is_excluded.mean():.2%}"
+    metrics = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded_share
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
     cells = Cell(result.name, pair_index), verdict, *map(Cell, metrics + times)
     return [[cell] for cell in cells]
 
 
 def _prepare_result(result: CheckResult, comment: str) -> Pair:
-    """Prepare the pictures and metrics of a comparison for the template of an HTML page.
+    """Prepare a comparison for the template of the HTML page.
 
     Parameters
     ----------
     result : CheckResult
-        The comparison.  The picture of the difference shows excluded pixels in grey.
+        The comparison.
     comment : str
         Description of the scene.
 
     Returns
     -------
     pair : Pair
-        The values for the template, by name: see `prepare_pair`.
+        The values that the template shows: pictures, text and figures.
     """
-    excluded, metrics, agrees = result.is_excluded, result.figures, result.verdict == "agrees"
-    mitsuba_image = np.where(excluded[:, :, None], result.tracer_image, result.mitsuba.image)
+    is_excluded, metrics, is_good = result.is_excluded, result.figures, result.verdict == "agrees"
+    mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
     difference = select_largest_channel(result.tracer_image - mitsuba_image)
     difference_codes, gain = amplify_difference(difference)
-    difference_codes[excluded] = _EXCLUDED_CODE
+    difference_codes[is_excluded] = _EXCLUDED_CODE
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
     return prepare_pair(
         to_codes(result.tracer_image),
@@ -146,12 +147,12 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         difference_codes,
         gain,
         name=result.name,
-        is_good=agrees,
+        is_good=is_good,
         verdict=result.verdict,
         left_name="tracer", right_name="Mitsuba",
         comment=comment,
-        faults=[] if agrees else remarks,
-        notes=remarks if agrees else [],
+        faults=[] if is_good else remarks,
+        notes=remarks if is_good else [],
         figures=(
             ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
             ("99.9th percentile", f"{metrics.p999:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
@@ -212,13 +213,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_argument = command_parser.add_argument
     help_text = "scene files (all in scenes/)"
     add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help=help_text)
-    help_text = "the page to write, or a folder for it, which may end in / (build/report.html)"
+    help_text = "the page to write, or a folder in which to write it (build/report.html)"
     add_argument("-o", "--output", type=parse_path, metavar="PATH", help=help_text)
     add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or list_scene_files())})
-    page_name = arguments.output or str(BUILD / _NAME)
-    page_path = Path(page_name, _NAME if is_folder(page_name) else "")
+    output = arguments.output or str(BUILD / _PAGE_NAME)
+    page_path = Path(output, _PAGE_NAME if is_folder(output) else "")
     forbid_overwriting_inputs(command_parser, [page_path], (*paths, TEMPLATE, *CHARTS.values()))
     set_up_mitsuba(arguments.variant, exit_status=MISUSED)
     names_are_unique = len({path.stem for path in paths}) == len(paths)
@@ -226,15 +227,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     for path in track(paths, len(paths), "scenes"):
         name = make_printable(path.stem if names_are_unique else str(path))
         outcomes.append(attempt(_compare_scene, path, name, arguments.variant))
-    results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
+    described_results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
     failures = [str(failure) for failure in outcomes if isinstance(failure, Failure)]
     # The project's charts are shown only with its own scenes.
     has_charts = {*paths} <= {*list_scene_files()}
     charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
-    html = render_report(results, charts, failures)
-    write_page(page_path, html)
+    write_page(page_path, render_report(described_results, charts, failures))
     print_line(sys.stdout, make_printable(str(page_path)))
-    return FAILED if failures else choose_exit_status(result for result, _ in results)
+    return FAILED if failures else choose_exit_status(result for result, _ in described_results)
 
 
 def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckResult, str]:

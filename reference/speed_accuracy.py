@@ -38,9 +38,9 @@ from reference.measured.workloads import build_crowd, resize_picture
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
-_OURS, _CERTIFIED, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
+_TRACER, _CERTIFIED_TRACER, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
 _GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
-_METHODS = (_OURS, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED, _MITSUBA)
+_METHODS = (_TRACER, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED_TRACER, _MITSUBA)
 
 # Thresholds and depths of POV-Ray's adaptive supersampling, from coarse to fine.
 _POVRAY_SETTINGS = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
@@ -88,29 +88,30 @@ def _render_all_pairs(scene: Scene, samples_per_side: int) -> Floats:
 
 
 def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Make the functions to be timed, one for each rendering method except POV-Ray.
+    """Make the functions to be timed, for all rendering methods except POV-Ray.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     level : int
-        Level of sampling: a method takes 4**level samples per pixel, times the factor in its key.
+        Level of sampling.  From level to level, the number of samples is multiplied by 4.
 
     Returns
     -------
     tasks : dict of (str, int) to callable
-        Maps a method and a factor to a function that returns an image (height, width, 3).  For the
-        certified tracer, the factor is instead the reciprocal of the error permitted at level 0.
+        Maps a method and a factor to a function that returns an image (height, width, 3) with
+        factor * 4**level samples per pixel.  The certified tracer instead permits an error of
+        1 / (factor * 4**level).
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
-    mitsuba_scene = str(convert_exact(scene, 4**level)).replace('"stratified"', '"multijitter"')
-    loaded_scene = mi.load_string(mitsuba_scene)
+    mitsuba_xml = str(convert_exact(scene, 4**level)).replace('"stratified"', '"multijitter"')
+    loaded_scene = mi.load_string(mitsuba_xml)
     return {
-        (_OURS, 1): partial(render, scene, 4**level),
+        (_TRACER, 1): partial(render, scene, 4**level),
         # Sample counts between the powers of four: 9, 36, 144, ...
-        (_OURS, 9): partial(render, scene, 9 * 4**level),
-        (_CERTIFIED, 8): lambda: certify(scene, 1 / (8 * 4**level)).image,
+        (_TRACER, 9): partial(render, scene, 9 * 4**level),
+        (_CERTIFIED_TRACER, 8): lambda: certify(scene, 1 / (8 * 4**level)).image,
         (_GRID, 1): partial(render_supersampled, scene, 2**level),
         (_ALL_PAIRS, 1): partial(_render_all_pairs, scene, 2**level),
         (_MITSUBA, 1): lambda: np.array(mi.render(loaded_scene)),
@@ -137,26 +138,26 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
-    # Errors are shown only if they exceed the error of a less accurate reference picture.
+    # Smaller errors than that of a less accurate reference picture are not shown.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = root_mean_square_error(less_accurate_image, reference_image)
     povray_picture = build_path("povray.ppm")
-    finished_keys: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
+    finished_tasks: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
     for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
         tasks = _make_rendering_tasks(scene, level)
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
         command = povray.prepare_linear_command(scene, povray_picture, *options)
         # The time that POV-Ray reports does not include its start.
         tasks[_POVRAY, 1] = partial(povray.run_and_time, command)
-        tasks = {key: task for key, task in tasks.items() if key not in finished_keys}
-        for key, timing in time_interleaved(tasks, _ROUNDS).items():
-            (method, factor), result = key, tasks[key]()
+        tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
+        for (method, factor), timing in time_interleaved(tasks, _ROUNDS).items():
+            result = tasks[method, factor]()
             image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
             error = root_mean_square_error(image, reference_image)
             if error > min_error:
                 yield (name, method, factor * 4**level, error, *timing)
             if timing.median > _MAX_SECONDS or error <= min_error:
-                finished_keys.add(key)
+                finished_tasks.add((method, factor))
         tasks.clear()  # delete Mitsuba's scene before the next one is loaded
 
 
@@ -179,11 +180,11 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     for axes, scene in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
         for method in _METHODS:
             points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [scene, method]]
-            # If several sample counts give the same error, only the last point is drawn.
+            # If points have the same error, only the one with the most samples is drawn.
             curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
             axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
             for error, (seconds, samples) in curve.items():
-                if method == _OURS:
+                if method == _TRACER:
                     axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
         rounding_label = "error of rounding to 8 bits"
         axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
@@ -253,5 +254,5 @@ def main() -> None:
         "pixels into quarters.  POV-Ray uses decreasing thresholds, and the certified tracer"
         " permits errors of 1/8, 1/32, ... in every pixel."
     )
-    texts = ("Time against error: lower left is better", note)
-    run_chart_command("speed_accuracy", _COLUMNS, _measure_all_scenes, _draw_chart, texts)
+    title = "Time against error: lower left is better"
+    run_chart_command("speed_accuracy", _COLUMNS, _measure_all_scenes, _draw_chart, title, note)

@@ -2,7 +2,7 @@
 
 ``python -m reference.stability`` writes `stability.svg` and `stability.csv` into this folder.  Each
 point is a small picture of a scene that gets harder along the axis.  It is compared with the exact
-picture, rendered in decimal numbers of 80 digits, by the largest error of the radiance, or by the
+picture, rendered in 80-digit decimal arithmetic, by the largest error of the radiance, or by the
 percentage of pixels that are wrongly lit or dark.  `reference.judges.plain` renders both the exact
 pictures and those of the usual methods.
 """
@@ -76,7 +76,7 @@ def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -
     Parameters
     ----------
     distance : float
-        Distance from the eye to the sphere's centre, where the camera's window is.
+        Distance from the eye to the sphere's centre, and to the camera's window.
     width, height : float
         Size of the window, which has 24 pixels per unit of length.  The default window shows
         neither the silhouette nor a shadow.
@@ -92,10 +92,10 @@ def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -
 
 
 def build_silhouette(distance: float) -> Scene:
-    """Build a scene in which the camera views a unit sphere's silhouette from a given distance.
+    """Build a close-up of a unit sphere's silhouette, viewed from a given distance.
 
-    The picture extends 2**-20, about a millionth of the radius, to each side of the silhouette.
-    The camera rays are exact in float64.
+    On each side of the silhouette, the picture shows 2**-20, about a millionth of the radius.  The
+    camera rays are exact in float64.
     """
     eye, light, window = (1, 0, distance), (8, 0, 2), (distance, 2.0**-19, 2.0**-19)
     return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
@@ -169,28 +169,28 @@ METHODS: dict[str, Method] = {
 """Functions that render a scene, by the names of the methods that they use."""
 
 
-def measure_largest_error(image: Floats, exact: Floats) -> float:
+def measure_largest_error(image: Floats, exact_image: Floats) -> float:
     """Compute the largest error of an image's radiance.
 
     Parameters
     ----------
-    image, exact : (height, width, 3) float arrays
+    image, exact_image : (height, width, 3) float arrays
         The image, and the exact image of the same scene.
 
     Returns
     -------
     error : float
-        The largest absolute difference of any channel of any pixel.  A NaN counts as an error of 1.
+        The largest absolute difference in any channel of any pixel.  A NaN counts as an error of 1.
     """
-    return float(np.nan_to_num(np.abs(image - exact), nan=1.0).max())
+    return float(np.nan_to_num(np.abs(image - exact_image), nan=1.0).max())
 
 
-def measure_wrong_percentage(image: Floats, exact: Floats) -> float:
+def measure_wrong_percentage(image: Floats, exact_image: Floats) -> float:
     """Compute the percentage of pixels that are dark but should be lit, or vice versa.
 
     Parameters
     ----------
-    image, exact : (height, width, 3) float arrays
+    image, exact_image : (height, width, 3) float arrays
         The image, and the exact image of the same scene.
 
     Returns
@@ -198,7 +198,7 @@ def measure_wrong_percentage(image: Floats, exact: Floats) -> float:
     percentage : float
         Percentage of pixels with a channel that is 0 in one image and above 0 in the other.
     """
-    return 100 * float(((image > 0) != (exact > 0)).any(axis=2).mean())
+    return 100 * float(((image > 0) != (exact_image > 0)).any(axis=2).mean())
 
 
 @dataclass(frozen=True)
@@ -214,14 +214,14 @@ class Panel:
     build_scene : callable
         Function that builds the scene for a position.
     measure_error : callable
-        Function that computes the error of an image from the image and the exact image.
+        Function that computes the error of an image, given the image and the exact image.
     methods : tuple of str
-        Keys of `METHODS` of the curves to draw, in addition to that of this tracer.
+        The methods to show in addition to this tracer: keys of `METHODS`.
     guides : tuple of str
-        Names of the lines to draw at eps x and at eps x^2: see `_GUIDES`.
+        Names of the guide lines to draw, as in `_GUIDES`: at eps x, then at eps x^2.
     position_factors : tuple of float
-        Factors by which each position is multiplied, to build one scene for each of them.  A point
-        of a curve shows the largest error in these scenes.
+        Each position is multiplied by each of these factors, to build several scenes.  A point of a
+        curve shows the largest error in these scenes.
     """
 
     title: str
@@ -234,42 +234,43 @@ class Panel:
     position_factors: tuple[float, ...] = (1.0,)
 
 
-_HITS = ("float64, textbook", "float32, closest approach", "float32, textbook")
-_SHADOWS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offset of 256 ulp")
-_SHINY = ("float64, pow(n·h, e)", "float32, pow(n·h, e)")
-_MOVED = ("float64, multiplied out", "float32, closest approach")
+_HIT_METHODS = ("float64, textbook", "float32, closest approach", "float32, textbook")
+_SHADOW_METHODS = ("t > 0", "t > 1e-4", "t > 1e-6", "normal offset 1e-4", "offset of 256 ulp")
+_HIGHLIGHT_METHODS = ("float64, pow(n·h, e)", "float32, pow(n·h, e)")
+_OFFSET_METHODS = ("float64, multiplied out", "float32, closest approach")
 
-# If |o - c|^2 is multiplied out, it is rounded once for all pixels, and not at all where the offset
-# is a round number.  So several offsets are tried for each point.
-_NEARBY = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
+# If |o - c|^2 is multiplied out, it has the same rounding error in all pixels, and none if the
+# offset is a round number.  So several offsets are tried for each point.
+_NEARBY_FACTORS = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
 PANELS = (
     Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), build_distant_sphere,
-          measure_largest_error, _HITS, ("ε D", "ε D²")),
+          measure_largest_error, _HIT_METHODS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), build_silhouette, measure_wrong_percentage, _HITS),
+          np.logspace(3, 25, 12, base=2), build_silhouette, measure_wrong_percentage, _HIT_METHODS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17),
-          build_moved_sphere, measure_largest_error, _MOVED, ("ε offset", "ε offset²"), _NEARBY),
+          build_moved_sphere, measure_largest_error, _OFFSET_METHODS, ("ε offset", "ε offset²"),
+          _NEARBY_FACTORS),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: build_ball_on_ground(offset=x),
-          measure_wrong_percentage, _SHADOWS),
+          measure_wrong_percentage, _SHADOW_METHODS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          build_ground, measure_largest_error, _HITS, ("ε radius",)),
+          build_ground, measure_largest_error, _HIT_METHODS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: build_ball_on_ground(radius=x / 2),
-          measure_wrong_percentage, _SHADOWS),
+          measure_wrong_percentage, _SHADOW_METHODS),
     Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), build_highlight,
-          measure_largest_error, _SHINY, ("ε e",)),
+          measure_largest_error, _HIGHLIGHT_METHODS, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
           np.logspace(-30, 30, 16, base=2), lambda x: build_ball_on_ground(scale=x),
-          measure_wrong_percentage, _SHADOWS),
+          measure_wrong_percentage, _SHADOW_METHODS),
 )
 # fmt: on
 
 
 def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Floats:
-    """Measure a rendering method's errors at positions on the horizontal axis of a chart's panel.
+    """Measure the errors of a rendering method at several positions in a panel of the chart.
 
     Parameters
     ----------
@@ -278,8 +279,8 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
     method : str
         The rendering method, a key of `METHODS`.
     positions : iterable of n floats
-        Positions on the horizontal axis.  For each position, several scenes are built: one for the
-        product of the position and each factor in `panel.position_factors`.
+        Positions on the horizontal axis.  At each position, one scene is built for each factor in
+        `panel.position_factors`.
 
     Returns
     -------
@@ -289,8 +290,8 @@ def measure_errors(panel: Panel, method: str, positions: Iterable[float]) -> Flo
     errors = []
     for position in positions:
         scenes = [panel.build_scene(factor * float(position)) for factor in panel.position_factors]
-        images = [(METHODS[method](scene), _render_exactly(scene)) for scene in scenes]
-        errors.append(max(panel.measure_error(image, exact) for image, exact in images))
+        image_pairs = [(METHODS[method](scene), _render_exactly(scene)) for scene in scenes]
+        errors.append(max(panel.measure_error(*image_pair) for image_pair in image_pairs))
     return np.array(errors)
 
 
@@ -333,7 +334,7 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     """Draw the chart: example pictures, and below them two columns of panels.
 
     The left column contains the panels about hits and highlights.  The right column contains the
-    panels about shadows and, below them, the legends of both columns.
+    panels about shadows, followed by the legends of both columns.
 
     Parameters
     ----------
@@ -345,26 +346,23 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     figure : Figure
         The chart.
     """
-    left_panels = [panel for panel in PANELS if panel.methods != _SHADOWS]
-    right_panels = [panel for panel in PANELS if panel.methods == _SHADOWS]
+    left_panels = [panel for panel in PANELS if panel.methods != _SHADOW_METHODS]
+    right_panels = [panel for panel in PANELS if panel.methods == _SHADOW_METHODS]
     heights = 3.8, 1.9 * len(left_panels)
     figure: Any = plt.figure(figsize=(CHART_WIDTH, sum(heights)))
     pictures_subfigure, panels_subfigure = figure.subfigures(2, 1, height_ratios=heights)
     picture_axes = pictures_subfigure.subplots(2, len(EXAMPLES))
-    pictures_subfigure.subplots_adjust(
-        left=0.02, right=0.98, top=0.68, bottom=0.03, wspace=0.03, hspace=0.03
-    )
+    pictures_subfigure.subplots_adjust(0.02, 0.03, 0.98, 0.68, wspace=0.03, hspace=0.03)
     for (title, scene, method), axes_pair in zip(EXAMPLES, picture_axes.T, strict=True):
-        for axes, render_by_method in zip(axes_pair, (METHODS[method], render), strict=True):
-            axes.imshow(to_codes(np.nan_to_num(render_by_method(scene))))
+        for axes, render_scene in zip(axes_pair, (METHODS[method], render), strict=True):
+            axes.imshow(to_codes(np.nan_to_num(render_scene(scene))))
             axes.axis("off")
         axes_pair[0].set_title(f"{title}\n{method}", fontsize=9)
     axes_grid = panels_subfigure.subplots(len(left_panels), 2)
-    panels_subfigure.subplots_adjust(
-        left=0.07, right=0.98, top=0.96, bottom=0.07, hspace=0.8, wspace=0.2
-    )
-    legends = axes_grid[len(right_panels) :, 1]
-    columns = zip(("left", "right"), (left_panels, right_panels), axes_grid.T, legends, strict=True)
+    panels_subfigure.subplots_adjust(0.07, 0.07, 0.98, 0.96, wspace=0.2, hspace=0.8)
+    free_axes = axes_grid[len(right_panels) :, 1]
+    all_panels = left_panels, right_panels
+    columns = zip(("left", "right"), all_panels, axes_grid.T, free_axes, strict=True)
     for side, panels, column_axes, legend_axes in columns:
         methods = dict.fromkeys(method for panel in panels for method in panel.methods)
         styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
@@ -383,7 +381,8 @@ def _draw_panel(
 ) -> None:
     """Draw one panel of the chart: a curve for each method, and guide lines.
 
-    The guide lines are at eps x and eps x^2, where eps is the rounding error of float32 or float64.
+    At a position x, the guide lines show errors of eps x and eps x^2, where eps is the rounding
+    error of float32 or float64.
 
     Parameters
     ----------
@@ -405,8 +404,8 @@ def _draw_panel(
     min_percentage = 25 / (scene.width * scene.height)  # a quarter of that of one pixel
     min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance else (min_percentage, 100.0)
     # Errors of zero are drawn at a different height for each curve, so that all are visible.
-    height_of_none = {method: min_error / _CURVE_SPACING**k for k, method in enumerate(curves)}
-    limits = {"xlim": (x[0], x[-1]), "ylim": (min(height_of_none.values()) / 1.6, 1.6 * max_error)}
+    zero_height = {method: min_error / _CURVE_SPACING**k for k, method in enumerate(curves)}
+    limits = {"xlim": (x[0], x[-1]), "ylim": (min(zero_height.values()) / 1.6, 1.6 * max_error)}
     guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
     label = ";   ".join([panel.axis_label, *guides])
     axes.set(title=panel.title, xlabel=label, xscale="log", yscale="log", **limits)
@@ -417,8 +416,8 @@ def _draw_panel(
         axes.set_yticks([min_error, 0.1, 1, 10, 100], ["none", "0.1 %", "1 %", "10 %", "100 %"])
     axes.minorticks_off()
     for method, (_, errors) in curves.items():
-        drawn = np.where(errors <= min_error, height_of_none[method], np.minimum(errors, max_error))
-        axes.plot(x, drawn, label=method, clip_on=False, **styles[method])
+        heights = np.where(errors <= min_error, zero_height[method], np.minimum(errors, max_error))
+        axes.plot(x, heights, label=method, clip_on=False, **styles[method])
     for power, dashes in enumerate(_GUIDES.values(), 1):
         if power <= len(panel.guides):
             style = {"color": "#888888", "marker": "", "lw": 1, "ls": dashes}
@@ -430,8 +429,8 @@ def main() -> None:
     columns = ("panel", "position", "method", "error")
     note = (
         "Above: pictures by usual methods; below them: the same scenes by this tracer.  Each point"
-        " is a picture compared with arithmetic\nof 80 digits, by the largest error of the radiance"
+        " compares a picture with one in\n80-digit arithmetic, by the largest error of the radiance"
         " (at most 1) or by the percentage of pixels that are wrongly lit or dark."
     )
-    texts = ("Where usual methods of ray tracing fail", note)
-    run_chart_command("stability", columns, _measure_all_panels, _draw_chart, texts)
+    title = "Where usual methods of ray tracing fail"
+    run_chart_command("stability", columns, _measure_all_panels, _draw_chart, title, note)

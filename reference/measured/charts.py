@@ -46,7 +46,8 @@ def run_chart_command(
     columns: Sequence[str],
     measure: Callable[[bool], Iterable[Sequence[object]]],
     draw: Callable[[Sequence[Sequence[str]]], Any],
-    texts: tuple[str, str],
+    title: str,
+    note: str,
 ) -> None:
     """Run a chart command: measure a table, store it as a CSV file, and draw its chart.
 
@@ -64,8 +65,8 @@ def run_chart_command(
         measurement.
     draw : callable
         Function that draws the chart, and returns it as a matplotlib Figure.  Its argument contains
-        the rows of the CSV file, in which numbers are rounded, so `--redraw` draws the same chart.
-    texts : (str, str)
+        the rows of the CSV file.
+    title, note : str
         The chart's title, and a note below the title.
     """
     command_parser = make_parser(f"reference.{name}", "fewer points")
@@ -80,7 +81,6 @@ def run_chart_command(
     origin, stored_rows = read_csv(table_path)
     figure = draw(stored_rows)
     width, height = figure.get_size_inches()
-    title, note = texts
     text_left = _TEXT_LEFT / width
     figure.text(text_left, 1 - _TITLE_TOP / height, title, va="top", fontsize=14, weight="bold")
     figure.text(text_left, 1 - _NOTE_TOP / height, note, va="top", fontsize=9, color="#444444")

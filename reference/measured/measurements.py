@@ -28,13 +28,12 @@ _Name = TypeVar("_Name", bound=Hashable)
 # spinning for about 10 ms.
 _PAUSE_SECONDS = 0.02
 
-# Short times vary most, so short tasks run in more rounds: until the rounds of a task have taken
-# this many seconds together, but in at most this many times the requested number of rounds.
+# Short times vary most, so short tasks run in more rounds: until a task has taken this many seconds
+# in total, but at most this many times the requested number of rounds.
 _MIN_TOTAL_SECONDS, _MAX_ROUNDS_FACTOR = 0.5, 5
 
-# A task that takes less than this many seconds runs once more before each of its rounds, without
-# being timed.  Otherwise it pays for the caches that the previous task has filled: after POV-Ray, a
-# picture of 5 ms took 8 to 18 ms.
+# A task that takes less than this many seconds also runs untimed before each of its rounds, because
+# the previous task has filled the caches: after POV-Ray, a picture of 5 ms took 8 to 18 ms.
 _MAX_WARM_UP_SECONDS = 0.1
 
 
@@ -64,21 +63,21 @@ class Timing(NamedTuple):
 def time_interleaved(
     tasks: Mapping[_Name, Task], rounds: int, *, min_seconds: float = _MIN_TOTAL_SECONDS
 ) -> dict[_Name, Timing]:
-    """Time tasks alternately: each round runs every task once.
+    """Time tasks alternately, so that a slow period of the machine affects all tasks alike.
 
-    A slow period of the machine then affects all tasks alike.
+    Each round runs every task once.  Before the first round, every task runs once untimed; a short
+    task does so before each round.
 
     Parameters
     ----------
     tasks : mapping of names to Task
         Functions without arguments.  If a task returns a float, that is its time in seconds;
-        otherwise the time is measured.  Each task first runs once untimed.  A short task also runs
-        untimed before each of its rounds, to fill the CPU caches with its own data.
+        otherwise the time is measured.
     rounds : int
-        Minimum number of rounds of each task.
+        Minimum number of rounds.
     min_seconds : float
-        A task gets more rounds until they have taken this many seconds in total, but at most five
-        times `rounds`.
+        A task runs in more rounds until its total time reaches this many seconds, but in at most
+        five times `rounds`.
 
     Returns
     -------
@@ -90,25 +89,22 @@ def time_interleaved(
         start = perf_counter()
         task()
         warm_up_seconds[name] = perf_counter() - start
-    times_of_task: dict[_Name, list[float]] = {name: [] for name in tasks}
+    results: dict[_Name, list[float]] = {name: [] for name in tasks}
     for round_index in range(_MAX_ROUNDS_FACTOR * rounds):
         for name, task in tasks.items():
-            if round_index < rounds or sum(times_of_task[name]) < min_seconds:
+            if round_index < rounds or sum(results[name]) < min_seconds:
                 sleep(_PAUSE_SECONDS)
                 if warm_up_seconds[name] < _MAX_WARM_UP_SECONDS:
                     task()
                 start = perf_counter()
                 result = task()
                 elapsed = perf_counter() - start
-                times_of_task[name].append(result if isinstance(result, float) else elapsed)
-    return {name: Timing(median(x), min(x), max(x)) for name, x in times_of_task.items()}
+                results[name].append(result if isinstance(result, float) else elapsed)
+    return {name: Timing(median(times), min(times), max(times)) for name, times in results.items()}
 
 
 def make_command_task(command: Sequence[str]) -> Task:
     """Make a function that runs a command in a new process and discards its output.
-
-    If the command runs Python, it stores compiled modules even if PYTHONDONTWRITEBYTECODE is set
-    here, so that only the first run compiles them.
 
     Parameters
     ----------
@@ -120,6 +116,7 @@ def make_command_task(command: Sequence[str]) -> Task:
     task : callable
         Function that runs the command, waits for it, and raises CalledProcessError if it fails.
     """
+    # Without this variable, Python stores compiled modules, so only the first run compiles them.
     environment = {**os.environ}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     return lambda: subprocess.run(command, check=True, capture_output=True, env=environment)
@@ -170,21 +167,21 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 
 def describe_origin() -> str:
-    """Describe when, where and with which software a measurement is made, in one line.
+    """Describe the origin of a measurement made now, in one line.
 
     The line gives the date, the commit, the processor, the system, and the versions of programs.
     """
     povray_match = re.search(r"POV-Ray \d+(\.\d+)*", subprocess.getoutput("povray --version"))
     versions = [f"{package} {metadata.version(package)}" for package in ("numpy", "mitsuba")]
-    system = [platform.system(), f"Python {platform.python_version()}", *versions]
-    machine = f"{_describe_processor()} ({count_processors()} cores)"
+    software = [platform.system(), f"Python {platform.python_version()}", *versions]
+    processor = f"{_describe_processor()} ({count_processors()} cores)"
     today = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     povray_version = povray_match[0] if povray_match else "no POV-Ray"
-    return ", ".join([today, _describe_commit(), machine, *system, povray_version])
+    return ", ".join([today, _describe_commit(), processor, *software, povray_version])
 
 
 def _describe_commit() -> str:
-    """Describe the current Git commit, such as "commit 1a2b3c4", or "no commit" if there is none.
+    """Describe the current Git commit, as "commit 1a2b3c4", or as "no commit" if there is none.
 
     A "+" after the hash means that Python files have changed since the commit.
     """
@@ -195,7 +192,7 @@ def _describe_commit() -> str:
 
 
 def _describe_processor() -> str:
-    """Return the processor's model on Linux, or its name or architecture on other systems."""
+    """Describe the processor by its model on Linux, and by its name or architecture elsewhere."""
     cpu_file = Path("/proc/cpuinfo")
     cpu_text = cpu_file.read_text() if cpu_file.exists() else ""
     model_match = re.search(r"^model name\s*: (.*)", cpu_text, re.M)

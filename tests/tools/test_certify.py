@@ -35,7 +35,7 @@ def test_a_picture_is_written_and_described(capsys):
     within, certain, last = lines
     assert within.startswith("576 of 576 pixels are within 1/64; all within 0.01")
     count = certificate.is_certain.sum()
-    assert certain == f"{count} of 576 pixels have certain codes, {count / 576:.2%}"
+    assert certain == f"8-bit codes are certain in {count} of 576 pixels, {count / 576:.2%}"
     assert last.startswith(f"room.xml.certified.png: {certificate.cell_count} cells in ")
     with Image.open("room.xml.certified.png") as picture:
         np.testing.assert_array_equal(np.asarray(picture), to_codes(certificate.image))
@@ -71,7 +71,7 @@ def test_pixels_that_exceed_the_permitted_error_are_counted(capsys, monkeypatch)
     for options, error, count in (((), 1 / 128, 1), (("--error", "1/65536"), 1 / 65536, 2)):
         _, lines = run(capsys, "room.xml", *options)
         assert errors[-1] == error
-        assert lines[1] == "1 of 2 pixels have certain codes, 50.00%"
+        assert lines[1] == "8-bit codes are certain in 1 of 2 pixels, 50.00%"
         assert (
             lines[2] == f"{count} pixels exceed the permitted error: edges touch each other there"
         )

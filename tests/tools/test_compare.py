@@ -66,7 +66,7 @@ def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
 
 
 def test_figures_by_hand() -> None:
-    """Four of 100 pixels differ, by 0.5 in one channel; two of them are masked."""
+    """Four of 100 pixels differ, by 0.5 in one channel; two of them are excluded."""
     a, b = np.full((10, 10, 3), 0.25), np.full((10, 10, 3), 0.25)
     a[0, :4, 1] += 0.5
     mask = np.zeros((10, 10), dtype=np.bool_)
@@ -81,7 +81,7 @@ def test_figures_by_hand() -> None:
     for wrong, words in ((a[1:], "shapes differ"), (np.nan * a, "not finite")):
         with pytest.raises(ValueError, match=words):
             measure_differences(a, wrong)
-    with pytest.raises(ValueError, match="every pixel is masked"):
+    with pytest.raises(ValueError, match="every pixel is excluded"):
         measure_differences(a, a, np.ones((10, 10), dtype=np.bool_))
 
 
