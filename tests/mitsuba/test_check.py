@@ -53,7 +53,7 @@ def test_a_scene_without_surfaces_agrees():
 # Comparisons with pictures that stand for Mitsuba's
 
 
-def compared(scene: Scene, mitsuba: np.ndarray, *limits: Limits) -> CheckResult:
+def compare_to(scene: Scene, mitsuba: np.ndarray, *limits: Limits) -> CheckResult:
     """Compare the tracer's picture of a scene with a picture that stands for Mitsuba's."""
     return compare(scene, "scene", Rendering(mitsuba, "scalar_rgb", 0.0), *limits)
 
@@ -63,7 +63,7 @@ def replace_tracer(monkeypatch: pytest.MonkeyPatch, image: np.ndarray) -> None:
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: image)
 
 
-def four_spheres() -> tuple[Scene, np.ndarray]:
+def render_four_spheres() -> tuple[Scene, np.ndarray]:
     """Return a scene and its picture."""
     scene = small_scene("four-spheres", 80, 60)
     return scene, render(scene)
@@ -76,28 +76,28 @@ def test_ties_are_explained_pixel_by_pixel(monkeypatch):
     assert red[..., 1].max() == 0
     mitsuba = red.copy()
     mitsuba[5:, :9] = white[5:, :9]
-    result = compared(scene, mitsuba)
+    result = compare_to(scene, mitsuba)
     assert (result.verdict, result.is_tie.sum(), result.figures.max) == ("agrees", 19 * 9, 0)
     assert np.array_equal(result.mitsuba.image, mitsuba)
     assert "surfaces coincide, Mitsuba shows the other one on 171 pixels" in result.format_report()
     # All pixels of a picture may be ties; one pixel that is not a tie is still found.
-    assert compared(scene, white).is_tie.all()
+    assert compare_to(scene, white).is_tie.all()
     mitsuba = white.copy()
     mitsuba[23, 23] = 0.5  # in the last batch
-    result = compared(scene, mitsuba)
+    result = compare_to(scene, mitsuba)
     assert (result.verdict, result.is_disputed.sum()) == ("undecided", 1)
     assert result.is_examined[23, 23]
     # If surfaces tie, the tracer must show the first.
-    result = compared(replace(scene, surfaces=scene.surfaces[::-1]), white)
+    result = compare_to(replace(scene, surfaces=scene.surfaces[::-1]), white)
     assert (result.verdict, result.is_disputed.sum()) == ("agrees", 0)
     replace_tracer(monkeypatch, white)
-    assert compared(scene, red).verdict == "DIFFERS"
+    assert compare_to(scene, red).verdict == "DIFFERS"
 
 
 def test_the_verdict_is_undecided_if_mitsuba_is_wrong():
-    scene, image = four_spheres()
+    scene, image = render_four_spheres()
     image[:20] += 0.01
-    result = compared(scene, image)
+    result = compare_to(scene, image)
     assert (result.verdict, result.is_disputed.sum()) == ("undecided", 1600)
     assert 50 <= result.is_examined.sum() <= 100
     assert result.figures.max == pytest.approx(0.01, rel=0.05)
@@ -107,14 +107,14 @@ def test_the_verdict_is_undecided_if_mitsuba_is_wrong():
 
 
 def test_the_verdict_is_differs_if_the_tracer_is_wrong(monkeypatch):
-    scene, image = four_spheres()
+    scene, image = render_four_spheres()
     wrong = image.copy()
     wrong[7, 3] += 2e-4
     replace_tracer(monkeypatch, wrong)
     # Mitsuba is wrong, too, in other pixels.
     image[50:, 70:] += 0.01
     monkeypatch.setattr(check, "_PIXELS_PER_BATCH", 5000)
-    result = compared(scene, image)
+    result = compare_to(scene, image)
     assert (result.verdict, np.argwhere(result.is_wrong).tolist()) == ("DIFFERS", [[7, 3]])
     assert "for example at column 3, row 7\n" in result.format_report()
     assert "contradicts the tracer on 1 of 101 examined pixels" in result.format_report()
@@ -124,7 +124,7 @@ def test_the_verdict_is_differs_if_the_tracer_is_wrong(monkeypatch):
 @pytest.mark.parametrize("tracer_errs", [True, False])
 def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_errs):
     """No pixel exceeds the tolerance, so exact arithmetic is used with a smaller one."""
-    scene, image = four_spheres()
+    scene, image = render_four_spheres()
     wrong, is_dark = image.copy(), image.max(axis=2) == 0
     if figure == "SSIM":  # a chequered sky
         wrong[is_dark & (np.indices(is_dark.shape).sum(axis=0) % 5 == 0)] = 9e-5
@@ -132,36 +132,36 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
         wrong += 5e-6
     if tracer_errs:
         replace_tracer(monkeypatch, wrong)
-    result = compared(scene, image if tracer_errs else wrong)
+    result = compare_to(scene, image if tracer_errs else wrong)
     assert any(
         line.startswith(figure) for line in check.describe_exceeded_tolerances(result.figures)
     )
     assert result.verdict == ("DIFFERS" if tracer_errs else "undecided")
     if not tracer_errs:
-        assert compared(scene, image + 5e-7 * (image > 0)).verdict == "agrees"
+        assert compare_to(scene, image + 5e-7 * (image > 0)).verdict == "agrees"
 
 
 # Tolerances
 
 
 def test_tolerances_of_whole_pictures():
-    def lines(ssim: float, median: float) -> list[str]:
+    def describe(ssim: float, median: float) -> list[str]:
         figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over_count=0)
         return check.describe_exceeded_tolerances(figures)
 
-    assert lines(0.99901, 0.99e-6) == []
-    assert lines(0.99899, 0) == ["SSIM 0.99899 is below 0.999"]
-    assert lines(1, 1.01e-6) == ["median difference 1.0e-06 exceeds 1e-06"]
+    assert describe(0.99901, 0.99e-6) == []
+    assert describe(0.99899, 0) == ["SSIM 0.99899 is below 0.999"]
+    assert describe(1, 1.01e-6) == ["median difference 1.0e-06 exceeds 1e-06"]
 
 
 @pytest.mark.parametrize(("error", "verdict"), [(0.9e-4, "agrees"), (1.1e-4, "undecided")])
 def test_tolerance_of_a_pixel(error, verdict):
-    scene, image = four_spheres()
+    scene, image = render_four_spheres()
     image[7, 3] += error
-    assert compared(scene, image).verdict == verdict
+    assert compare_to(scene, image).verdict == verdict
 
 
-def plate(distance: float, height: float) -> Scene:
+def build_plate(distance: float, height: float) -> Scene:
     """Return a scene of a plate with an edge at this distance from the centres of column 17.
 
     The distance is in pixels, to the right.
@@ -174,7 +174,7 @@ def plate(distance: float, height: float) -> Scene:
 @pytest.mark.parametrize(("distance", "verdict"), [(0.0027, "agrees"), (0.0033, "undecided")])
 def test_tolerance_of_the_distance_to_an_edge(distance, verdict):
     """The edge crosses few pixels, which may be excluded."""
-    result = compared(plate(distance, 0.38), render(plate(-0.01, 0.38)))
+    result = compare_to(build_plate(distance, 0.38), render(build_plate(-0.01, 0.38)))
     assert result.verdict == verdict
     assert (result.is_edge if verdict == "agrees" else result.is_disputed)[:, 17].sum() == 6
 
@@ -182,21 +182,21 @@ def test_tolerance_of_the_distance_to_an_edge(distance, verdict):
 @pytest.mark.parametrize(("distance", "verdict"), [(1e-8, "agrees"), (1e-4, "DIFFERS")])
 def test_the_tracer_may_err_if_an_edge_is_at_a_centre(monkeypatch, distance, verdict):
     """The edge crosses 4 % of the pixels: too many to be excluded without exact arithmetic."""
-    scene = plate(distance, 2)
+    scene = build_plate(distance, 2)
     image = render(scene)
-    replace_tracer(monkeypatch, render(plate(-0.01, 2)))
-    assert compared(scene, image).verdict == verdict
+    replace_tracer(monkeypatch, render(build_plate(-0.01, 2)))
+    assert compare_to(scene, image).verdict == verdict
 
 
 def test_a_bright_pixel_does_not_increase_the_tolerance(monkeypatch):
     """Whichever of the two pictures it is in."""
-    scene, image = four_spheres()
+    scene, image = render_four_spheres()
     bright = image.copy()
     bright[0, 0] = 100
     bright[7, 3] += 1e-3
-    assert compared(scene, bright).is_disputed.sum() == 2
+    assert compare_to(scene, bright).is_disputed.sum() == 2
     replace_tracer(monkeypatch, bright)
-    assert compared(scene, image).is_disputed.sum() == 2
+    assert compare_to(scene, image).is_disputed.sum() == 2
 
 
 def test_edges_that_differ_are_excluded_up_to_a_share():
@@ -205,17 +205,17 @@ def test_edges_that_differ_are_excluded_up_to_a_share():
     shifted = render(scene, offset=(0.03, 0.03))
     edges = np.abs(shifted - image).max(axis=2) > 1e-2
     assert 0 < edges.sum() <= 0.015 * edges.size
-    result = compared(scene, np.where(edges[:, :, None], shifted, image), STOCK)
+    result = compare_to(scene, np.where(edges[:, :, None], shifted, image), STOCK)
     assert (result.verdict, result.is_examined.any()) == ("agrees", False)
     assert np.array_equal(result.is_edge, edges)
     assert result.figures.max < 1e-4
     # A value that the tracer computes on neither side of an edge is not excluded.
-    assert compared(scene, image + 2 * edges[:, :, None], STOCK).verdict == "undecided"
+    assert compare_to(scene, image + 2 * edges[:, :, None], STOCK).verdict == "undecided"
     # More than one in fifty pixels are too many.
     shifted = render(scene, offset=(0.18, 0.18))
     edges = np.abs(shifted - image).max(axis=2) > 1e-2
     assert 0.02 < edges.mean() < 0.03
-    result = compared(scene, np.where(edges[:, :, None], shifted, image), Limits(1e-3, 0.18))
+    result = compare_to(scene, np.where(edges[:, :, None], shifted, image), Limits(1e-3, 0.18))
     assert (result.verdict, result.is_edge.sum()) == ("undecided", 0)
 
 
@@ -230,7 +230,7 @@ def test_edges_on_which_both_agree_are_not_excluded():
 # False alarms
 
 
-def hostile_scene(seed: int) -> Scene:
+def build_hostile_scene(seed: int) -> Scene:
     """Return a scene that is hard for float32: every third has many lights, or flat boxes."""
     kinds = [kind for kind in KINDS if kind != "crowd"]
     scene, rng = random_scene(kinds[seed % len(kinds)], seed, 64, 48), np.random.default_rng(seed)
@@ -258,7 +258,7 @@ SEEDS = [
 def test_hostile_scenes_raise_no_false_alarm(seeds):
     # Mitsuba's float32 errs in most grazing scenes and beside huge balls, and in few others.
     results = [
-        checked(hostile_scene(seed), str(seed), SCALAR)
+        checked(build_hostile_scene(seed), str(seed), SCALAR)
         for seed in seeds
         for checked in (check_scene, check_diffuse)
     ]
@@ -275,7 +275,7 @@ def test_near_ties_of_float64_are_not_mistakes_of_the_tracer():
                     view_width=0.04, view_height=0.04)  # fmt: skip
     scene = scene_of(ground, floor, camera=camera, size=(24, 96), lights=(3, 4, 5))
     # All pixels but the point of contact show the floor.
-    result = compared(scene, render(replace(scene, surfaces=[floor])))
+    result = compare_to(scene, render(replace(scene, surfaces=[floor])))
     assert result.verdict == "agrees"
     assert result.is_tie.any()
 

@@ -10,7 +10,7 @@ from conftest import find_program
 from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
-from test_report import CHART, HEIGHT, MITSUBA, TRACER, WIDTH, result
+from test_report import CHART, HEIGHT, MITSUBA, TRACER, WIDTH, make_result
 
 from reference.compare import main
 from reference.report import render_report
@@ -34,7 +34,7 @@ def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     Animations are off, as readers can request: pictures change only when a button is pressed.
     """
     path = tmp_path / "report.html"
-    path.write_text(render_report([(result(), "")], [("Chart", CHART)]), encoding="utf-8")
+    path.write_text(render_report([(make_result(), "")], [("Chart", CHART)]), encoding="utf-8")
     size = {"width": 1280, "height": 1000}
     with browser.new_page(viewport=size, reduced_motion="reduce") as page:
         schemes, messages = [], []
@@ -47,7 +47,7 @@ def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
         assert messages == []
 
 
-def shot(page: Page, index: int = 0) -> NDArray[np.uint8]:
+def capture(page: Page, index: int = 0) -> NDArray[np.uint8]:
     """Return the colours (HEIGHT, WIDTH, 3) that a panel shows at the unzoomed pixels' centres."""
     with Image.open(io.BytesIO(page.locator(".panel").nth(index).screenshot())) as image:
         shown = np.asarray(image.convert("RGB"))
@@ -69,17 +69,17 @@ def test_slider_and_seam(page):
     """The slider and the seam decide how much of each picture is visible."""
     assert page.evaluate("[...document.images].map(i => i.naturalWidth)") == [8, 8, 8, 20]
     slider = page.locator("input")
-    halves = shot(page)
+    halves = capture(page)
     np.testing.assert_array_equal(halves[:, :4], TRACER[:, :4])
     np.testing.assert_array_equal(halves[:, 4:], MITSUBA[:, 4:])
     slider.press("End")
-    np.testing.assert_array_equal(shot(page), TRACER)
+    np.testing.assert_array_equal(capture(page), TRACER)
     slider.press("Home")
-    np.testing.assert_array_equal(shot(page), MITSUBA)
+    np.testing.assert_array_equal(capture(page), MITSUBA)
     slider.fill("50")
     drag(page, 0.505, 0.4, 0.25)
-    np.testing.assert_array_equal(shot(page)[:, :2], TRACER[:, :2])
-    np.testing.assert_array_equal(shot(page)[:, 2:], MITSUBA[:, 2:])
+    np.testing.assert_array_equal(capture(page)[:, :2], TRACER[:, :2])
+    np.testing.assert_array_equal(capture(page)[:, 2:], MITSUBA[:, 2:])
     assert (slider.input_value(), page.locator(".scale").text_content()) == ("25", "1×")
 
 
@@ -87,7 +87,7 @@ def test_flicker_shows_the_pictures_alternately(page):
     button, shown = page.locator(".flicker"), []
     for _ in range(3):
         button.click()
-        shown.append({*shot(page)[:, :, 2].ravel().tolist()})
+        shown.append({*capture(page)[:, :, 2].ravel().tolist()})
     assert shown[0] != shown[1]
     assert all(blues in ({40}, {200, 255}) for blues in shown)
     assert shown[2] == shown[0]
@@ -107,7 +107,7 @@ def test_clicks_zoom_to_a_pixel(page):
         assert page.locator(".scale").text_content() == f"{scale}×"
     # At 16 times, the panel shows only half a pixel: column 5, row 2.
     for index, colours in ((0, {tuple(TRACER[2, 5].tolist())}), (1, None)):
-        shown = {*map(tuple, shot(page, index).reshape(-1, 3).tolist())}
+        shown = {*map(tuple, capture(page, index).reshape(-1, 3).tolist())}
         assert shown == colours or (colours is None and len(shown) == 1)
     readout = "column 5, row 2: tracer 160 90 40, Mitsuba 160 90 200, difference 160"
     assert page.locator(".readout").text_content() == readout
@@ -119,15 +119,15 @@ def test_zoom_and_move(page, *, drags):
     page.locator("input").press("End")
     panel = page.locator(".panel").first
     page.locator(".in").click() if drags else panel.press("+")
-    np.testing.assert_array_equal(shot(page)[0, :, 0], TRACER[0, [2, 2, 3, 3, 4, 4, 5, 5], 0])
+    np.testing.assert_array_equal(capture(page)[0, :, 0], TRACER[0, [2, 2, 3, 3, 4, 4, 5, 5], 0])
     if drags:  # to the left by half a panel, which is a quarter of the picture
         drag(page, 0.6, 0.35, 0.1)
     else:
         for _ in range(12):
             panel.press("ArrowRight")
-    np.testing.assert_array_equal(shot(page)[0, :, 0], TRACER[0, [4, 4, 5, 5, 6, 6, 7, 7], 0])
+    np.testing.assert_array_equal(capture(page)[0, :, 0], TRACER[0, [4, 4, 5, 5, 6, 6, 7, 7], 0])
     page.locator(".all").click() if drags else panel.press("-")
-    np.testing.assert_array_equal(shot(page), TRACER)
+    np.testing.assert_array_equal(capture(page), TRACER)
 
 
 def test_a_page_about_hand_ins(browser, tmp_path):

@@ -26,17 +26,17 @@ from reference.report import main, render_report
 WIDTH, HEIGHT = 8, 6
 
 
-def colours(blue: int) -> NDArray[np.uint8]:
+def make_codes(blue: int) -> NDArray[np.uint8]:
     """Return codes that differ in all pixels: red 10 + 30 column, green 10 + 40 row, and `blue`."""
     row, column = np.mgrid[:HEIGHT, :WIDTH]
     return np.dstack([10 + 30 * column, 10 + 40 * row, np.full_like(row, blue)]).astype(np.uint8)
 
 
-TRACER, MITSUBA = colours(blue=40), colours(blue=200)
+TRACER, MITSUBA = make_codes(blue=40), make_codes(blue=200)
 MITSUBA[5, 7] = 255  # the pixel that is excluded
 
 
-def result(name: str = "pair") -> CheckResult:
+def make_result(name: str = "pair") -> CheckResult:
     """Return the comparison of two pictures that differ in blue, with one excluded pixel."""
     tracer, mitsuba = decode_to_linear(TRACER), decode_to_linear(MITSUBA)
     edges = np.zeros((HEIGHT, WIDTH), dtype=np.bool_)
@@ -61,8 +61,8 @@ CHART = b'<svg xmlns="http://www.w3.org/2000/svg" width="20" height="10"><circle
 
 def test_the_page_contains_everything_that_it_shows():
     results = [
-        (result("<b>&"), "Shows <one> & more."),
-        (replace(result("two"), is_wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_)), ""),
+        (make_result("<b>&"), "Shows <one> & more."),
+        (replace(make_result("two"), is_wrong=np.zeros((HEIGHT, WIDTH), dtype=np.bool_)), ""),
     ]
     text = render_report(results, [("Chart", CHART)])
     for expected in (
@@ -119,13 +119,13 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
     It returns the exit status, the text on standard error, and the page.
     """
 
-    def call(output: Path | str, *arguments: Path | str) -> tuple[int, str, str]:
+    def run_report(output: Path | str, *arguments: Path | str) -> tuple[int, str, str]:
         status = main(["--variant", "scalar_rgb", *map(str, arguments), "-o", str(output)])
         page = Path(output)
         text = page.read_text(encoding="utf-8") if page.is_file() else ""
         return status, capsys.readouterr().err, text
 
-    return call
+    return run_report
 
 
 @pytest.mark.parametrize(
