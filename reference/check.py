@@ -239,7 +239,7 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     Returns
     -------
     is_near_edge : (h, w) bool array
-        Pixels that an edge explains.
+        Pixels whose radiance an edge explains.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]

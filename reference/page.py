@@ -188,5 +188,5 @@ def encode_png(codes: Codes, *, as_thumbnail: bool = False) -> bytes:
 
 
 def _to_data_url(content: bytes, subtype: str = "png") -> str:
-    """Convert the bytes of a picture, of MIME type image/SUBTYPE, to a data URL."""
+    """Encode the content of a picture, of MIME type image/SUBTYPE, as a data URL."""
     return f"data:image/{subtype};base64,{base64.b64encode(content).decode()}"

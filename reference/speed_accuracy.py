@@ -138,7 +138,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
-    # Smaller errors than that of a less accurate reference picture are not shown.
+    # An error is shown only if it exceeds that of a less accurate reference picture.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = root_mean_square_error(less_accurate_image, reference_image)
     povray_picture = build_path("povray.ppm")

@@ -52,11 +52,11 @@ class Timing(NamedTuple):
 
     def __str__(self) -> str:
         """Format the times in milliseconds: "median (low–high)", or one number if all are equal."""
-        middle, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
-        return middle if self.low == self.high else f"{middle} ({low}–{high})"
+        median_ms, low, high = (f"{1e3 * t:,.0f}" if t >= 0.1 else f"{1e3 * t:.1f}" for t in self)
+        return median_ms if self.low == self.high else f"{median_ms} ({low}–{high})"
 
     def divided_by(self, item_count: int) -> Timing:
-        """Divide the times by the number of items processed, which gives the times per item."""
+        """Divide the times by the number of items processed, to get the times per item."""
         return Timing(*(seconds / item_count for seconds in self))
 
 
