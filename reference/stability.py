@@ -31,8 +31,8 @@ from tracer.command.progress import track
 Vector: TypeAlias = Floats | tuple[float, float, float]
 Method: TypeAlias = Callable[[Scene], Floats]
 
-# Errors of the radiance: half a level of an 8-bit picture near white, from which on errors are
-# visible; and the smallest one that is drawn as such.
+# The smallest visible error of the radiance, half a level of an 8-bit picture near white; and the
+# smallest error that the chart distinguishes from none.
 _VISIBLE_ERROR, _MIN_ERROR = 1 / 512, 1e-17
 # Ratio between the positions of two curves at "none", so that both are visible.
 _CURVE_SPACING = 1.7
