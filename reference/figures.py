@@ -202,20 +202,20 @@ def write_comparison(
     height, width = difference.shape
     zoom = -(-_MIN_PANEL // max(width, height))
     panel_width = max(zoom * width, _MIN_PANEL)  # wide enough for a title
-    top = _MARGIN + _LABEL_HEIGHT  # of the pictures
-    size = 3 * panel_width + 4 * _MARGIN, top + zoom * height + _LABEL_HEIGHT + _MARGIN
+    picture_top = _MARGIN + _LABEL_HEIGHT
+    size = 3 * panel_width + 4 * _MARGIN, picture_top + zoom * height + _LABEL_HEIGHT + _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)
     band_height = max(1, _PIXELS_PER_BAND // width)
     panels = zip((*images, difference_codes), panel_titles, legends, strict=True)
     for panel_index, (codes, title, legend) in enumerate(panels):
         left = _MARGIN + panel_index * (panel_width + _MARGIN)
-        for text, y in ((title, _MARGIN), (legend, top + zoom * height + 4)):
+        for text, y in ((title, _MARGIN), (legend, picture_top + zoom * height + 4)):
             label = Image.new("RGB", (panel_width, _LABEL_HEIGHT), _PAPER_COLOR)
             ImageDraw.Draw(label).text((0, 0), text, fill=_INK_COLOR, font=font)
             sheet.paste(label, (left, y))
         for start in range(0, height, band_height):
             enlarged = codes[start : start + band_height].repeat(zoom, axis=0).repeat(zoom, axis=1)
-            sheet.paste(Image.fromarray(enlarged), (left, top + zoom * start))
+            sheet.paste(Image.fromarray(enlarged), (left, picture_top + zoom * start))
     with open_atomically(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
@@ -252,8 +252,8 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     codes : (height, width, 3) uint8 array
         A picture that is orange where the first picture is brighter, and blue where it is darker.
     gain : float
-        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, so that 99.9 %
-        of the amplified differences are at most 1.  0 if the pictures are equal.
+        Factor by which the difference is amplified; 0 if the pictures are equal.  It is 1, 2 or 5
+        times a power of ten: the largest for which 99.9 % of the results are at most 1.
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
     largest_shown = float(np.percentile(np.abs(difference), _PERCENTILE))
@@ -267,6 +267,6 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
         np.float32
     )
     for row_codes, row in zip(codes, difference, strict=True):  # row by row, to save memory
-        factor = np.clip(gain * row, -1, 1)[:, None]
-        row_codes[:] = np.round(np.maximum(factor * brighter_code, -factor * darker_code))
+        intensity = np.clip(gain * row, -1, 1)[:, None]
+        row_codes[:] = np.round(np.maximum(intensity * brighter_code, -intensity * darker_code))
     return codes, gain
