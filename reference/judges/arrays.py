@@ -24,66 +24,66 @@ def sum_by_index(index: Ints, values: Floats, count: int) -> Floats:
     Parameters
     ----------
     index : (n,) int array
-        For each value, the element of `sums` to which it is added, from 0 to count - 1.
+        The index of each value, from 0 to count - 1.
     values : (n,) float array
-        Numbers to add up.
+        The numbers to add up.
     count : int
-        Length of `sums`.
+        Number of sums.
 
     Returns
     -------
     sums : (count,) float array
-        The sum of the values for each index; 0 for an index that does not occur.
+        For each index, the sum of its values, or 0 if it has none.
     """
     # Without values, np.bincount returns integers.
     return np.bincount(index, values, count).astype(np.float64, copy=False)
 
 
-def add_at_sorted_index(total: Floats, index: Ints, values: Floats) -> None:
-    """Add each value to the element of an array given by the value's index.
+def add_at_sorted_index(totals: Floats, index: Ints, values: Floats) -> None:
+    """Add values to the elements of an array at given indices, which may repeat.
 
-    Unlike ``total[..., index] += values``, this adds all values that share an index.
+    Unlike ``totals[..., index] += values``, this adds all values that share an index.
 
     Parameters
     ----------
-    total : (..., m) float array
+    totals : (..., m) float array
         The array, which is changed in place.
     index : (n,) int array
-        For each value, an index into the last axis of `total`, in ascending order.
+        For each value, an index into the last axis of `totals`, in ascending order.
     values : (..., n) float array
-        The values to add.  The leading axes are those of `total`.
+        The values to add, with the same leading axes as `totals`.
     """
     run_start = np.flatnonzero(np.diff(index, prepend=-1))
-    total[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
+    totals[..., index[run_start]] += np.add.reduceat(values, run_start, axis=-1)
 
 
-def list_segment_elements(length: Ints, start: Ints) -> tuple[Ints, Ints]:
-    """List the indices of all elements of some segments of an array, segment by segment.
+def list_segment_elements(lengths: Ints, starts: Ints) -> tuple[Ints, Ints]:
+    """List the elements of several segments of an array, one segment after another.
 
     Parameters
     ----------
-    length, start : (n,) int arrays
-        Segment i consists of the elements start[i] to start[i] + length[i] - 1.
+    lengths, starts : (n,) int arrays
+        Segment i contains the elements starts[i] to starts[i] + lengths[i] - 1 of the array.
 
     Returns
     -------
     segment : (m,) int array
-        The segment of each listed element.  Here m is the sum of `length`.
+        For each listed element, the index of its segment.  Here m is the sum of `lengths`.
     element : (m,) int array
-        The index of each listed element in the array.
+        For each listed element, its index in the array.
     """
-    segment = np.arange(length.size).repeat(length)
-    return segment, np.arange(segment.size) - (length.cumsum() - length - start)[segment]
+    segment = np.arange(lengths.size).repeat(lengths)
+    return segment, np.arange(segment.size) - (lengths.cumsum() - lengths - starts)[segment]
 
 
-def find_in_sorted(sorted_numbers: Ints, wanted: Ints) -> Ints:
+def find_in_sorted(sorted_numbers: Ints, wanted_numbers: Ints) -> Ints:
     """Find the positions of numbers in a sorted array.
 
     Parameters
     ----------
     sorted_numbers : (m,) int array
         Non-negative numbers in ascending order.
-    wanted : (n,) int array
+    wanted_numbers : (n,) int array
         Non-negative numbers in any order.
 
     Returns
@@ -91,5 +91,5 @@ def find_in_sorted(sorted_numbers: Ints, wanted: Ints) -> Ints:
     position : (n,) int array
         For each wanted number, its index in `sorted_numbers`, or -1 if it is missing there.
     """
-    position = sorted_numbers.searchsorted(wanted)
-    return np.where(np.append(sorted_numbers, -1)[position] == wanted, position, -1)
+    position = sorted_numbers.searchsorted(wanted_numbers)
+    return np.where(np.append(sorted_numbers, -1)[position] == wanted_numbers, position, -1)

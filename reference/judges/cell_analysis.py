@@ -1,26 +1,31 @@
 """Enclose everything in cells of the picture: distances, edges, shadows and radiance.
 
-The problem: for each pair (a cell, and a face that may be visible in it), decide what is
-the same everywhere in the cell, and find all edges where the picture may change.  The tool is the
-*edge function*, which is positive on one side of an edge and negative on the other.  Silhouettes,
-intersections of surfaces, terminators and shadow edges are zeros of such functions.  If a function
-has the same sign everywhere in a cell, it decides a case there.  Otherwise the cell may contain an
-edge.
+The problem: for each pair (a face that may be visible in a cell), decide what is the same
+everywhere in the cell, and find all edges where the picture may change.  The tool is the *edge
+function*, which is positive on one side of an edge and negative on the other.  Silhouettes,
+intersections of surfaces, terminators and shadow edges are zeros of such functions.  A function
+that has the same sign everywhere in a cell decides a question there.  Otherwise the cell may
+contain an edge.
 
-On a face, every edge function has the form u + v s.  Here u and v are polynomials of degree two, or
-less, in the ray's direction, and s is the square-root term of the inverse distance (see `faces`; s
-is 0 on rectangles).  Polynomials with error bounds (see `enclosures`) enclose u, v and s, and so
-the function.  Near a silhouette, where s has an infinite slope, the polynomial u^2 - v^2 s^2 is a
-better edge function: it contains s^2 only, and is zero wherever u + v s is.
+The point where a camera ray meets a face is the face's *visible point*.  Its inverse distance is
+linear in the ray's direction, plus a square root if the face is a sphere: the *root term* (see
+`faces`).  Therefore every edge function has the form
 
-Why the result is right: a case counts as decided only if the enclosure of its function has one
+    smooth_part + root_factor * root_term,
+
+where the first two are polynomials of degree two or less in the ray's direction.  Polynomials with
+error bounds (see `enclosures`) enclose all three, and so the function.  Near a silhouette, the root
+term has an infinite slope.  There, smooth_part^2 - (root_factor * root_term)^2 is a better edge
+function: it contains only the square of the root term, and has the same zeros, and perhaps others.
+
+Why the result is right: a question counts as decided only if the enclosure of its function has one
 sign, and every other function is listed as an edge.
 
 Rounding.  Linear functions are sums of three products.  Their rounding error is at most 4 e times
-the sum of the products, with e = 2^-53.  The rounding error of the quadratic polynomials of cones
-is at most 20 e times (r^2 + |c|^2) |q|^2.  The error bounds contain at least 900 e times the same
-sums, so they also cover the rounding errors of earlier results: centres relative to the eye, and
-planes.
+the sum of the absolute values of the products, with e = 2^-53.  The rounding error of the quadratic
+polynomials of cones is at most 20 e times (r^2 + |c|^2) |q|^2 (see `_enclose_cone`).  The error
+bounds contain at least 900 e times the same sums, so they also cover the rounding errors of earlier
+results: centres relative to the eye, and planes.
 """
 
 from __future__ import annotations
@@ -35,7 +40,7 @@ from reference.judges.arrays import Bools, Floats, Ints, add_at_sorted_index, li
 from reference.judges.cells import MAX_WIDTH, Cells
 from reference.judges.enclosures import CONSTANT, RADIUS, ROUNDING, UNKNOWN, X_SQUARED, Enclosures
 from reference.judges.faces import Faces
-from reference.judges.vectors import cross_product, squared_length
+from reference.judges.vectors import compute_cross_product, compute_squared_length
 
 # Squared distances, and |l + v|^2 of two unit vectors, are positive.  Their lower bounds are raised
 # to this number before a negative power is computed.
@@ -43,18 +48,18 @@ _MIN_SQUARE = 1e-300
 
 
 class Contributions(NamedTuple):
-    """The radiance that each of n (pair, light) combinations adds, sorted by pair and light.
+    """n contributions of single lights to the radiance of pairs, sorted by pair and light.
 
-    A pair is one face (a sphere, or a side of a box) in one cell (a square part of the picture).
+    A pair is a face (a sphere, or a side of a box) in a cell (a square part of the picture).
 
     Attributes
     ----------
     pair, light : (n,) int arrays
-        Indices of the pair and of the light of each contribution.
+        The pair and the light of each contribution.
     radiance : Enclosures
         Enclosures (8, 3, n) of the radiance that the face reflects to the eye wherever the light
-        reaches it.  The first axis holds the coefficients of a polynomial and its error bound;
-        the second holds the three channels.
+        reaches the face.  The first axis holds the coefficients of a polynomial and its error
+        bound; the second holds the three channels.
     """
 
     pair: Ints
@@ -66,80 +71,102 @@ class Contributions(NamedTuple):
         return Contributions(self.pair[is_kept], self.light[is_kept], self.radiance[is_kept])
 
 
-class _Condition(NamedTuple):
-    """One condition on each of n cases: it holds where a function u + v s is positive.
+class _RayFunctions(NamedTuple):
+    """n functions of the camera ray, each for one pair (a face in a cell).
 
-    A case asks something about one pair (one face in one cell), for example whether the face fills
-    the cell.  A camera ray with direction d meets the face at the distance t, where
-    1 / t = k.d + s.  Here k is a constant vector, and s is the square-root term, which is 0 for
-    planes.
+    A function is the sum smooth_part + root_factor * root_term.  Here the root term is the square
+    root in the inverse distance of a sphere; it is 0 for a side of a box.
 
     Attributes
     ----------
-    case_index : (n,) int array
-        Indices of the cases.
-    u, v : Enclosures, and Enclosures or (n,) float array
-        The coefficients u and v of each function.  If v is an array, it is constant in each cell.
-    is_edge : bool, or (n,) bool array
+    pair : (n,) int array
+        Indices of the pairs.
+    smooth_part : Enclosures
+        Enclosures (8, n) of the first terms.
+    root_factor : Enclosures, or (n,) float array
+        The factors of the root terms.  An array holds factors that are constant in the cell.
+    """
+
+    pair: Ints
+    smooth_part: Enclosures
+    root_factor: Enclosures | Floats
+
+    def take(self, index: Ints) -> _RayFunctions:
+        """Copy the functions selected by indices (k,)."""
+        return _RayFunctions(self.pair[index], self.smooth_part[index], self.root_factor[index])
+
+
+class _Condition(NamedTuple):
+    """A condition for each of n claims, which holds where a function is positive.
+
+    A claim concerns a pair (a face in a cell), for example that the face covers the cell.
+
+    Attributes
+    ----------
+    claim_index : (n,) int array
+        Indices of the claims.
+    functions : _RayFunctions
+        The n functions of the camera ray.
+    has_edge : bool, or (n,) bool array
         Whether the picture may have an edge where the function is zero.
     """
 
-    case_index: Ints
-    u: Enclosures
-    v: Enclosures | Floats
-    is_edge: Bools | bool
+    claim_index: Ints
+    functions: _RayFunctions
+    has_edge: Bools | bool
 
 
 def _enclose_cone(
-    center: Floats, radius: Floats, sized_q: tuple[Floats, Floats], sized_w: tuple[Floats, Floats]
+    center: Floats, radius: Floats, points: Floats, shifted_points: Floats, sizes: Floats
 ) -> tuple[Enclosures, Floats]:
-    """Bound r^2 |q|^2 - |c x q|^2 over cells: it is positive at points inside a sphere's cone.
+    """Enclose a function that is positive at points inside the cone around a sphere.
 
-    The double cone consists of all lines through an apex that meet the sphere.  Here r is the
-    sphere's radius, c is the vector from the apex to the sphere's centre, and q is the vector from
-    the apex to the tested point.  The vectors q are linear in the position (X, Y) in a cell of the
-    picture.
+    The cone consists of all lines that contain its apex and meet the sphere.  Let c be the vector
+    from the apex to the sphere's centre, r the radius, and q the vector from the apex to a point.
+    The function is r^2 |q|^2 - |c x q|^2.
 
     Parameters
     ----------
     center, radius : (3, n) and (n,) float arrays
         The vectors c and the radii r.
-    sized_q : (3, 3, n) and (n,) float arrays
-        The vectors q, and for each an upper bound on the absolute value of any of its terms, which
-        scales the rounding errors.  The first axis of q holds the components, the second the
-        coefficients of 1, X and Y.
-    sized_w : (3, 3, n) and (n,) float arrays
-        Vectors w with c x w = c x q, and the same bounds for them.  Each w is q plus a multiple of
-        c, chosen so that the rounding error of c x w is small.
+    points : (3, 3, n) float array
+        The vectors q, which are linear in the position (X, Y) in a cell.  The first axis holds the
+        components; the second holds the coefficients of 1, X and Y.
+    shifted_points : (3, 3, n) float array
+        The sum of q and a multiple of c, which leaves c x q unchanged.  The multiple is chosen so
+        that the rounding error of the cross product is small.
+    sizes : (2,) or (2, n) float array
+        Upper bounds on the absolute values of the terms of `points` and of `shifted_points`, to
+        which the rounding errors are proportional.
 
     Returns
     -------
     cone : Enclosures
         Enclosures (8, n) of the function.
-    c_cross_w : (3, 3, n) float array
-        The cross products c x q, with the axes of q.
+    cross : (3, 3, n) float array
+        The cross products c x q, with the axes of `points`.
     """
-    (q, q_size), (w, w_size) = sized_q, sized_w
-    c_cross_w, coef = cross_product(center, w), np.zeros((8, center.shape[1]))
-    coef[:UNKNOWN] = radius * radius * squared_length(q) - squared_length(c_cross_w)
-    error_bound = radius * radius * q_size * np.abs(q).sum(axis=(0, 1))
-    error_bound += (center * center).sum(axis=0) * w_size * np.abs(w).sum(axis=(0, 1))
+    (size, shifted_size), radius2, center2 = sizes, radius * radius, (center * center).sum(axis=0)
+    cross, coef = compute_cross_product(center, shifted_points), np.zeros((8, radius.size))
+    coef[:UNKNOWN] = radius2 * compute_squared_length(points) - compute_squared_length(cross)
+    error_bound = radius2 * size * np.abs(points).sum(axis=(0, 1))
+    error_bound += center2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
     coef[RADIUS] = 8 * ROUNDING * error_bound
-    return Enclosures(coef), c_cross_w
+    return Enclosures(coef), cross
 
 
 class CellAnalysis:
     """Inverse distances, edge functions and radiance in cells of the picture, with error bounds.
 
-    A pair is one face (a sphere, or a side of a box) that may be visible in one cell (a square part
-    of the picture).  A camera ray with direction d meets the face at the distance t, where
-    1 / t = k.d + s.  Here k is a constant vector of the face, and s is the square-root term, which
-    is 0 for planes.
+    A pair is a face (a sphere, or a side of a box) that may be visible in a cell (a square part of
+    the picture).  A camera ray with direction d meets the face at the distance t, where
+    1 / t = k.d + root_term.  Here k is a constant vector of the face.  The root term is a square
+    root if the face is a sphere, and 0 if it is a side of a box.
 
     A quantity is enclosed everywhere in a cell by a quadratic polynomial in the coordinates X and
-    Y, which run from -1 to 1 in the cell.  Its array (8, n) holds in rows 0 to 5 the coefficients
-    of 1, X, Y, X^2, X Y and Y^2, in row 6 the coefficient of an unknown Z from -1 to 1, and in row
-    7 (RADIUS) an error bound.
+    Y, which run from -1 to 1 in the cell.  Rows 0 to 5 of its array (8, n) hold the coefficients of
+    1, X, Y, X^2, X Y and Y^2.  Row 6 holds the coefficient of an unknown Z from -1 to 1, and row 7
+    (RADIUS) an error bound.
 
     Attributes
     ----------
@@ -152,24 +179,24 @@ class CellAnalysis:
     inverse_distance : Enclosures
         Enclosures (8, p) of 1 / t, one for each pair.
     squared_root_term, root_term : Enclosures
-        Enclosures (8, p) of s^2 and of s, one for each pair.  The unknown Z is the same in s and in
-        1 / t.
+        Enclosures (8, p) of the root term and its square, one for each pair.  The unknown Z is the
+        same in the root term and in 1 / t.
     """
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
         """Find the visible faces of each cell, the lights that reach them, and all possible edges.
 
-        A pair is one face in one cell.  A triple is a pair, a light, and an object that may shade
-        the face from the light.  A light is settled for a pair if it is known to reach all of the
-        face in the cell, or nothing of it.
+        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
+        that may shade the face from the light.  A light is settled for a pair if it is known to
+        reach all of the face in the cell, or none of it.
 
         Parameters
         ----------
         faces : Faces
             The spheres and the sides of boxes in the scene.
         cells : Cells
-            The cells, which are not changed.  The attribute `cells` is a copy without irrelevant
-            pairs and triples, in which more lights are settled.
+            The cells, which are not changed.  In the attribute `cells`, a copy, irrelevant pairs
+            and triples are removed, and more lights are settled.
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Directions of camera rays as functions of the position in each cell.  The first axis holds
@@ -179,7 +206,7 @@ class CellAnalysis:
         pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
         rays[0, 1], rays[1, 2] = self._half_cell_size = cells.width / 2 * pixel_size
         coef = np.zeros((8, cells.x.size))
-        coef[:UNKNOWN] = squared_length(rays)
+        coef[:UNKNOWN] = compute_squared_length(rays)
         coef[RADIUS] = ROUNDING * coef[CONSTANT]
         self.squared_direction = Enclosures(coef)
         # Pairs, lights (or -1) and enclosures of edge functions.
@@ -191,7 +218,7 @@ class CellAnalysis:
             self._find_intersections()
 
     def _dot_with_rays(self, vectors: Floats, cell: Ints) -> Enclosures:
-        """Enclose the dot products of constant vectors with the ray directions in their cells.
+        """Enclose the dot products of constant vectors with the ray directions in cells.
 
         Parameters
         ----------
@@ -203,8 +230,8 @@ class CellAnalysis:
         Returns
         -------
         product : Enclosures
-            Enclosures (8, n) of the dot products, which are linear in the position (X, Y) in the
-            cell.  Only rows 0 to 2 (coefficients of 1, X and Y) and row 7 (RADIUS) are not zero.
+            Enclosures (8, n) of the dot products.  Only rows 0 to 2 (the coefficients of 1, X and
+            Y) and row 7 (RADIUS) are not zero.
         """
         coef, max_ray_size = np.zeros((8, cell.size)), self.faces.frame.max_ray_size
         coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell, axis=1)).sum(axis=0)
@@ -212,177 +239,155 @@ class CellAnalysis:
         coef[RADIUS] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
         return Enclosures(coef)
 
-    def _half_space_function(self, pair: Ints, half_space: Floats) -> tuple[Enclosures, Floats]:
-        """Find u and v such that u + v s is positive where a ray meets a face inside a half-space.
-
-        Let n.x + b >= 0 be the half-space.  The ray with direction d meets the face at x = t d,
-        where 1 / t = k.d + s.  Here k is a constant vector, and s is the square-root term, which is
-        0 for planes.  The point is in the half-space if n.d + b / t >= 0, where
-        n.d + b / t = (n.d + b k.d) + b s.
+    def _express_half_space(self, pair: Ints, half_space: Floats) -> _RayFunctions:
+        """Express half-spaces as functions that are positive where camera rays meet a face inside.
 
         Parameters
         ----------
         pair : (n,) int array
-            Indices of pairs.  A pair is one face in one cell.
+            Indices of pairs.  A pair is a face in a cell.
         half_space : (5, n) float array
-            One half-space for each pair.  Rows 0 to 2 contain n, and row 3 contains b.  Row 4
-            contains the sum of the absolute values of the terms of b, to which the rounding error
-            of b is proportional.
+            For each pair, a half-space n.x + b >= 0.  Rows 0 to 2 contain n, and row 3 contains b.
+            Row 4 contains the sum of the absolute values of the terms of b, to which the rounding
+            error of b is proportional.
 
         Returns
         -------
-        u : Enclosures
-            Enclosures (8, n) of u = n.d + b k.d in the cells of the pairs.
-        v : (n,) float array
-            The coefficients v = b.
+        functions : _RayFunctions
+            One function of the camera ray for each pair.
         """
+        # The ray with direction d meets the face at t d, where 1 / t is the sum of the linear term
+        # and the root term.  Divided by t, the half-space at this point is n.d + b / t >= 0.
         *normal, b, b_size = half_space
-        u = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
-        u += self._linear_term[pair] * b
-        u.coef[RADIUS] += ROUNDING * b_size * self._max_inverse_distance[pair]
-        return u, b
+        smooth_part = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
+        smooth_part += self._linear_term[pair] * b
+        smooth_part.coef[RADIUS] += ROUNDING * b_size * self._max_inverse_distance[pair]
+        return _RayFunctions(pair, smooth_part, b)
 
-    def _enclose_functions(self, pair: Ints, u: Enclosures, v: Enclosures | Floats) -> Enclosures:
-        """Enclose functions u + v s over cells, where s depends on the ray and the surface.
-
-        The ray with direction d meets the surface at the distance t, where 1 / t = k.d + s with a
-        constant vector k.  For spheres, s is a square root; for planes, it is 0.
+    def _enclose_functions(self, functions: _RayFunctions) -> Enclosures:
+        """Enclose functions of the camera ray.
 
         Parameters
         ----------
-        pair : (n,) int array
-            For each function, the index of its pair.  A pair is one face in one cell.
-        u, v : Enclosures, and Enclosures or (n,) float array
-            The coefficients u and v.  If the face is a side of a box, v is ignored.
+        functions : _RayFunctions
+            n functions smooth_part + root_factor * root_term.  The root term is the square root in
+            the inverse distance of a sphere; it is 0 for a side of a box.
 
         Returns
         -------
-        functions : Enclosures
-            Enclosures (8, n) of the functions in the cells of the pairs.
+        enclosures : Enclosures
+            Enclosures (8, n) of the functions, each in the cell of its pair.
         """
-        coef = u.coef.copy()
-        # Indices of the functions on spheres; on sides of boxes, s is 0.
-        spherical = np.flatnonzero(~self.faces.is_planar[self.cells.pair_face[pair]])
-        coef[:, spherical] += (self.root_term[pair[spherical]] * v[spherical]).coef
+        coef = functions.smooth_part.coef.copy()
+        is_planar = self.faces.is_planar[self.cells.pair_face[functions.pair]]
+        sphere_index = np.flatnonzero(~is_planar)
+        pair, root_factor = functions.pair[sphere_index], functions.root_factor[sphere_index]
+        coef[:, sphere_index] += (self.root_term[pair] * root_factor).coef
         return Enclosures(coef)
 
-    def _decide(
-        self, pair: Ints, light: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
+    def _decide_claims(
+        self, light: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
-        """Decide which cases are true everywhere in their cell, and which are false everywhere.
+        """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
-        Each of n cases concerns one pair (one face in one cell).  It is true where all of its
-        conditions hold.  A condition holds where its function u + v s is positive.  Here s is the
-        square-root term of the face's inverse distance: a ray with direction d meets the face at
-        the distance t, where 1 / t = k.d + s with a constant vector k.
-
-        If a case remains undecided, each of its functions that may have both signs in the cell is
-        listed as an edge, except where `is_edge` of its condition is False.
+        A claim concerns a pair (a face in a cell), for example that the face covers the cell.  It
+        is true at a point of the cell if all its conditions hold there.  If a claim is undecided,
+        every function of its conditions that may have both signs in the cell is listed as an edge,
+        unless `has_edge` of the condition is False.
 
         Parameters
         ----------
-        pair : (n,) int array
-            For each case, the index of its pair.
         light : (n,) int array, or int
-            For each case, the light whose radiance depends on the decision, or -1 if all radiance
-            depends on it.
+            For each claim, the light whose radiance depends on it, or -1 if all radiance does.
         is_false : (n,) bool array
-            Changed in place: set to True for each case with a condition that holds nowhere in the
-            cell.  This happens after each item of `conditions`, so that an iterator can skip the
-            cases that are already decided.
+            Set to True, in place, for each claim with a condition that holds nowhere in the cell.
+            The array is updated after each condition, so that `conditions` can skip claims that are
+            false.
         conditions : iterable of _Condition
-            Each item holds one condition on some of the cases.
+            Conditions, each for some of the claims.
 
         Returns
         -------
         is_true : (n,) bool array
-            Whether all conditions on the case hold everywhere in the cell.
+            Whether all conditions for the claim hold everywhere in the cell.
         """
-        is_true, light = np.ones(pair.size, np.bool_), np.broadcast_to(light, pair.shape)
+        is_true, light = np.ones(is_false.size, np.bool_), np.broadcast_to(light, is_false.shape)
         possible_edges = []
-        for case, u, v, is_edge in conditions:
-            functions = self._enclose_functions(pair[case], u, v)
-            low, high = functions.bounds()
-            is_false[case[high <= 0]] = True
-            is_true[case[~(low > 0)]] = False
+        for claim, functions, has_edge in conditions:
+            enclosures = self._enclose_functions(functions)
+            low, high = enclosures.bounds()
+            is_false[claim[high <= 0]] = True
+            is_true[claim[~(low > 0)]] = False
             # Indices of functions that may have both signs.
-            mixed = np.flatnonzero(~(low >= 0) & ~(high <= 0) & is_edge)
-            possible_edges.append((case[mixed], functions[mixed], u[mixed], v[mixed]))
-        for case, functions, u, v in possible_edges:
-            index = np.flatnonzero(~is_false[case])
-            edge_pair, edge_light = pair[case[index]], light[case[index]]
-            edges = self._narrow_edge_functions(edge_pair, functions[index], u[index], v[index])
-            self._edges.append((edge_pair, edge_light, edges))
+            index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & has_edge)
+            possible_edges.append((claim[index], functions.take(index), enclosures[index]))
+        for claim, functions, enclosures in possible_edges:
+            index = np.flatnonzero(~is_false[claim])
+            edge_functions = functions.take(index)
+            edges = self._narrow_enclosures(edge_functions, enclosures[index])
+            self._edges.append((edge_functions.pair, light[claim[index]], edges))
         return is_true & ~is_false
 
-    def _narrow_edge_functions(
-        self, pair: Ints, functions: Enclosures, u: Enclosures, v: Enclosures | Floats
-    ) -> Enclosures:
-        """Replace edge functions u + v s with u^2 - v^2 s^2 where the enclosure is then narrower.
+    def _narrow_enclosures(self, functions: _RayFunctions, enclosures: Enclosures) -> Enclosures:
+        """Replace edge functions by others with narrower enclosures where this is possible.
 
-        The picture may have an edge where such a function is zero.  Here s is the square-root term
-        of a face's inverse distance: a ray with direction d meets the face at the distance t, where
-        1 / t = k.d + s with a constant vector k.  Near a silhouette, s is steep, so its enclosure
-        is wide.  The second function is zero wherever the first is.
+        An edge function is smooth_part + root_factor * root_term, where the root term is the square
+        root in the inverse distance of a sphere.  Near a silhouette, the root term is steep, so its
+        enclosure is wide.  The function smooth_part^2 - (root_factor * root_term)^2 has the same
+        zeros, and perhaps others.  But it contains only the square of the root term.
 
         Parameters
         ----------
-        pair : (n,) int array
-            For each function, the index of its pair.  A pair is one face in one cell.
-        functions : Enclosures
-            Enclosures (8, n) of u + v s in the cells of the pairs.  They are changed in place.
-        u, v : Enclosures, and Enclosures or (n,) float array
-            The coefficients u and v.
+        functions : _RayFunctions
+            n edge functions.
+        enclosures : Enclosures
+            Enclosures (8, n) of the functions.  They are changed in place.
 
         Returns
         -------
-        narrowed : Enclosures
-            The narrower enclosure for each function, relative to its slope.
+        enclosures : Enclosures
+            Enclosures (8, n) of the functions or their replacements, whichever are narrower in
+            relation to their slopes.
         """
-        # Indices of the functions on spheres: elsewhere, s and the coefficient of Z are zero.
-        spherical = np.flatnonzero(functions.coef[UNKNOWN])
-        if spherical.size:
-            u, v = u[spherical], v[spherical]
-            narrowed = u * u - self.squared_root_term[pair[spherical]] * v * v
-            is_narrower = narrowed.relative_width < functions[spherical].relative_width
-            functions.coef[:, spherical[is_narrower]] = narrowed.coef[:, is_narrower]
-        return functions
+        # Indices of the functions on spheres: elsewhere, the coefficient of the unknown Z is 0.
+        index = np.flatnonzero(enclosures.coef[UNKNOWN])
+        if index.size:
+            pair, smooth_part, factor = functions.take(index)
+            squared = smooth_part * smooth_part - self.squared_root_term[pair] * factor * factor
+            is_narrower = squared.relative_width < enclosures[index].relative_width
+            enclosures.coef[:, index[is_narrower]] = squared.coef[:, is_narrower]
+        return enclosures
 
     def _find_visible_faces(self) -> None:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
-        A pair is one face in one cell.  A camera ray with direction d meets the face at the
-        distance t, where 1 / t = k.d + s.  Here k is a constant vector, and s is the square-root
-        term, which is 0 for planes.
+        A pair is a face that may be visible in a cell.  It is removed if the face is outside the
+        cell, or hidden by another face everywhere in the cell.  The outlines of the remaining faces
+        that may cross the cell are listed as edges.
 
-        A pair is removed if its face is outside the cell, or if another face hides it everywhere in
-        the cell.  For each remaining pair, the outline of the face is listed as an edge if it may
-        cross the cell.
-
-        The attributes `inverse_distance` (1 / t), `root_term` (s) and `squared_root_term` (s^2) are
-        set.  In `cells`, `covers_cell` is updated.
+        This sets the attributes `inverse_distance`, `root_term` and `squared_root_term`, and
+        updates `covers_cell` in `cells`.
         """
         faces, face, cell = self.faces, self.cells.pair_face, self.cells.pair_cell
         sphere_pair = np.flatnonzero(~faces.is_planar[face])
         discriminants = np.zeros((8, face.size))
-        rays = self._rays[:, :, cell[sphere_pair]], np.array([faces.frame.max_ray_size])
+        rays, sizes = self._rays[:, :, cell[sphere_pair]], np.full(2, faces.frame.max_ray_size)
         center, radius = faces.center[:, face[sphere_pair]], faces.radius[face[sphere_pair]]
-        discriminants[:, sphere_pair] = _enclose_cone(center, radius, rays, rays)[0].coef
-        # For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x d|^2), where w is its
-        # `root_coef` and the second factor its discriminant.
+        discriminants[:, sphere_pair] = _enclose_cone(center, radius, rays, rays, sizes)[0].coef
+        # The root term is the sphere's `root_coef` times the square root of its discriminant.
         self.squared_root_term = Enclosures(discriminants * faces.root_coef[face] ** 2)
         self.root_term = Enclosures(np.zeros((8, face.size)))
         self._linear_term = self._dot_with_rays(faces.linear_coef[:, face], cell)
         self._max_inverse_distance = self._linear_term.max_abs
         is_outside = np.zeros(face.size, np.bool_)
-        conditions = self._hit_conditions(sphere_pair, Enclosures(discriminants))
-        covers_cell = self._decide(np.arange(face.size), -1, is_outside, conditions)
+        conditions = self._make_hit_conditions(Enclosures(discriminants))
+        covers_cell = self._decide_claims(-1, is_outside, conditions)
         self.inverse_distance = Enclosures(self._linear_term.coef.copy())
         visible_pair = sphere_pair[~is_outside[sphere_pair]]
         coef = self.squared_root_term[visible_pair].power(0.5).coef
         rounding_error = self.inverse_distance.coef[RADIUS, visible_pair]
-        # The error bound of s becomes the coefficient of the unknown Z, which s shares with 1 / t.
-        # The new error bound covers only rounding errors.
+        # The error bound of the root term becomes the coefficient of the unknown Z, which the
+        # inverse distance shares.  The new error bound covers only rounding errors.
         coef[UNKNOWN], coef[RADIUS] = coef[RADIUS] + rounding_error, rounding_error
         self.root_term.coef[:, visible_pair] = coef
         self.inverse_distance.coef[:, visible_pair] += coef
@@ -390,81 +395,74 @@ class CellAnalysis:
         is_kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
         self.cells, new_pair = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
         for i, (pair, light, functions) in enumerate(self._edges):
-            kept_edge = np.flatnonzero(is_kept[pair])
-            self._edges[i] = new_pair[pair[kept_edge]], light[kept_edge], functions[kept_edge]
+            kept_index = np.flatnonzero(is_kept[pair])
+            self._edges[i] = new_pair[pair[kept_index]], light[kept_index], functions[kept_index]
         self.inverse_distance = self.inverse_distance[is_kept]
         self.root_term = self.root_term[is_kept]
         self.squared_root_term = self.squared_root_term[is_kept]
         self._linear_term = self._linear_term[is_kept]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
-    def _hit_conditions(self, sphere_pair: Ints, discriminants: Enclosures) -> Iterator[_Condition]:
-        """Yield conditions for rays to hit each pair's face: four for boxes, two for spheres.
+    def _make_hit_conditions(self, discriminants: Enclosures) -> Iterator[_Condition]:
+        """Yield the conditions for camera rays to hit each pair's face.
 
-        A pair is one face in one cell.  Pairs whose face is known to cover the cell are skipped.
-
-        Conditions 1 to 4 apply to the faces of boxes: the ray meets the plane of the face at a
-        point inside each of the face's four edges.  Conditions 5 and 6 apply to spheres that
-        do not contain the eye: the centre is in front of the eye, and the line that contains the
-        ray meets the sphere.
+        A pair is a face in a cell.  A ray hits a side of a box if it meets the side's plane inside
+        each of the side's four edges.  A ray hits a sphere if the centre is ahead of the eye, and
+        the line that contains the ray meets the sphere.  Faces that are known to cover their cell
+        are skipped.  So are spheres that contain the eye, because all rays hit them.
 
         Parameters
         ----------
-        sphere_pair : (n,) int array
-            Indices of the pairs whose face is a sphere.
         discriminants : Enclosures
-            Enclosures (8, p) of r^2 d^2 - |c x d|^2 for each pair with a sphere, where r is the
-            radius, c the centre relative to the eye, and d the direction of a ray.  Positive where
-            the line that contains the ray meets the sphere.
+            Enclosures (8, p), for each pair with a sphere, of a function that is positive where the
+            line that contains the ray meets the sphere.
 
         Yields
         ------
         condition : _Condition
-            One of the six conditions, with the indices of the pairs to which it applies as
-            `case_index`.
+            A condition for some of the pairs, whose indices are in `claim_index`.
         """
         faces, cells = self.faces, self.cells
-        pair = np.flatnonzero(~cells.covers_cell & faces.is_planar[cells.pair_face])
+        is_planar = faces.is_planar[cells.pair_face]
+        pair = np.flatnonzero(~cells.covers_cell & is_planar)
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
-            yield _Condition(pair, *self._half_space_function(pair, half_space), is_edge=True)
-        # A sphere that contains the eye is visible in every direction.  The power of the eye,
-        # |c|^2 - r^2, is positive outside the sphere.
-        is_eye_outside = faces.eye_power[cells.pair_face[sphere_pair]] > 0
-        pair = sphere_pair[~cells.covers_cell[sphere_pair] & is_eye_outside]
+            yield _Condition(pair, self._express_half_space(pair, half_space), has_edge=True)
+        pair = np.flatnonzero(~cells.covers_cell & ~is_planar)
+        pair = pair[faces.eye_power[cells.pair_face[pair]] > 0]  # the eye is outside the sphere
         center, zeros = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
-        # The lines that meet the sphere form a double cone.  Behind the eye, c.d is negative.
         center_dot_ray = self._dot_with_rays(center, cells.pair_cell[pair])
-        yield _Condition(pair, center_dot_ray, zeros, is_edge=False)
-        yield _Condition(pair, discriminants[pair], zeros, is_edge=True)
+        # This is no edge: where the function is 0, the line misses the sphere.
+        yield _Condition(pair, _RayFunctions(pair, center_dot_ray, zeros), has_edge=False)
+        yield _Condition(pair, _RayFunctions(pair, discriminants[pair], zeros), has_edge=True)
 
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
-        A pair is one face in one cell.  Only one occluder is tried in each cell: among the faces
-        that cover the cell, the one with the largest lower bound on its inverse distance.
+        A pair is a face in a cell.  Only one occluder is tried in each cell: of the faces that
+        cover the cell, the one whose largest possible distance is smallest.
 
         Parameters
         ----------
         covers_cell : (p,) bool array
-            For each pair, whether its face covers all of its cell.
+            For each pair, whether its face covers all of the cell.
 
         Returns
         -------
         is_hidden : (p,) bool array
-            For each pair, whether its face is certainly behind the occluder.  If both are in the
+            For each pair, whether its face is certainly behind the occluder.  Of two faces in the
             same plane, the one whose object comes first in the scene file hides the other.
         """
         faces, inverse_distance = self.faces, self.inverse_distance
         cell, face = self.cells.pair_cell, self.cells.pair_face
         file_index = faces.prepared.surfaces.file_index[faces.object_index[face]]
         covering_pair = np.flatnonzero(covers_cell)
-        min_inverse = inverse_distance[covering_pair].bounds()[0]
-        order = np.lexsort((-file_index[covering_pair], min_inverse, cell[covering_pair]))
-        occluder_of_cell = np.full(self.cells.x.size, -1)
+        min_inverse_distance = inverse_distance[covering_pair].bounds()[0]
+        order = np.lexsort((-file_index[covering_pair], min_inverse_distance, cell[covering_pair]))
+        cell_occluder = np.full(self.cells.x.size, -1)
         # If a cell has several covering pairs, the last one remains.
-        occluder_of_cell[cell[covering_pair[order]]] = covering_pair[order]
-        occluder = occluder_of_cell[cell]
+        cell_occluder[cell[covering_pair[order]]] = covering_pair[order]
+        occluder = cell_occluder[cell]
         pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
         occluder = occluder[pair]
         plane_id = faces.plane_id[:, face]
@@ -475,57 +473,53 @@ class CellAnalysis:
         is_hidden[pair] = np.where(in_same_plane, is_later, is_behind)
         return is_hidden
 
-    def _light_height_function(self, pair: Ints, light: Ints) -> tuple[Enclosures, Floats]:
-        """Find u and v such that u + v s is positive where a light is in front of a face.
+    def _express_light_height(self, pair: Ints, light: Ints) -> _RayFunctions:
+        """Express the heights of lights above faces as functions of the camera ray.
 
-        A ray with direction d meets the face at the distance t, where 1 / t = k.d + s.  Here k is a
-        constant vector, and s is the square-root term, which is 0 for planes.  The function equals
-        h / t, where h is the height of the light above the tangent plane at this point.
+        A function is the height of a light above the face's tangent plane at the point where the
+        ray meets the face, divided by the distance of this point from the eye.  It is positive for
+        lights in front of the face.
 
         Parameters
         ----------
         pair : (n,) int array
-            Indices of pairs.  A pair is one face in one cell.
+            Indices of pairs.  A pair is a face in a cell.
         light : (n,) int array
             For each pair, the index of a light, or -1 for the eye instead of a light.
 
         Returns
         -------
-        u : Enclosures
-            Enclosures (8, n) of u in the cells of the pairs.
-        v : (n,) float array
-            The coefficients v.
+        functions : _RayFunctions
+            One function of the camera ray for each pair and light.
         """
         face = self.cells.pair_face[pair]
-        return self._half_space_function(pair, self.faces.height_half_space[:, light, face])
+        return self._express_half_space(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
         """Settle lights that are behind a sphere's surface, and list terminators as edges.
 
-        A terminator is the curve between the lit and the dark side of a sphere.  For each sphere in
-        each cell, every unsettled light is examined.  If the light is behind the surface everywhere
-        in the cell, it is marked in `cells.is_settled`, and adds no radiance.  If it may be behind
-        the surface in only a part of the cell, the terminator is listed as an edge.
+        A terminator is the curve between the lit and the dark side of a sphere.  If an unsettled
+        light is behind the surface everywhere in a cell, it is marked in `cells.is_settled`, and
+        adds no radiance.  If it is behind the surface in a part of the cell, the terminator is
+        listed as an edge.
         """
-        # Lights behind the plane of a rectangle are settled from the start.
-        is_on_sphere = ~self.faces.is_planar[self.cells.pair_face]
-        pair, light = np.nonzero(~self.cells.is_settled & is_on_sphere[:, None])
+        # Lights behind a side of a box are settled from the start.
+        is_sphere = ~self.faces.is_planar[self.cells.pair_face]
+        pair, light = np.nonzero(~self.cells.is_settled & is_sphere[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
-        height_function = self._light_height_function(pair, light)
-        is_in_front = _Condition(np.arange(pair.size), *height_function, is_edge=True)
-        self._decide(pair, light, is_unlit, [is_in_front])
+        height_functions = self._express_light_height(pair, light)
+        is_in_front = _Condition(np.arange(pair.size), height_functions, has_edge=True)
+        self._decide_claims(light, is_unlit, [is_in_front])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Compute a bounding box of the part of each pair's face that may be visible in its cell.
-
-        A pair is one face in one cell.
+        """Compute bounding boxes of the parts of faces that may be visible in cells.
 
         Returns
         -------
         center, half_size : (3, p) float arrays
-            For each pair, the centre and half the size of a box along the scene's axes, widened to
-            allow for rounding errors.
+            Centre and half size of the box for each pair (a face in a cell), along the scene's
+            axes.  The boxes are widened to allow for rounding errors.
         """
         faces, axes = self.faces, self.faces.frame.axes.T
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
@@ -540,133 +534,116 @@ class CellAnalysis:
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
-        """Settle lights that an object blocks throughout a cell, and list shadow edges.
+        """Settle lights that an object blocks everywhere in a cell, and list shadow edges.
 
-        A pair is one face in one cell.  A triple is a pair, a light, and an occluder (an object
-        that may shade the face from the light).  If the occluder shades all of the face in the
-        cell, the light is marked in `cells.is_settled`, and adds no radiance.
+        A pair is a face in a cell.  A triple is a pair, a light, and an occluder that may shade the
+        face from the light.  If the occluder shades all of the face in the cell, the light is
+        marked in `cells.is_settled`, and adds no radiance.  Triples are removed if their light is
+        settled, or if their occluder shades nothing of the face in the cell.  For all others, the
+        shadow edges that may cross the cell are listed.
 
-        A triple is removed if (1) its occluder shades nothing of the face in the cell, or (2) its
-        light is settled for the pair.  For each remaining triple, the shadow edges that may cross
-        the cell are listed.
-
-        If the cells have the width `MAX_WIDTH`, the triples are created first.
+        For cells of the width `MAX_WIDTH`, the triples are created first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
-            boxes = self._bound_visible_parts()
-            triples = self.faces.find_occluders(*boxes, cells.pair_face, ~cells.is_settled.T)
+            part_boxes = self._bound_visible_parts()
+            triples = self.faces.find_occluders(*part_boxes, cells.pair_face, ~cells.is_settled.T)
             self.cells = cells = cells._replace(triples=triples)
-        pair, light, occluder = cells.triples
-        is_sphere, is_lit = occluder < self.faces.sphere_count, np.zeros(pair.size, dtype=np.bool_)
-        sphere_conditions = self._sphere_shadow_conditions(np.flatnonzero(is_sphere))
-        box_conditions = self._box_shadow_conditions(np.flatnonzero(~is_sphere), is_lit)
-        is_shaded = self._decide(pair, light, is_lit, chain(sphere_conditions, box_conditions))
+        pair, light, _ = cells.triples
+        is_lit = np.zeros(pair.size, dtype=np.bool_)
+        sphere_conditions = self._make_sphere_shadow_conditions()
+        conditions = chain(sphere_conditions, self._make_box_shadow_conditions(is_lit))
+        is_shaded = self._decide_claims(light, is_lit, conditions)
         cells.is_settled[pair[is_shaded], light[is_shaded]] = True
         self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
-    def _sphere_shadow_conditions(self, triple_index: Ints) -> Iterator[_Condition]:
-        """Yield the two conditions under which the visible point of a face is in a sphere's shadow.
+    def _make_sphere_shadow_conditions(self) -> Iterator[_Condition]:
+        """Yield the conditions for camera rays to meet a face in the shadow of a sphere.
 
-        Let L be the light, C the sphere's centre, and p the visible point, all relative to the eye.
-        Let c = C - L, and let r be the radius.  The point is in the shadow if two conditions hold:
-
-        1. It is inside the cone: |c x (p - L)| <= r |p - L|.
-        2.  It is behind the plane where the cone touches the sphere: c.(p - L) >= |c|^2 - r^2.
-            Inside the cone, this plane is inside the sphere, so it is never an edge.
-
-        The camera ray with direction d meets the face at p = t d, where 1 / t = k.d + s.  Here k is
-        a constant vector, and s is the square-root term, which is 0 for planes.  So
-        (p - L) / t = q - L s with q = d - L k.d.  The cross product c x (p - L) equals
-        c x (p - C), in which nothing cancels however distant the light is, and
-        (p - C) / t = w - C s with w = d - C k.d.  Divided by t^2, the first condition is
-        u + v s >= 0 with
-
-            u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
-            v = 2 ((c x C).(c x w) - r^2 L.q),
-
-        and, divided by t, the second is c.d - (c.C - r^2) / t >= 0.
-
-        Parameters
-        ----------
-        triple_index : (n,) int array
-            Indices of the triples whose occluder is a sphere.  A triple is a pair (one face in one
-            cell), a light and an occluder.
+        A point is in the shadow if two conditions hold: it lies inside the cone around the sphere
+        whose apex is the light, and it lies behind the plane in which the cone touches the sphere.
 
         Yields
         ------
         condition : _Condition
-            Condition 1 for all triples, then condition 2.  Each has `triple_index` as its
-            `case_index`.
+            The first condition for all triples with a sphere as the occluder, then the second.  A
+            triple is a pair (a face in a cell), a light and an occluder.  Its index is in
+            `claim_index`.
         """
-        faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
+        faces, is_sphere = self.faces, self.cells.triples[2] < self.faces.sphere_count
+        triple_index = np.flatnonzero(is_sphere)
+        pair, light, sphere = self.cells.triples[:, triple_index]
         cell, face = self.cells.pair_cell[pair], self.cells.pair_face[pair]
         to_center, radius2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
-        position, center = faces.light_position[light].T, faces.center[:, sphere]  # L and C
-        position2, center2, to_center2 = (
-            (vector * vector).sum(axis=0) for vector in (position, center, to_center)
-        )
+        position, center = faces.light_position[light].T, faces.center[:, sphere]
+        position2, center2, to_center2 = np.square([position, center, to_center]).sum(axis=1)
+        # Let L be the light, C the sphere's centre, c = C - L, and r the radius.  The ray with
+        # direction d meets the face at p = t d, where 1 / t = k.d + s with the root term s.
+        # The point p is in the cone if |c x (p - L)| <= r |p - L|.  Here p - L on the left can be
+        # replaced by p - C, and nothing cancels, however distant the light is.  Divided by t, p - L
+        # is q - L s with q = d - L k.d, and p - C is w - C s with w = d - C k.d.  So the condition,
+        # divided by t^2, is u + v s >= 0 with
+        #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
+        #     v = 2 ((c x C).(c x w) - r^2 L.q).
         rays, linear_term = self._rays[:, :, cell], self._linear_term.coef[:X_SQUARED, pair]
         linear_size = 2 * np.abs(faces.linear_coef[:, face]).sum(axis=0)
         q, w = (rays - point[:, None] * linear_term for point in (position, center))
-        q_size, w_size = (
-            faces.frame.max_ray_size * (1 + np.sqrt(square) * linear_size)
-            for square in (position2, center2)
-        )
-        u, c_cross_w = _enclose_cone(to_center, faces.radius[sphere], (q, q_size), (w, w_size))
-        c_cross_center, v = cross_product(to_center, center[:, None]), np.zeros((8, pair.size))
-        dot_of_crosses = (c_cross_center * c_cross_w).sum(axis=0)
+        lengths = np.sqrt([position2, center2])
+        q_size, w_size = sizes = faces.frame.max_ray_size * (1 + lengths * linear_size)
+        u, c_cross_w = _enclose_cone(to_center, faces.radius[sphere], q, w, sizes)
+        c_cross_center = compute_cross_product(to_center, center[:, None])
+        dot_of_crosses, v = (c_cross_center * c_cross_w).sum(axis=0), np.zeros((8, pair.size))
         v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
-        v_size = to_center2 * np.sqrt(center2) * w_size + radius2 * np.sqrt(position2) * q_size
+        v_size = to_center2 * lengths[1] * w_size + radius2 * lengths[0] * q_size
         v[RADIUS] = 16 * ROUNDING * v_size
         s2 = self.squared_root_term[pair]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         u.coef[RADIUS] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
-        yield _Condition(triple_index, u, Enclosures(v), is_edge=True)
+        yield _Condition(triple_index, _RayFunctions(pair, u, Enclosures(v)), has_edge=True)
+        # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  It is
+        # never an edge: inside the cone, the plane is inside the sphere.
         products = to_center * center
         b, b_size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
-        function = self._half_space_function(pair, np.array([*to_center, b, b_size]))
-        yield _Condition(triple_index, *function, is_edge=False)
+        plane_functions = self._express_half_space(pair, np.array([*to_center, b, b_size]))
+        yield _Condition(triple_index, plane_functions, has_edge=False)
 
-    def _box_shadow_conditions(self, triple_index: Ints, is_lit: Bools) -> Iterator[_Condition]:
-        """Yield the conditions under which the visible point of a face is in a box's shadow.
+    def _make_box_shadow_conditions(self, is_lit: Bools) -> Iterator[_Condition]:
+        """Yield the conditions for camera rays to meet a face in the shadow of a box.
 
-        The shadow is the intersection of at most nine half-spaces.
+        The shadow is the intersection of at most nine half-spaces.  Each condition is that the ray
+        meets the face inside one of them.
 
         Parameters
         ----------
-        triple_index : (n,) int array
-            Indices of the triples whose occluder is a box.  A triple is a pair (one face in one
-            cell), a light and an occluder.
         is_lit : (q,) bool array
-            For each triple of the cells, whether an earlier condition is false everywhere in the
-            cell.  Such triples are skipped.  The caller can change this array between conditions.
+            For each triple of the cells, whether a previous condition holds nowhere in the cell.  A
+            triple is a pair (a face in a cell), a light and an occluder.  The caller may update
+            this array between conditions.
 
         Yields
         ------
         condition : _Condition
-            The condition that the visible point is in one of these half-spaces.  Its `case_index`
-            holds the triples that are not skipped.
+            A condition for the triples that have a box as the occluder and are not lit.  Their
+            indices are in `claim_index`.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
+        is_box = box >= 0
         for half_spaces, has_edge in zip(
             self.faces.shadow_volume.swapaxes(0, 1), self.faces.has_shadow_edge, strict=True
         ):
-            pending = triple_index[~is_lit[triple_index]]
-            half_space = half_spaces[:, light[pending], box[pending]]
+            index = np.flatnonzero(is_box & ~is_lit)
+            half_space = half_spaces[:, light[index], box[index]]
             # A box seen edge-on from the light has fewer than nine planes.
             has_plane = half_space[:4].any(axis=0)
-            pending = pending[has_plane]
-            function = self._half_space_function(pair[pending], half_space[:, has_plane])
-            yield _Condition(pending, *function, has_edge[light[pending], box[pending]])
+            index = index[has_plane]
+            functions = self._express_half_space(pair[index], half_space[:, has_plane])
+            yield _Condition(index, functions, has_edge[light[index], box[index]])
 
     def _find_intersections(self) -> None:
         """List an edge wherever two faces of a cell may intersect.
 
-        A plane has a linear equation n.p + b = 0 for its points p.  A sphere with centre c has the
-        equation p^2 - 2 c.p + b = 0.  If both faces are spheres, the difference of their equations
-        is linear.  So each intersection lies in a plane, and the picture may have an edge where the
-        visible point of one face is on this plane.
+        The intersection of two faces lies in a plane.  The picture may have an edge where a camera
+        ray meets one of the faces on this plane.
         """
         faces, cells = self.faces, self.cells
         sorted_pairs = np.argsort(cells.pair_cell, kind="stable")
@@ -674,30 +651,29 @@ class CellAnalysis:
         # Combine each pair (one face in one cell) with all earlier pairs of the same cell.
         segments = list_segment_elements(np.arange(sorted_pairs.size) - cell_start, cell_start)
         pair, other_pair = (sorted_pairs[index] for index in segments)
-        # Of a sphere and a plane, the sphere comes first.
+        # If only one face is planar, it becomes the other face.
         is_planar = faces.is_planar[cells.pair_face[pair]]
         pair, other_pair = np.where(is_planar, (other_pair, pair), (pair, other_pair))
         face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
         differs_in_object = faces.object_index[face] != faces.object_index[other_face]
         differs_in_plane = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
-        kept = np.flatnonzero(differs_in_object & differs_in_plane)
-        pair, face, other_face = pair[kept], face[kept], other_face[kept]
+        index = np.flatnonzero(differs_in_object & differs_in_plane)
+        pair, face, other_face = pair[index], face[index], other_face[index]
+        # All equations of spheres contain x^2, so the difference of two of them is linear.
         plane, both_spheres = faces.equation[:, other_face], ~faces.is_planar[other_face]
         sphere_equation = faces.equation[:, face[both_spheres]]
         plane[:, both_spheres] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
-        function = self._half_space_function(pair, plane)
-        is_beyond_plane = _Condition(np.arange(pair.size), *function, is_edge=True)
-        self._decide(pair, -1, np.zeros(pair.size, np.bool_), [is_beyond_plane])
+        functions = self._express_half_space(pair, plane)
+        is_beyond_plane = _Condition(np.arange(pair.size), functions, has_edge=True)
+        self._decide_claims(-1, np.zeros(pair.size, np.bool_), [is_beyond_plane])
 
-    def edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
-        """Return all edge functions; the picture can have an edge only where one of them is zero.
-
-        Each function belongs to a pair (one face in one cell).
+    def collect_edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
+        """Collect all edge functions: the picture can have an edge only where one of them is zero.
 
         Returns
         -------
         pair : (n,) int array
-            For each function, the index of its pair.
+            For each function, the index of its pair (a face in a cell).
         light : (n,) int array
             For each function, the light whose radiance changes at the edge, or -1 if all radiance
             changes.
@@ -709,13 +685,12 @@ class CellAnalysis:
         return np.concatenate(pairs), np.concatenate(lights), Enclosures(coef)
 
     def shade(self, is_requested: Bools, error: float) -> Contributions:
-        """Compute the radiance due to unsettled lights; settle those without an edge in the cell.
+        """Compute the radiance due to unsettled lights, and settle lights without edges.
 
-        A pair is one face in one cell.  A light is settled for a pair if `cells.radiance` already
-        contains the light's contribution.  A light becomes settled if (1) it has no edge in the
-        cell, so that it reaches all of the face there, and (2) the error of its radiance is at most
-        `error` divided by the number of lights.  Its radiance is then added to `cells.radiance`,
-        and the light is marked in `cells.is_settled`.
+        A pair is a face in a cell.  A light is settled for a pair by adding its radiance to
+        `cells.radiance` and marking it in `cells.is_settled`.  This requires that (1) the light has
+        no edge in the cell, so that it reaches all of the face there, and (2) the error of its
+        radiance is at most `error` divided by the number of lights.
 
         Parameters
         ----------
@@ -727,8 +702,7 @@ class CellAnalysis:
         Returns
         -------
         contributions : Contributions
-            For each requested pair and each light that remains unsettled: the indices of both, and
-            an enclosure of the reflected radiance.
+            The radiance that each remaining unsettled light adds to each requested pair.
         """
         contributions, cells = self._enclose_contributions(is_requested), self.cells
         has_edge = np.zeros_like(cells.is_settled)
@@ -738,67 +712,58 @@ class CellAnalysis:
         max_error = error / cells.is_settled.shape[1]
         is_certain = ~has_edge[contributions.pair, contributions.light]
         is_certain &= contributions.radiance.radius.max(axis=0) <= max_error
-        settled = contributions.select(is_certain)
-        add_at_sorted_index(cells.radiance.coef, settled.pair, settled.radiance.coef)
-        cells.is_settled[settled.pair, settled.light] = True
+        settled_part = contributions.select(is_certain)
+        add_at_sorted_index(cells.radiance.coef, settled_part.pair, settled_part.radiance.coef)
+        cells.is_settled[settled_part.pair, settled_part.light] = True
         return contributions.select(~is_certain)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
         """Enclose the radiance that each unsettled light adds wherever it reaches a face.
 
-        A pair is one face in one cell.  A light is unsettled for a pair unless it is known to reach
-        all or none of the face in the cell.
-
-        The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
-        divided by t.  For a light at q,
-
-            |q - p|^2 / t^2 = d^2 - 2 q.d / t + q^2 / t^2,
-            (q - p).(-p) / t^2 = d^2 - q.d / t.
-
-        Let n be the unit normal, and let l and v be the unit vectors from p to the light and to the
-        eye.  For the Blinn-Phong term, n.h = (n.l + n.v) / |l + v|, with |l + v|^2 = 2 + 2 l.v and
-        the unit vector h halfway between l and v.
-
         Parameters
         ----------
         is_requested : (p,) bool array
-            For each pair, whether to shade it.
+            For each pair (a face in a cell), whether to shade it.
 
         Returns
         -------
         contributions : Contributions
-            For each requested pair and each of its unsettled lights: the indices of both, and an
-            enclosure of the radiance.  Sorted by pair and light.
+            The radiance that each unsettled light adds to each requested pair, sorted by pair and
+            light.
         """
         faces, cells, prepared = self.faces, self.cells, self.faces.prepared
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
         cell, object_index = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         light_position = faces.light_position[light].T
         squared_direction = self.squared_direction[cell]
-        # The dot products q.d, divided by t.
-        dot_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
+        # The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
+        # divided by t, and squared lengths by t^2.  For a light at q, this gives
+        #     |q - p|^2 = d^2 - 2 q.d / t + q^2 / t^2  and  (q - p).(-p) = d^2 - q.d / t.
+        q_dot_d_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
         inverse_distance2 = (self.inverse_distance * self.inverse_distance)[pair]
-        distance2 = squared_direction - dot_over_t * 2.0
+        distance2 = squared_direction - q_dot_d_over_t * 2.0
         distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
         inverse_length = distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
-        light_height = self._enclose_functions(pair, *self._light_height_function(pair, light))
+        light_height = self._enclose_functions(self._express_light_height(pair, light))
         n_dot_l = (light_height * inverse_length).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
         radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, object_index])
-        # Indices of the combinations whose face is glossy.
-        glossy = np.flatnonzero(prepared.is_glossy[object_index])
-        glossy_pair, pair_number = np.unique(pair[glossy], return_inverse=True)
+        # Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the
+        # unit vector halfway between them.  Then n.h = (n.l + n.v) / |l + v|, and
+        # |l + v|^2 = 2 + 2 l.v.  Only glossy faces have this term.
+        glossy_index = np.flatnonzero(prepared.is_glossy[object_index])
+        glossy_pair, glossy_pair_index = np.unique(pair[glossy_index], return_inverse=True)
         inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
-        eye_function = self._light_height_function(glossy_pair, 0 * glossy_pair - 1)
-        eye_height = self._enclose_functions(glossy_pair, *eye_function)
+        eye_functions = self._express_light_height(glossy_pair, 0 * glossy_pair - 1)
+        eye_height = self._enclose_functions(eye_functions)
         n_dot_v = eye_height * inverse_direction[cells.pair_cell[glossy_pair]]
-        l_dot_v = (squared_direction[glossy] - dot_over_t[glossy]) * (
-            inverse_length[glossy] * inverse_direction[cell[glossy]]
-        )
+        inverse_lengths = inverse_length[glossy_index] * inverse_direction[cell[glossy_index]]
+        l_dot_v = (squared_direction - q_dot_d_over_t)[glossy_index] * inverse_lengths
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
-        n_dot_h = ((n_dot_l[glossy] + n_dot_v[pair_number]) * inverse_sum).clamp_to_unit_interval()
-        glossy_object = object_index[glossy]
+        n_dot_sum = n_dot_l[glossy_index] + n_dot_v[glossy_pair_index]
+        n_dot_h = (n_dot_sum * inverse_sum).clamp_to_unit_interval()
+        glossy_object = object_index[glossy_index]
         lobe = n_dot_h.power(prepared.exponent[glossy_object], 0.0, 1.0).clamp_to_unit_interval()
-        specular = intensity[:, glossy] * prepared.specular[:, glossy_object]
-        radiance[..., glossy] += lobe.coef[:, None] * specular
+        specular = intensity[:, glossy_index] * prepared.specular[:, glossy_object]
+        radiance[..., glossy_index] += lobe.coef[:, None] * specular
         return Contributions(pair, light, Enclosures(radiance))

@@ -1,20 +1,20 @@
-"""Cells of the picture, and lists of the faces that may be visible and of what may shade them.
+"""Cells of the picture, with lists of the faces that may be visible and the objects that may shade.
 
 The problem: the certificate must know every face that may be visible in a small part of the
 picture, and every object that may shade such a face, without testing all combinations.  As in
 Warnock's subdivision (A hidden surface algorithm for computer generated halftone pictures, 1969),
-each cell inherits the lists of the larger cell of which it is a quarter, without the entries that
-no longer matter.
+large cells are divided into quarters.  Each quarter inherits the lists of the larger cell, and
+drops the entries that do not matter in it.
 
 cell
     A square part of the picture.
 pair
-    A cell, and a face that may be visible in it.
+    A face that may be visible in a cell.
 settled
-    A light is settled for a pair if it is known to reach either all or none of the face in the
-    cell.  If it reaches all, its contribution has been added to the pair's radiance.
+    A light is settled for a pair if it is known to reach all of the face in the cell, or none of
+    it.  If it reaches all, its contribution has been added to the pair's radiance.
 triple
-    A pair, a light, and an object that may shade a part of the face from the light.
+    A pair, a light, and an object that may shade the face from the light.
 
 The tracer's antialiasing divides cells into quarters, too.  This module does not use its code, on
 purpose: a reference that shares code with what it validates would repeat its errors.
@@ -37,10 +37,9 @@ MAX_WIDTH = 8
 class Cells(NamedTuple):
     """c square cells of equal width that cover parts of a picture, with p pairs and q triples.
 
-    A pair consists of a cell, and a face (a sphere, or a side of a box) that may be visible in the
-    cell.  A light is settled for a pair if it is known to reach either all or none of the face
-    in the cell.  A triple consists of a pair, a light, and an object that may shade a part of the
-    face from the light.
+    A pair is a face (a sphere, or a side of a box) that may be visible in a cell.  A light is
+    settled for a pair if it is known to reach all of the face in the cell, or none of it.  A triple
+    is a pair, a light, and an object that may shade the face from the light.
 
     Attributes
     ----------
@@ -57,8 +56,7 @@ class Cells(NamedTuple):
     radiance : Enclosures
         Enclosures (8, 3, p) of each pair's radiance due to all settled lights.
     triples : (3, q) int array
-        Row 0 contains indices of pairs, row 1 of lights, and row 2 of the objects that may shade
-        the pair's face from the light.
+        Row 0 contains indices of pairs, row 1 of lights, and row 2 of objects.
     """
 
     width: float
@@ -72,10 +70,10 @@ class Cells(NamedTuple):
     triples: Ints
 
     def select_triples(self, is_kept: Bools) -> Cells:
-        """Copy all cells and pairs, with only the selected triples.
+        """Copy all cells and pairs, but only the selected triples.
 
-        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
-        object that may shade the pair's face from the light.
+        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
+        that may shade the face from the light.
 
         Parameters
         ----------
@@ -84,16 +82,16 @@ class Cells(NamedTuple):
 
         Returns
         -------
-        cells : Cells
-            All cells and pairs, with the selected triples.
+        reduced : Cells
+            The cells with all pairs and the selected triples.
         """
         return self._replace(triples=self.triples.compress(is_kept, axis=1))
 
     def select_pairs(self, is_kept: Bools) -> tuple[Cells, Ints]:
-        """Copy all cells, with only the selected pairs and their triples.
+        """Copy all cells, but only the selected pairs and their triples.
 
-        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
-        object that may shade the pair's face from the light.
+        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
+        that may shade the face from the light.
 
         Parameters
         ----------
@@ -102,24 +100,24 @@ class Cells(NamedTuple):
 
         Returns
         -------
-        cells : Cells
-            All cells, with the selected pairs and their triples.
-        new_pair : (p,) int array
-            For each old pair, its index among the selected pairs, or -1 if it is not selected.
+        reduced : Cells
+            The cells with the selected pairs and their triples.
+        new_index : (p,) int array
+            The index of each old pair among the selected pairs, or -1 if it is not reduced.
         """
-        new_pair = np.where(is_kept, is_kept.cumsum() - 1, -1)
+        new_index = np.where(is_kept, is_kept.cumsum() - 1, -1)
         pair, light, occluder = self.triples
         pair_fields = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
         fields: dict[str, Any] = {name: getattr(self, name)[is_kept] for name in pair_fields}
-        triples = np.array([new_pair[pair], light, occluder])
-        cells = self._replace(**fields, triples=triples)
-        return cells.select_triples(cells.triples[0] >= 0), new_pair
+        triples = np.array([new_index[pair], light, occluder])
+        reduced = self._replace(**fields, triples=triples)
+        return reduced.select_triples(reduced.triples[0] >= 0), new_index
 
     def select_cells(self, is_kept: Bools) -> Cells:
         """Copy the selected cells with all their pairs and triples.
 
-        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
-        object that may shade the pair's face from the light.
+        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
+        that may shade the face from the light.
 
         Parameters
         ----------
@@ -128,13 +126,13 @@ class Cells(NamedTuple):
 
         Returns
         -------
-        cells : Cells
-            The selected cells.
+        reduced : Cells
+            The selected cells, with their pairs and triples.
         """
-        new_cell = np.where(is_kept, is_kept.cumsum() - 1, -1)
-        pair_cell = new_cell[self.pair_cell]
-        cells = self._replace(x=self.x[is_kept], y=self.y[is_kept], pair_cell=pair_cell)
-        return cells.select_pairs(pair_cell >= 0)[0]
+        new_index = np.where(is_kept, is_kept.cumsum() - 1, -1)
+        pair_cell = new_index[self.pair_cell]
+        reduced = self._replace(x=self.x[is_kept], y=self.y[is_kept], pair_cell=pair_cell)
+        return reduced.select_pairs(pair_cell >= 0)[0]
 
     @property
     def area(self) -> float:
@@ -142,11 +140,11 @@ class Cells(NamedTuple):
         return self.x.size * self.width**2
 
     def split_into_quarters(self, width: int, height: int) -> Cells:
-        """Divide each cell into four quarters that inherit its pairs and triples.
+        """Divide each cell into four quarters, which inherit its pairs and triples.
 
-        A pair is a cell, and a face that may be visible in it.  A triple is a pair, a light, and an
-        object that may shade the pair's face from the light.  Whether they still matter in each
-        quarter is not tested.
+        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
+        that may shade the face from the light.  Pairs and triples are inherited without testing
+        whether they matter in the quarter.
 
         Parameters
         ----------
@@ -158,9 +156,9 @@ class Cells(NamedTuple):
         quarters : Cells
             The quarters, without those outside the picture.
         """
-        quarter, offset = np.arange(4), self.width / 4
-        x = np.add.outer(self.x, (2 * (quarter & 1) - 1) * offset).ravel()
-        y = np.add.outer(self.y, (quarter & 2) * offset - offset).ravel()
+        quarter, half_width = np.arange(4), self.width / 4
+        x = np.add.outer(self.x, (2 * (quarter & 1) - 1) * half_width).ravel()
+        y = np.add.outer(self.y, (quarter & 2) * half_width - half_width).ravel()
         pair, light, occluder = self.triples.repeat(4, axis=1)
         quarters = Cells(
             width=self.width / 2,
@@ -173,15 +171,15 @@ class Cells(NamedTuple):
             radiance=self.radiance.split_into_quarters(),
             triples=np.array([4 * pair + np.tile(quarter, pair.size // 4), light, occluder]),
         )
-        is_inside = (x - offset < width) & (y - offset < height)
+        is_inside = (x - half_width < width) & (y - half_width < height)
         return quarters if is_inside.all() else quarters.select_cells(is_inside)
 
 
 def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     """Cover a picture with a row or a column of square cells.
 
-    Their width in pixels is the smallest power of two that is at least 16 and at least the shorter
-    side of the picture.
+    Their width in pixels is a power of two: at least 16, and at least the shorter side of the
+    picture.
 
     Parameters
     ----------
@@ -193,9 +191,8 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     Returns
     -------
     cells : Cells
-        The cells, each paired with every face that may be visible to the camera.  Lights known to
-        reach no visible point of a face are settled for it.  There are no triples yet (of a pair, a
-        light, and an object that may shade the pair's face).
+        The cells.  Each is paired with every face that may be visible to the camera.  A light is
+        settled for a face if it certainly does not reach the face.  The list of triples is empty.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))

@@ -6,14 +6,13 @@ it is smooth, enclose each edge in a narrow strip, and assume the worst case ins
 If the bounds are too wide, divide the picture into smaller cells.
 
 Sources: the subdivision is that of Warnock (1969; see `cells`).  The bounds are affine arithmetic
-of second order (Comba and Stolfi, 1993; see `enclosures`).  This project combines the
-two.
+of second order (Comba and Stolfi, 1993; see `enclosures`).  This project combines the two.
 
 A cell of the picture is treated as follows:
 
 1. A light that reaches all of a face in the cell adds radiance that a polynomial encloses.  The
-   polynomial's mean over the cell is computed exactly, so that the estimate is much better than the
-   bounds.  Quarters of the cell inherit what such lights add.
+   polynomial's mean over the cell is computed exactly, so the estimate is much better than the
+   bounds.  The quarters of the cell inherit this radiance.
 2. If no other face is visible in the cell, it is finished, and so are all pixels in it.
 3. Otherwise each edge lies in a *strip* between two parallel lines (see `regions`).  The centre
    lines of the strips divide the cell into convex *regions*.  Outside the strips, nothing changes
@@ -27,21 +26,22 @@ strip.  Two errors remain:
 
 - In a strip, radiance differs from that of the region by at most the strip's *jump*: the radiance
   of one light, or all radiance that the cell may show.
-- If the centroid itself is in a strip, it may be on the wrong side of the edge.  Then all of the
-  region may be wrong by the jump: this is the region's *doubt*.
+- If the centroid itself is in a strip, its sample may be on the wrong side of the edge.  Then all
+  of the region may be wrong by the jump.  This is the *sample error* of the region.
 
-The error of a pixel is at most the sum of these over its cells, weighted by areas.  Cells whose
-error is at most the average that remains to the pixel are finished; the others are divided.
+The error of a pixel is at most the sum of these errors over its cells, weighted by areas.  A cell
+is finished if its error is at most the average that its pixel can still afford.  Other cells are
+divided.
 
-The tracer traces the samples, but only to find which surface is visible and which lights reach it;
-its radiance is not used.  If a sample shows a face that the cell rules out, then the certificate or
+The tracer traces the samples, but only to find which surface is visible and which lights reach it.
+Its radiance is not used.  If a sample shows a face that the cell rules out, then the certificate or
 the tracer has an error, and a RuntimeError is raised.
 
 Rounding: positions of samples and cells have rounding errors smaller than the error bounds of the
 enclosures, which contain 1e-13 times the coordinates involved.  Areas and means of regions take
-about a hundred roundings.  Let radiance be at most R, and e = 2^-53.  Then the sum over at most
-4^10 cells of a pixel errs by 4^10 e R if all roundings have the same sign, and the sum over n
-lights by n e R.  Therefore the bounds are widened by 1e-9 R.
+about a hundred roundings.  Let radiance be at most R, and e = 2^-53.  If all roundings have the
+same sign, the sum over at most 4^10 cells of a pixel errs by 4^10 e R, and the sum over n lights by
+n e R.  Therefore the bounds are widened by 1e-9 R.
 """
 
 from __future__ import annotations
@@ -74,26 +74,26 @@ from reference.judges.regions import (
 )
 from tracer import Scene, to_codes
 
-# Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays stay in
+# Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays fit into
 # the CPU cache.  Tuned on two scenes: half or twice this number takes 3 to 7 % longer.
 _ITEMS_PER_BATCH = 12000
 
-# Maximum number of edges that divide a cell into regions; a cell with more of them is divided into
-# quarters.  Each edge may double the number of regions.
+# Maximum number of edges that divide a cell into regions.  A cell with more edges is divided into
+# quarters, because each edge may double the number of regions.
 _MAX_LINES = 5
 
-# The settled lights of a pair may take this fraction of the permitted error.
+# Fraction of the permitted error that the settled lights of a pair may cause.
 _SETTLED_ERROR = 0.25
 
 # Minimum width of a cell in pixels.
 _MIN_WIDTH = 2.0**-10
 
-# A pixel with this many pending cells of one width is given up, and its bounds stay wide.  This
+# A pixel with this many pending cells of one width is added although its bounds are too wide.  This
 # happens if the focal length is so large that rounding errors hide every edge.
 _MAX_PENDING_CELLS = 1 << 11
 
-# The bounds are widened by this fraction of the largest radiance, for rounding errors: see above.
-# The rest of the permitted error is available to the cells.
+# The bounds are widened by the first fraction of the largest radiance, for rounding errors.  The
+# second is the fraction of the permitted error that the cells may cause.
 _ROUNDING, _ERROR_FOR_CELLS = 1e-9, 0.999
 
 
@@ -128,10 +128,10 @@ class Certificate:
 
 
 class CellEstimates(NamedTuple):
-    """Estimates of the mean radiance of c cells, with the convex regions they are based on.
+    """Estimates of the mean radiance of c cells, with the n regions on which they are based.
 
-    Edges divide the cells into n regions.  An edge lies in a strip between two parallel lines.  Its
-    jump is a bound on the change of radiance across it.
+    An edge lies in a strip between two parallel lines, whose centre line divides the cell into
+    regions.  Its jump is a bound on the change of radiance across the edge.
 
     Attributes
     ----------
@@ -140,10 +140,10 @@ class CellEstimates(NamedTuple):
     regions : Regions
         The regions.
     radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance of all points of each region that lie in no strip.
-    doubt : (n,) float array
-        Additional error of the radiance anywhere in a region: the sum of the jumps of all strips
-        that contain the region's centroid, through which the region's sample is traced.
+        Enclosures (8, 3, n) of the radiance at all points of each region that lie in no strip.
+    sample_error : (n,) float array
+        Additional error of the radiance everywhere in a region: the sum of the jumps of all strips
+        that contain the region's centroid, through which a sample is traced.
     max_radiance : (3, c) float array
         Upper bound on the radiance anywhere in a cell.
     mean, error : (3, c) and (c,) float arrays
@@ -153,7 +153,7 @@ class CellEstimates(NamedTuple):
     strips: Strips
     regions: Regions
     radiance: Enclosures
-    doubt: Floats
+    sample_error: Floats
     max_radiance: Floats
     mean: Floats
     error: Floats
@@ -165,18 +165,18 @@ def estimate_means(
     """Estimate the mean radiance of each cell, and bound the error of the estimate.
 
     Edges divide a cell into regions, and one sample is traced at the centroid of each region.  A
-    pair consists of a cell and a face (a sphere, or a side of a box) that may be visible in it.
+    pair is a face (a sphere, or a side of a box) in a cell.
 
     Parameters
     ----------
     analysis : CellAnalysis
         The c cells, with their pairs and edge functions.
     contributions : Contributions
-        For each pair, the radiance due to unsettled lights.  A light is settled if it is known to
-        reach all or none of the face in the cell.
+        The radiance that each unsettled light adds to a pair.  A light is settled if it is known to
+        reach all of the face in the cell, or none of it.
     is_skipped : (c,) bool array
-        Cells to skip: no sample is traced in them, and their mean is half of `max_radiance`, with
-        an error of the same amount.  Black cells, and cells with too many edges, are skipped, too.
+        Cells in which no sample is traced.  Their mean is half of `max_radiance`, and their error
+        the other half.  Black cells, and cells with too many edges, are treated in the same way.
 
     Returns
     -------
@@ -195,14 +195,14 @@ def estimate_means(
     is_black = max_radiance.max(axis=0) == 0
     is_skipped = is_skipped | has_many_edges | is_black
     strips = all_strips.take(~is_skipped[all_strips.cell])
-    sampled_cell, new_cell = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
-    regions = divide_into_regions(strips._replace(cell=new_cell[strips.cell]), sampled_cell.size)
+    sampled_cell, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
+    regions = divide_into_regions(strips._replace(cell=new_index[strips.cell]), sampled_cell.size)
     regions = regions._replace(cell=sampled_cell[regions.cell])
-    doubt = _bound_doubts(strips, regions, cell_count)
+    sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_regions(analysis, contributions, regions)
     region_mean = (radiance.coef[:UNKNOWN] * regions.mean[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
-    region_error = np.minimum(radiance.radius + doubt, max_error).max(axis=0)
+    region_error = np.minimum(radiance.radius + sample_error, max_error).max(axis=0)
     weighted_mean = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell, channel, cell_count) for channel in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
@@ -210,30 +210,28 @@ def estimate_means(
     cell_error += sum_by_index(strips.cell, strips.area * strips.jump, cell_count)
     cell_error[is_skipped] = np.inf
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
-    return CellEstimates(strips, regions, radiance, doubt, max_radiance, mean, cell_error)
+    return CellEstimates(strips, regions, radiance, sample_error, max_radiance, mean, cell_error)
 
 
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
-    """Compute an upper bound on the radiance in each cell, as if all unsettled lights reached it.
-
-    A light is settled for a face in a cell if it is known to reach all or none of the face in
-    the cell.
+    """Compute an upper bound on the radiance in each cell, as if no light were blocked.
 
     Parameters
     ----------
     cells : Cells
-        The c cells, with the radiance of each face due to settled lights.
+        The c cells, with the radiance of each face due to settled lights.  A light is settled for a
+        face if it is known to reach all of the face in the cell, or none of it.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face where it reaches the face.
+        The radiance that each unsettled light adds to a face wherever it reaches the face.
 
     Returns
     -------
     max_radiance : (3, c) float array
-        Upper bounds in each channel: the maximum over the faces of the cell, or 0 if there is none.
+        Upper bounds in each channel: the maximum over the faces in the cell, or 0 without faces.
     """
-    pair_bound, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
-    add_at_sorted_index(pair_bound, contributions.pair, contributions.radiance.max_abs)
-    for channel, channel_bound in zip(max_radiance, pair_bound, strict=True):
+    face_bound, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
+    add_at_sorted_index(face_bound, contributions.pair, contributions.radiance.max_abs)
+    for channel, channel_bound in zip(max_radiance, face_bound, strict=True):
         np.maximum.at(channel, cells.pair_cell, channel_bound)
     return max_radiance
 
@@ -241,21 +239,21 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
 def _enclose_edges(
     analysis: CellAnalysis, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
 ) -> Strips:
-    """Enclose each edge in a strip, and bound the jump (change of radiance) across the edge.
+    """Enclose each edge in a strip, and bound the jump of radiance across the edge.
 
-    A strip is the part of a cell between two parallel lines.  An edge lies where an edge function
-    is zero.  A light is settled for a face in a cell if it is known to reach all or none of the
-    face there.
+    A strip is the part of a cell between two parallel lines.  An edge is where an edge function is
+    zero.
 
     Parameters
     ----------
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance due to unsettled lights, which bounds the jumps at shadow edges and
-        terminators.
+        The radiance that each unsettled light adds to a face in a cell.  It bounds the jump at
+        shadow edges and terminators.  A light is settled if it is known to reach all of the face,
+        or none of it.
     max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell, which bounds the jumps at other edges.
+        Upper bound on the radiance in each cell.  It bounds the jump at all other edges.
     is_skipped : (c,) bool array
         Cells whose edges are ignored.
 
@@ -265,24 +263,24 @@ def _enclose_edges(
         The strips, sorted by cell.  Edges without a jump get no strip.
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
-    pair, light, functions = analysis.edge_functions()
-    # A number that identifies each contribution.
+    pair, light, functions = analysis.collect_edge_functions()
+    # Numbers that identify the contributions.
     keys = contributions.pair * light_count + contributions.light
-    position, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
+    contribution, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
     # Position -1 selects the appended 0, for lights without a contribution.
-    light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[position]
+    light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
-    kept = np.flatnonzero((jump > 0) & ~is_skipped[cell])
-    return enclose_in_strips(cell[kept], functions[kept], jump[kept])
+    index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
+    return enclose_in_strips(cell[index], functions[index], jump[index])
 
 
-def _bound_doubts(strips: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the error of each region's radiance due to a sample that lies in a strip.
+def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
+    """Bound the errors of regions whose samples lie in strips.
 
-    A strip is the part of a cell between two parallel lines that enclose an edge.  Each region is
-    shaded by one sample at its centroid.  If the centroid is in a strip, the sample may be on the
-    wrong side of the edge.  Then the whole region may be wrong by the jump of radiance across the
-    edge.
+    A strip is the part of a cell between two parallel lines that enclose an edge.  One sample at
+    the centroid of each region shows which face is visible there.  If the centroid is in a strip,
+    the sample may be on the wrong side of the edge.  Then all of the region may be wrong by the
+    jump of radiance across the edge.
 
     Parameters
     ----------
@@ -295,9 +293,9 @@ def _bound_doubts(strips: Strips, regions: Regions, cell_count: int) -> Floats:
 
     Returns
     -------
-    doubt : (n,) float array
+    sample_error : (n,) float array
         For each region, the sum of the jumps of all strips that contain its centroid.  Infinite if
-        the region is so small that rounding errors make its centroid unknown.
+        the region is so small that its centroid is mostly rounding error.
     """
     _, x, y, *_ = regions.mean
     strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
@@ -305,9 +303,9 @@ def _bound_doubts(strips: Strips, regions: Regions, cell_count: int) -> Floats:
     region, strip = list_segment_elements(strip_count, strip_start[regions.cell])
     distance = np.abs(strips.a[strip] * x[region] + strips.b[strip] * y[region] + strips.c[strip])
     is_in_strip = distance <= strips.half_width[strip]
-    doubt = sum_by_index(region, is_in_strip * strips.jump[strip], x.size)
-    doubt[regions.area < MIN_AREA] = np.inf
-    return doubt
+    sample_error = sum_by_index(region, is_in_strip * strips.jump[strip], x.size)
+    sample_error[regions.area < MIN_AREA] = np.inf
+    return sample_error
 
 
 def _enclose_regions(
@@ -315,23 +313,23 @@ def _enclose_regions(
 ) -> Enclosures:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
-    The sample shows which face is visible in the region, and which lights reach it.  A light is
-    settled for a face in a cell if it is known to reach all or none of the face there.
+    The sample shows which face is visible in the region, and which lights reach it.
 
     Parameters
     ----------
     analysis : CellAnalysis
-        The cells, with the radiance of settled lights.
+        The cells, with the radiance of each face due to settled lights.  A light is settled for a
+        face if it is known to reach all of the face in the cell, or none of it.
     contributions : Contributions
-        The radiance due to all unsettled lights.
+        The radiance that each unsettled light adds to a face wherever it reaches the face.
     regions : Regions
         The n regions of the cells.
 
     Returns
     -------
     radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance of the visible face due to all settled lights, and to
-        the unsettled lights that reach the centroid; zeros where the background is visible.
+        Enclosures (8, 3, n) of the radiance that the visible face reflects from all settled lights,
+        and from the unsettled lights that reach the centroid.  Zeros for the background.
 
     Raises
     ------
@@ -344,18 +342,18 @@ def _enclose_regions(
     radiance[..., pair < 0] = 0
     light_count = analysis.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
-    # A number that identifies each contribution.
+    # Numbers that identify the contributions.
     keys = contributions.pair * light_count + contributions.light
-    position = find_in_sorted(keys, pair[region] * light_count + light)
-    add_at_sorted_index(radiance, region, contributions.radiance[position].coef)
+    contribution = find_in_sorted(keys, pair[region] * light_count + light)
+    add_at_sorted_index(radiance, region, contributions.radiance[contribution].coef)
     return Enclosures(radiance)
 
 
 def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace samples in cells to find the face visible at each sample, and the lights that reach it.
+    """Trace samples in cells, and find the visible face and the lights that reach it.
 
-    A pair is one face that may be visible in one cell.  A light is settled for a pair if it is
-    known to reach all or none of the face in the cell.
+    A pair is a face in a cell.  A light is settled for a pair if it is known to reach all of the
+    face in the cell, or none of it.
 
     Parameters
     ----------
@@ -371,16 +369,17 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     pair : (n,) int array
         For each sample, the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether the light reaches the visible point of the sample; False for settled lights, and on
-        the background.
+        Whether each light reaches the visible face at the sample.  False for settled lights, and
+        for the background.
 
     Raises
     ------
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    cells, faces, scale = analysis.cells, analysis.faces, analysis.cells.width / 2
-    hits, sample, face = faces.trace_samples(cells.x[cell] + scale * x, cells.y[cell] + scale * y)
+    cells, faces, half_width = analysis.cells, analysis.faces, analysis.cells.width / 2
+    x, y = cells.x[cell] + half_width * x, cells.y[cell] + half_width * y
+    hits, sample, face = faces.trace_samples(x, y)
     pair_keys = cells.pair_cell * faces.object_index.size + cells.pair_face
     order, pair = pair_keys.argsort(), np.full(cell.size, -1)
     position = find_in_sorted(pair_keys[order], cell[sample] * faces.object_index.size + face)
@@ -394,7 +393,7 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
 
 
 class _Picture:
-    """A picture to which cells are added once their mean radiance is known accurately enough.
+    """A picture to which cells are added when their mean radiance is known accurately enough.
 
     Attributes
     ----------
@@ -403,16 +402,16 @@ class _Picture:
     permitted_error : float
         Permitted error of each pixel's mean radiance.
     image : (3, rows, columns) float array
-        For each pixel, the sum of the mean radiance of its finished cells, weighted by area.  Cells
-        may extend beyond the picture, so there are `MAX_WIDTH` more rows and columns.
-    bound : (rows, columns) float array
+        For each pixel, the sum of the mean radiance of its finished cells, weighted by area.  There
+        are `MAX_WIDTH` additional rows and columns, because cells may extend beyond the picture.
+    error_bound : (rows, columns) float array
         Upper bound on the error of `image` in any channel.
     cell_count : int
         Number of cells examined so far.
     """
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
-        """Prepare to bound the errors of a scene's picture, and start with a black picture.
+        """Start with a black picture of a scene.
 
         Parameters
         ----------
@@ -428,7 +427,7 @@ class _Picture:
         """
         self.faces, self.permitted_error, self.cell_count = Faces(scene), permitted_error, 0
         size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
-        self.image, self.bound = np.zeros((3, *size)), np.zeros(size)
+        self.image, self.error_bound = np.zeros((3, *size)), np.zeros(size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide the cells into two groups if there are too many for one batch.
@@ -463,53 +462,54 @@ class _Picture:
         Returns
         -------
         pixel : (c,) int array
-            Indices into the flattened array `bound`.  For a cell that covers several pixels, the
-            index of the upper left one.
+            Indices into the flattened array `error_bound`.  For a cell that covers several pixels,
+            the index of the upper left one.
         """
+        # From the centre of a cell to a point in its upper left pixel.
         shift = cells.width / 2 if cells.width > 1 else 0
         row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
-        return np.asarray(row * self.bound.shape[1] + column)
+        return np.asarray(row * self.error_bound.shape[1] + column)
 
-    def add(self, cells: Cells, finished_cell: Ints, radiance: Enclosures) -> None:
-        """Add the mean radiance of finished cells to the pixels that they cover.
+    def add(self, cells: Cells, cell_index: Ints, radiance: Enclosures) -> None:
+        """Add the mean radiance of cells to the pixels that they cover.
 
         Parameters
         ----------
         cells : Cells
             Cells of any width.
-        finished_cell : (n,) int array
-            Indices of the finished cells in `cells`.
+        cell_index : (n,) int array
+            Indices of the cells to add.
         radiance : Enclosures
-            Enclosures (8, 3, n) of the radiance in the finished cells.
+            Enclosures (8, 3, n) of the radiance in these cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        upper_left = self.pixel_index(cells)[finished_cell][:, None, None]
-        row, column = np.divmod(upper_left, self.bound.shape[1])
+        upper_left = self.pixel_index(cells)[cell_index][:, None, None]
+        row, column = np.divmod(upper_left, self.error_bound.shape[1])
         down, across = np.indices((pixels_across, pixels_across))
-        pixel = row + down, column + across
-        # Means of 1, X, Y, X^2, X Y and Y^2 over each pixel of a cell, or over a smaller cell.
-        x, y = ((2 * offset + 1) / pixels_across - 1 for offset in (across, down))
+        pixels = row + down, column + across
+        # Means of 1, X, Y, X^2, X Y and Y^2 over each pixel in a cell, or over a cell in a pixel.
+        x, y = ((2 * position + 1) / pixels_across - 1 for position in (across, down))
         variance = 1 / (3 * pixels_across * pixels_across)
         means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixel, area * np.tensordot(coef[:UNKNOWN], means, ((0,), (0,))))
-        np.add.at(self.bound, pixel, area * radiance.radius.max(axis=0)[:, None, None])
+            np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN], means, ((0,), (0,))))
+        np.add.at(self.error_bound, pixels, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
-        """Add to the picture the cells whose radiance is accurate enough, and return the others.
+        """Add cells whose radiance is accurate enough to the picture, and return the others.
 
-        For cells of at most one pixel, `is_final` decides.  A wider cell is accurate enough if it
-        shows a single face, and each light reaches all or none of this face.
+        A cell wider than a pixel is accurate enough if it shows a single face, and if each light
+        reaches all of this face or none of it.  Other cells are tested by `is_final`.
 
         Parameters
         ----------
         cells : Cells
-            Cells of which no part has been added to the picture yet.
+            Cells of which no part has been added yet.
 
         Returns
         -------
         pending : Cells
-            The cells that must be divided, without pairs and triples that proved irrelevant.
+            The cells that must be divided, without irrelevant pairs and triples.
 
         Raises
         ------
@@ -521,11 +521,11 @@ class _Picture:
         cells = analysis.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # cells without pairs are black
-        is_only_pair = pair_count[cells.pair_cell] == 1
-        fills_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
-        error = _SETTLED_ERROR * self.permitted_error
-        contributions = analysis.shade(fills_cell | (cells.width <= 1), error)
-        smooth_pair = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
+        is_alone = pair_count[cells.pair_cell] == 1
+        is_only_face = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
+        settled_error = _SETTLED_ERROR * self.permitted_error
+        contributions = analysis.shade(is_only_face | (cells.width <= 1), settled_error)
+        smooth_pair = np.flatnonzero(is_only_face & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[smooth_pair]] = False
         self.add(cells, cells.pair_cell[smooth_pair], cells.radiance[smooth_pair])
         if cells.width <= 1:
@@ -540,14 +540,10 @@ class _Picture:
     def is_final(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
         """Decide which cells are added to the picture without further division.
 
-        A cell is added if one of these is true:
-
-        1.  If all pending cells of its pixel were added now, the pixel's error would be within the
-            limit.
-        2.  Its error is at most the error that its pixel may still have, divided by the total area
-            of the pixel's pending cells.
-        3.  It has the minimum width, or its pixel has at least `_MAX_PENDING_CELLS` cells in
-            `cells`.
+        If all pending cells of a pixel can be added without exceeding the permitted error, they are
+        added.  Otherwise a cell is added if its error is at most the remaining error of its pixel,
+        divided by the area of the pixel's pending cells.  Cells of the minimum width, and cells in
+        pixels with at least `_MAX_PENDING_CELLS` cells, are always added.
 
         Parameters
         ----------
@@ -556,16 +552,16 @@ class _Picture:
         error : (c,) float array
             Bound on the error of each cell's mean radiance, in any channel.
         is_pending : (c,) bool array
-            Whether the cell is still missing from the picture.
+            Whether the cell has not been added yet.
 
         Returns
         -------
         is_final : (c,) bool array
-            Whether the cell is added now.
+            Whether to add the cell now.
         """
         area = is_pending * np.float64(cells.width**2)
         pixel, pixel_number = np.unique(self.pixel_index(cells), return_inverse=True)
-        remaining_error = self.permitted_error - self.bound.reshape(-1)[pixel]
+        remaining_error = self.permitted_error - self.error_bound.reshape(-1)[pixel]
         total_error = sum_by_index(pixel_number, area * error, pixel.size)
         average_error = remaining_error / sum_by_index(pixel_number, area, pixel.size)
         max_error = np.where(total_error <= remaining_error, np.inf, average_error)
@@ -579,16 +575,16 @@ def certify(
 ) -> Certificate:
     """Render a scene, and prove bounds on the mean radiance of every pixel.
 
-    The picture is divided into cells, and cells are divided into quarters, until second-order
-    affine arithmetic proves that the mean radiance of each pixel is accurate enough.
+    The picture is divided into cells, and the cells into quarters, until second-order affine
+    arithmetic proves that the mean radiance of each pixel is accurate enough.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     error : float
-        Permitted error of each pixel's mean linear radiance; more than 0.  Pixels where edges touch
-        each other may exceed it: see `Certificate.error`.
+        Permitted error of each pixel's mean linear radiance; more than 0.  The error of pixels
+        where edges touch each other may be larger: see `Certificate.error`.
     progress : callable
         Called repeatedly with the finished fraction of the picture.
 
@@ -600,8 +596,8 @@ def certify(
     Raises
     ------
     ValueError
-        If (1) `error` is not positive, (2) the eye is on a surface, or (3) a light is more than
-        1e14 times as far away as the smallest object is large.
+        If (1) `error` is not positive, (2) the eye is on a surface, or (3) the distance of a light
+        is more than 1e14 times the size of the smallest object.
     RuntimeError
         If a sample contradicts the bounds, which means that the certificate or the tracer is wrong.
     """
@@ -621,8 +617,8 @@ def certify(
         progress(finished_area / total_area)
         if pending.x.size:
             stack.append(pending)
-    size = slice(scene.height), slice(scene.width)
+    visible_part = slice(scene.height), slice(scene.width)
     # Radiance is never negative, but rounding errors can make a sum of enclosures negative.
-    image = picture.image[(slice(None), *size)].transpose(1, 2, 0).copy().clip(0)
-    bound = picture.bound[size][:, :, None] + _ROUNDING * image.max(initial=0)
+    image = picture.image[(slice(None), *visible_part)].transpose(1, 2, 0).copy().clip(0)
+    bound = picture.error_bound[visible_part][:, :, None] + _ROUNDING * image.max(initial=0)
     return Certificate(np.maximum(image - bound, 0), image + bound, image, picture.cell_count)

@@ -3,8 +3,8 @@
 The problem: the certificate must bound quantities, such as radiance, everywhere in a square cell of
 the picture.  Interval arithmetic (Moore, 1966) encloses a quantity between two numbers.  But it
 forgets that two quantities depend on the same position, so its bounds soon become useless.  Affine
-arithmetic (Comba and Stolfi, 1993) keeps the linear dependence.  This module keeps the quadratic
-dependence as well.
+arithmetic (Comba and Stolfi, 1993) keeps the linear dependence on the position.  This module also
+keeps the quadratic dependence.
 
 A cell has coordinates X and Y from -1 to 1.  An *enclosure* describes a quantity by eight
 coefficients: for some Z between -1 and 1, the quantity differs by at most coef[RADIUS] from
@@ -16,15 +16,15 @@ Z stands for the unknown part of the inverse distance of a surface.  All enclosu
 surface share the same Z, so unknown parts that are linear in the distance cancel.  Enclosures about
 different surfaces have different Z: see `Enclosures.subtract_independent`.
 
-Why the result is right: each operation moves what it cannot represent (terms of degree three or
-four, products with Z, rounding errors) to the radius, with its largest absolute value.
+Why the result is right: some terms of a result cannot be represented, such as those of degree three
+or four, and products with Z.  Their largest absolute values are added to coef[RADIUS], and so are
+bounds on the rounding errors.
 
-Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  A product of
-enclosures adds at most three products to each coefficient, and its radius consists of products of
-sums of at most seven terms.  So its rounding error is less than 30 e times the sum of all
-|a_i b_j|.  Its radius is widened by `ROUNDING`, which is 900 e, times this sum.  Sums of
-enclosures, and products of an enclosure with a number, err by e of each coefficient and widen
-nothing: at most four of them follow a product, whose widening of 900 e covers them.
+Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  The rounding
+error of a product of enclosures is less than 30 e times the sum of the absolute values of all its
+terms.  `ROUNDING`, which is 900 e, times this sum is added to the error bound.  Nothing is added
+for sums of enclosures, and for products with a number: at most four of these operations follow a
+product, and what was added for the product covers them.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ then the error bound."""
 ROUNDING = 1e-13
 """Bound on the rounding error of each term, relative to the term: about 900 roundings."""
 
-# A power is enclosed by a line along its chord instead of the Taylor polynomial if the polynomial's
-# remainder is more than this fraction of the power's range.
+# If the remainder of a power's Taylor polynomial is more than this fraction of the power's range, a
+# line parallel to the chord is tried instead.
 _MAX_REMAINDER_RATIO = 1 / 16
 
-# In intervals with a smaller ratio of half width to centre, the slope of the chord is lost in
-# rounding errors, and the Taylor polynomial is always accurate enough.
+# Where the ratio of an interval's half width to its centre is smaller, rounding errors spoil the
+# slope of the chord, and the Taylor polynomial is always accurate enough.
 _MIN_CHORD_WIDTH = 1e-6
 
 
@@ -53,8 +53,7 @@ class Enclosures:
     """n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
 
     X and Y are the coordinates in the cell, from -1 to 1.  Z is an unknown number from -1 to 1, the
-    same in all enclosures about one surface.  A quantity differs by at most coef[RADIUS]
-    from
+    same in all enclosures about one surface.  A quantity differs by at most coef[RADIUS] from
 
         coef[CONSTANT] + coef[X] X + coef[Y] Y
             + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
@@ -110,16 +109,16 @@ class Enclosures:
         return low, high
 
     def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Add numbers, or other enclosures whose i-th elements are for the same surfaces.
+        """Add numbers, or other enclosures about the same surfaces.
 
-        Each enclosure is a function of an unknown number Z from -1 to 1, which is the same for all
-        quantities of one surface.  So the coefficients of Z are added.  The unknowns of different
-        surfaces are independent: see `subtract_independent`.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  All
+        enclosures about one surface share the same Z, so the coefficients of Z are added.  For
+        enclosures about different surfaces, use `subtract_independent`.
 
         Parameters
         ----------
         other : Enclosures, or float array that broadcasts to (..., n)
-            The quantities or numbers to add.
+            The enclosures or numbers to add.
 
         Returns
         -------
@@ -134,37 +133,37 @@ class Enclosures:
         return Enclosures(coef)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
-        """Subtract enclosures whose i-th elements are for the same surfaces, with the same Z."""
+        """Subtract other enclosures about the same surfaces, which share the same unknown Z."""
         return self + other * -1.0
 
     def subtract_independent(self, other: Enclosures) -> Enclosures:
-        """Subtract quantities that belong to other surfaces.
+        """Subtract enclosures about other surfaces.
 
-        Each enclosure is a function of an unknown number Z from -1 to 1.  The unknowns of different
-        surfaces are independent and do not cancel.  So the absolute values of both coefficients of
-        Z are added to the error bound (row RADIUS) of the difference.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Z
+        differs from surface to surface, so it does not cancel in the difference.  The absolute
+        values of both coefficients of Z are added to the error bound instead.
 
         Parameters
         ----------
         other : Enclosures
-            Enclosures (8, n) of the quantities to subtract.
+            The enclosures (8, n) to subtract.
 
         Returns
         -------
         difference : Enclosures
-            Enclosures (8, n) of the differences, in which the coefficient of Z is 0.
+            Enclosures (8, n) of the differences, without Z.
         """
         coef = self.coef - other.coef
         coef[RADIUS], coef[UNKNOWN] = self.radius + other.radius, 0
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Multiply by numbers, or by enclosures whose i-th elements are for the same surfaces.
+        """Multiply by numbers, or by other enclosures about the same surfaces.
 
-        The product of two polynomials also has terms that an enclosure cannot represent: terms of
-        degree three and four in X and Y, and products with the unknown Z.  The largest absolute
-        value of each such term is added to the error bound (row RADIUS).  So is a bound on the
-        rounding errors.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  The
+        product of two such polynomials a and b has terms that an enclosure cannot represent, such
+        as X^3 or X Z.  Their largest absolute values are added to the error bound, together with
+        a bound on the rounding errors.
 
         Parameters
         ----------
@@ -187,12 +186,12 @@ class Enclosures:
         coef[X_SQUARED] += a[X] * b[X]
         coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
         coef[Y_SQUARED] += a[Y] * b[Y]
-        # The error bound covers all other products: of degree three or four, or with Z.  They are
-        # the products of all terms except the constants, minus the products of two linear terms.
+        # The error bound covers all other products: all products of terms with X, Y or Z, except
+        # those of two linear terms.
         a, b = np.abs(a), np.abs(b)
-        a_rest, b_rest = a[X:RADIUS].sum(axis=0), b[X:RADIUS].sum(axis=0)
-        a_size, b_size = a[CONSTANT] + a_rest, b[CONSTANT] + b_rest
-        coef[RADIUS] = a_rest * b_rest - (a[X] + a[Y]) * (b[X] + b[Y])
+        a_spread, b_spread = a[X:RADIUS].sum(axis=0), b[X:RADIUS].sum(axis=0)
+        a_size, b_size = a[CONSTANT] + a_spread, b[CONSTANT] + b_spread
+        coef[RADIUS] = a_spread * b_spread - (a[X] + a[Y]) * (b[X] + b[Y])
         coef[RADIUS] += a[RADIUS] * (b_size + b[RADIUS]) + b[RADIUS] * a_size
         coef[RADIUS] += ROUNDING * a_size * b_size
         return Enclosures(coef)
@@ -202,27 +201,15 @@ class Enclosures:
     ) -> Enclosures:
         """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
 
-        Two enclosures are computed, and the one with the smaller radius is returned:
-
-        1.  The Taylor polynomial of degree 2 around the centre c of the interval [c - w, c + w] of
-            z.  Its remainder is at most |f'''| w^3 / 6.  The maximum of |f'''| is at one end of the
-            interval, because f''' is monotonic.
-        2.  If the remainder is large: a line parallel to the chord of f.  As f is convex or
-            concave, its graph lies between the chord and the parallel tangent.  The line lies two
-            thirds of the way from the chord to the tangent, because that is the mean height of a
-            parabola between them.
-
-        Rounding: with e = 2^-53, the power and each coefficient have a relative error of a few e.
-        Each error is scaled by the term to which it belongs: f, |f'| w, or |f''| w^2, which is less
-        than |f'| w.
+        The result is the narrower of two enclosures: the Taylor polynomial of degree 2, or a line
+        parallel to the chord of f.
 
         Parameters
         ----------
         exponent : float, or (n,) float array
             The exponents, of either sign.
         minimum, maximum : float
-            Bounds on z known independently of the enclosures; minimum is at least 0.  The interval
-            of z is clipped to them.
+            Bounds on all z that are known otherwise; minimum is at least 0.
 
         Returns
         -------
@@ -232,32 +219,34 @@ class Enclosures:
         low, high = (np.clip(end, minimum, maximum) for end in self.bounds())
         center, half_width = 0.5 * (low + high), 0.5 * (high - low)
         f_low, f_high, f_center = (_raise_to_power(z, exponent) for z in (low, high, center))
-        # The coefficients of the Taylor polynomial, and that of the remainder relative to f / z^3.
-        first_coef = exponent * f_center / center
-        second_coef = 0.5 * (exponent - 1) * first_coef / center
-        third_coef = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
-        remainder = third_coef * np.maximum(f_low / low**3, f_high / high**3) * half_width**3
+        # The Taylor polynomial is expanded around the centre.  The third derivative of f has the
+        # absolute value 6 * cubic_coef * f / z^3.  It is monotonic, so its maximum is at one end.
+        linear_coef = exponent * f_center / center
+        quadratic_coef = 0.5 * (exponent - 1) * linear_coef / center
+        cubic_coef = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
+        remainder = cubic_coef * np.maximum(f_low / low**3, f_high / high**3) * half_width**3
         z_offset = self + -center
-        polynomial = z_offset * z_offset * second_coef + z_offset * first_coef + f_center
-        rounding_error = ROUNDING * (np.maximum(f_low, f_high) + np.abs(first_coef) * high)
+        polynomial = z_offset * z_offset * quadratic_coef + z_offset * linear_coef + f_center
+        # The power and all coefficients have relative errors of a few times 2^-53.
+        rounding_error = ROUNDING * (np.maximum(f_low, f_high) + np.abs(linear_coef) * high)
         polynomial.coef[RADIUS] += remainder + rounding_error
         is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
         is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
-        index = np.flatnonzero(is_coarse)
-        low, high, f_low, f_high = (values[index] for values in (low, high, f_low, f_high))
-        exponents = np.broadcast_to(exponent, half_width.shape)[index]
-        line = self[index]._enclose_power_by_line(exponents, low, high, f_low, f_high)
-        is_narrower = ~(polynomial.coef[RADIUS, index] < line.coef[RADIUS])
-        polynomial.coef[:, index[is_narrower]] = line.coef[:, is_narrower]
+        coarse_index = np.flatnonzero(is_coarse)
+        low, high, f_low, f_high = (values[coarse_index] for values in (low, high, f_low, f_high))
+        exponents = np.broadcast_to(exponent, half_width.shape)[coarse_index]
+        line = self[coarse_index]._enclose_power_by_line(exponents, low, high, f_low, f_high)
+        is_narrower = ~(polynomial.coef[RADIUS, coarse_index] < line.coef[RADIUS])
+        polynomial.coef[:, coarse_index[is_narrower]] = line.coef[:, is_narrower]
         return polynomial
 
     def _enclose_power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Enclosures:
-        """Enclose powers z^exponent by a line parallel to the chord of the power function.
+        """Enclose the powers f(z) = z^exponent by a line parallel to the chord of f.
 
-        The chord joins the powers at both ends of the interval [low, high] of z.  The line lies two
-        thirds of the way from the chord to the tangent with the same slope.
+        The graph of f lies between the chord and the tangent that is parallel to it.  The line is
+        two thirds of the way from the chord to the tangent, which is the mean height of a parabola.
 
         Parameters
         ----------
@@ -271,10 +260,10 @@ class Enclosures:
         Returns
         -------
         line : Enclosures
-            Enclosures (8, n) of the powers, which are linear functions of the enclosures of z.
+            Enclosures (8, n) of the powers.
         """
         slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
-        # The parallel tangent touches the curve at z = `tangent_z`.
+        # The tangent touches the graph at z = `tangent_z`.
         tangent_z = (slope / exponent) ** (1 / (exponent - 1))
         tangent_z = np.where(np.isfinite(tangent_z), tangent_z, 0.5 * (low + high)).clip(low, high)
         # The heights of both lines at z = 0.
@@ -286,7 +275,7 @@ class Enclosures:
         return line
 
     def clamp_to_unit_interval(self) -> Enclosures:
-        """Replace each enclosure that is much wider than the interval [0, 1] by this interval.
+        """Replace enclosures that are much wider than the interval [0, 1] by [0, 1] itself.
 
         Use this only for quantities that certainly lie in [0, 1], such as the cosines of acute
         angles.
@@ -294,8 +283,8 @@ class Enclosures:
         Returns
         -------
         clamped : Enclosures
-            Each enclosure, unchanged if the absolute values of its coefficients add up to less than
-            2.  Otherwise, or if the sum is NaN, the constant 0.5 with an error bound of 0.5.
+            The constant 0.5 with an error bound of 0.5 where the absolute values of the
+            coefficients add up to 2 or more, or to NaN.  All other enclosures are unchanged.
         """
         is_too_wide = ~(self.max_abs < 2)
         coef = np.where(is_too_wide, 0, self.coef)
@@ -305,27 +294,26 @@ class Enclosures:
     def split_into_quarters(self) -> Enclosures:
         """Convert enclosures in cells to enclosures in the four quarters of each cell.
 
-        In each quarter, the coordinates X and Y run from -1 to 1.  The absolute value of the
-        coefficient of the unknown Z is added to the error bound (row RADIUS).  Each new coefficient
-        is a sum of at most six terms, so its rounding error is at most 6 * 2^-53 times the sum of
-        the absolute values of these terms.  The error bound includes this error.
+        X and Y run from -1 to 1 in each quarter.  The error bound of a quarter includes the term
+        with the unknown Z, and all rounding errors.
 
         Returns
         -------
         quarters : Enclosures
-            Enclosures (8, ..., 4 n).  Those of a cell's quarters are adjacent, in the order upper
+            Enclosures (8, ..., 4 n).  The quarters of each cell are adjacent, in the order upper
             left, upper right, lower left, lower right.
         """
-        coef_1, coef_x, coef_y, coef_xx, coef_xy, coef_yy, _, _ = self.coef.repeat(4, axis=-1)
-        quarter = np.arange(coef_1.shape[-1]) % 4
+        constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, _, _ = self.coef.repeat(4, axis=-1)
+        quarter = np.arange(constant.shape[-1]) % 4
         # The quarter's centre, in the coordinates of the cell.
         center_x, center_y = (quarter & 1) - 0.5, (quarter >> 1) - 0.5
+        # Each new coefficient is a sum of at most six terms, whose rounding error ROUNDING exceeds.
         radius = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
-        new_1 = coef_1 + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
-        new_1 = new_1 + center_y * (coef_y + center_y * coef_yy)
+        value = constant + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
+        value = value + center_y * (coef_y + center_y * coef_yy)
         new_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
         new_y = coef_y / 2 + center_y * coef_yy + center_x * coef_xy / 2
-        coef = [new_1, new_x, new_y, coef_xx / 4, coef_xy / 4, coef_yy / 4, 0 * coef_1, radius]
+        coef = [value, new_x, new_y, coef_xx / 4, coef_xy / 4, coef_yy / 4, 0 * constant, radius]
         return Enclosures(np.array(coef))
 
 
@@ -349,8 +337,8 @@ def enclose_constants(constants: Floats, radius: Floats | float = 0.0) -> Enclos
     Returns
     -------
     enclosures : Enclosures
-        Arrays (8, ..., n) with the constants in row 0 (CONSTANT), the radius in row 7 (RADIUS), and
-        zeros elsewhere.
+        Enclosures (8, ..., n) with the constants in row 0 (CONSTANT), the radius in row 7 (RADIUS),
+        and zeros in all other rows.
     """
     coef = np.zeros((8, *constants.shape))
     coef[CONSTANT], coef[RADIUS] = constants, radius

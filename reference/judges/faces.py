@@ -1,8 +1,9 @@
 """Describe a scene for the certificate: faces, lights and shadows, in the camera's axes.
 
 Which functions decide what a pixel shows, and how can they be bounded?  A *face* is a sphere, or a
-rectangular side of a box.  Everything that the certificate needs to know about a face is linear or
-quadratic in the direction of a camera ray, if it is divided by the distance:
+rectangular side of a box.  Divided by the distance to the face, all that the certificate needs to
+know about a face is linear or quadratic in the direction of a camera ray, except for one square
+root:
 
 - A ray from the eye with direction d meets a face at t d.  Let a sphere have centre c and radius r,
   and let p = |c|^2 - r^2 be the power of the eye.  Then t = p / (c.d + sqrt((c.d)^2 - p d^2)): the
@@ -14,14 +15,12 @@ quadratic in the direction of a camera ray, if it is divided by the distance:
 - A *half-space* is the set of points x with n.x + b >= 0.  The point t d is inside if
   n.d + b / t >= 0.  A half-space is stored as five numbers: n, b, and the sum of the absolute
   values of the terms of b, from which rounding errors are bounded.
-- The height of a light at q above the tangent plane of a face, divided by t, is also of the form
-  n.d + b / t.  The normal of a sphere is g (t d - c) / r, with g = 1 outside and g = -1 inside.
-  With t^2 d^2 = 2 t c.d - p follow n = g (q - c) / r and b = g (p - c.q) / r.  Above a rectangle,
-  n = 0.
+- The height of a light above the tangent plane of a face, divided by t, also has the form
+  n.d + b / t.
 
 In the certificate, only this module uses internals of the tracer: the prepared scene, its light
-grid, and single samples.  From a sample, the certificate uses only *which* face is
-visible and *which* lights reach it, never the radiance.
+grid, and single samples.  From a sample, the certificate uses only *which* face is visible and
+*which* lights reach it, never the radiance.
 """
 
 from __future__ import annotations
@@ -41,8 +40,8 @@ from tracer.trace.samples import Scattered
 from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# Maximum distance of a light, relative to the size of the smallest object.  Farther away, both ends
-# of an object may round to the same direction from the light.
+# Maximum distance of a light, relative to the size of the smallest object.  Seen from farther away,
+# both ends of an object may round to the same direction.
 _MAX_LIGHT_DISTANCE = 1e14
 
 
@@ -53,12 +52,11 @@ class Faces:
     low sides of all boxes along x, their high sides along x, and the same for y and z.
 
     A camera ray with direction d meets a face at t d, relative to the eye, with 1 / t = k.d + s.
-    For a side of a box, s = 0.  For a sphere with centre c and radius r, s^2 = w^2 (r^2 d^2 - |c x
-    d|^2).
+    For a side of a box, s = 0.  For a sphere with centre c and radius r,
+    s^2 = w^2 (r^2 d^2 - |c x d|^2).
 
     A half-space is the set of points x with n.x + b >= 0.  It is stored as five numbers: the three
-    components of n, then b, then a bound on the absolute values of the terms that were added up to
-    b.
+    components of n, then b, then the sum of the absolute values of the terms of b.
 
     Attributes
     ----------
@@ -84,33 +82,32 @@ class Faces:
         For a sheet (a box without extent along one axis), its only face that has area and may be
         visible; for other objects, -1.
     plane_id : (2, f) float array
-        Two numbers that identify the plane of a face, equal only for faces in the same plane.  If
-        two such faces overlap, the first in the scene file is visible.
+        Two numbers that are equal only for faces in the same plane.  If two such faces overlap, the
+        first in the scene file is visible.
     linear_coef, root_coef : (3, f) and (f,) float arrays
         Coefficients k and w of the inverse distance (see above).  For a side of a box, w = 0.
     equation : (5, f) float array
-        For a side of a box, the half-space beyond its plane.  For a sphere, the part of its
-        equation that differs from the equations of other spheres, -2 c.x + p = 0 without x^2.
+        For a side of a box, the half-space beyond its plane.  For a sphere, the terms -2 c.x + p of
+        its equation, without the term x^2 that all spheres share.
     height_half_space : (5, m + 1, f) float array
-        For each light, and last for the eye, the half-space whose function n.d + b / t is the
-        height of the light or eye above the tangent plane of the face, divided by t.
+        For each light, then the eye: the half-space with n.d + b / t equal to the height of the
+        light (or eye) above the face's tangent plane, divided by t.
     rim_half_spaces : (5, 4, f) float array
         Four half-spaces whose intersection with the plane of a side of a box is this side.
     bounding_box : (2, 3, f) float array
         Lower and upper corners of the bounding boxes of the faces' objects, in the scene's axes.
     is_unlit : (m, f) bool array
-        Whether the light reaches no visible point of the face, because the light is (1) outside an
+        Whether the light certainly reaches no visible point of the face: it is (1) outside an
         object that contains the eye, (2) inside any other object, or (3) behind the face's plane.
     to_center : (3, m, spheres) float array
         Vectors from the lights to the spheres' centres.
     shadow_volume : (5, 9, m, boxes) float array
-        Nine half-spaces whose intersection is the shadow volume of a box.  The first three are
-        behind the planes that face the light.  The other six are inside planes through the light
-        and the box's silhouette.
+        Nine half-spaces whose intersection is the shadow volume of a box.  The first three lie
+        behind the sides that face the light.  The planes of the other six contain the light and the
+        box's silhouette.
     has_shadow_edge : (9, m, boxes) bool array
-        Whether the shadow may have an edge in the plane of the half-space.  A plane that faces the
-        light contains no edge unless the light is on it: where the shadow volume touches such a
-        plane, it touches the box.
+        Whether the plane of the half-space may contain an edge of the shadow.  The plane of a side
+        does so only if it contains the light.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -124,16 +121,15 @@ class Faces:
         Raises
         ------
         ValueError
-            If the eye is on a surface, or if a light is more than 1e14 times as far away as the
-            smallest object is large.
+            If the eye is on a surface, or the distance of a light is more than 1e14 times the size
+            of the smallest object.
         """
         self.prepared = prepared = PreparedScene(scene)
         self.frame = frame = prepared.frame
         self.prepared_lights = lights = prepared.prepare_lights()
         spheres, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
         self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
-        self.light_position = lights.from_eye
-        self.center = np.array(spheres.from_eye)
+        self.light_position, self.center = lights.from_eye, np.array(spheres.from_eye)
         self.radius, self.eye_power = spheres.radius, spheres.power
         low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
         is_on_box = is_eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
@@ -142,30 +138,24 @@ class Faces:
         lengths = np.append(spheres.radius, (boxes.max_pt - boxes.min_pt).ravel())
         max_distance = _MAX_LIGHT_DISTANCE * lengths[lengths > 0].min(initial=np.inf)
         if np.abs(self.light_position).max(initial=0) > max_distance:
-            distance = f"more than {_MAX_LIGHT_DISTANCE:g} times as far away as an object is large"
-            raise ValueError(f"a light is {distance}; move it closer")
+            limit = f"{_MAX_LIGHT_DISTANCE:g} times the size of an object"
+            raise ValueError(f"a light is farther away than {limit}; move it closer")
         self._set_face_attributes(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._set_shadow_volumes(low, high)
-        # `side` is positive outside an object, and negative inside.  A light on a side of a box
-        # counts as outside.  But if the eye is in the box, the light reaches other objects in the
-        # box.
+        # `side` is positive for a light outside an object, and negative inside.  A light on a side
+        # of a box counts as outside.  But if the eye is in the box, the light reaches other objects
+        # in the box.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box_index = boxes.objects.indices()
         side[:, box_index] *= boxes.signed_distance(box_index, (x, y, z)) != 0
         is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
-        # Such a light does not reach the box itself, whose sides are seen from within.
+        # The light does not reach the sides of this box, which are seen from within.
         is_unlit = is_enclosed | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
         """Set the attributes that have one item per face (a sphere, or a side of a box).
-
-        Let c be the centre of a sphere, r its radius, and q a light or the eye, all relative to the
-        eye.  Let g be 1 if the eye is outside the sphere, and -1 if it is inside.  A ray with
-        direction d meets the sphere at t d.  The height of q above the tangent plane there, divided
-        by t, is n.d + b / t with n = g (q - c) / r and b = g (power - c.q) / r, where the power of
-        the eye is |c|^2 - r^2.
 
         Parameters
         ----------
@@ -173,19 +163,15 @@ class Faces:
             Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
         prepared, axes, sphere_count = self.prepared, self.frame.axes, self.sphere_count
-        c, r, power = self.center, self.radius, self.eye_power
-        # The lights, then the eye.
-        points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
-        q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
-        g, c_times_q = np.where(power > 0, 1.0, -1.0), c[:, None] * q
-        b, b_size = power - c_times_q.sum(axis=0), np.abs(power) + np.abs(c_times_q).sum(axis=0)
-        sphere_height = np.array([*(g * (q - c[:, None])), g * b, b_size]) / r
-        # The last axes of all arrays for boxes: x, y or z; low or high side; index of the box.
+        center, radius, power = self.center, self.radius, self.eye_power
+        # Offsets from the eye, and positions, of the planes of the boxes' sides.  The last axes of
+        # all arrays for boxes: x, y or z; low or high side; index of the box.
         offset = np.stack([low, high], axis=1)
         position = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
         inward = np.where(prepared.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
+        points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
         height = np.sign(offset) * (position - points[:, :, None, None])
         side_height = np.array([*np.zeros((3, *height.shape)), height, np.abs(height)])
         half_space = np.empty((5, *offset.shape))  # half-spaces whose intersection is the box
@@ -198,10 +184,10 @@ class Faces:
             """Join the values of spheres and of box sides, as an array (..., f)."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        self.equation = append_sides(np.array([*(-2 * c), power, np.abs(power)]), half_space)
-        self.linear_coef = append_sides(c / power, axes[:, :, None, None] / offset)
+        self.equation = append_sides(np.array([*(-2 * center), power, np.abs(power)]), half_space)
+        self.linear_coef = append_sides(center / power, axes[:, :, None, None] / offset)
         self.root_coef = append_sides(1 / power, 0 * offset)
-        self.height_half_space = append_sides(sphere_height, side_height)
+        self.height_half_space = append_sides(self._compute_sphere_heights(), side_height)
         self.rim_half_spaces = append_sides(np.zeros((5, 4, sphere_count)), rim.repeat(2, axis=3))
         sphere_index = np.arange(sphere_count)
         sphere_plane = np.array([np.full(sphere_count, 3), sphere_index])
@@ -209,7 +195,7 @@ class Faces:
         box_index = np.broadcast_to(np.arange(sphere_count, self.object_count), offset.shape)
         self.object_index = append_sides(sphere_index, box_index)
         self.is_planar = self.object_index >= sphere_count
-        sphere_bounds = np.array([prepared.spheres.center - r, prepared.spheres.center + r])
+        sphere_bounds = prepared.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
         object_bounds = np.append(sphere_bounds, position.swapaxes(0, 1), axis=2)
         self.bounding_box = object_bounds[:, :, self.object_index]
         may_be_visible = append_sides(np.full(sphere_count, True), (offset * inward > 0) & has_area)
@@ -219,12 +205,34 @@ class Faces:
         self.sheet_face = np.full(self.object_count, -1)
         self.sheet_face[self.object_index[sheet_face]] = sheet_face
 
+    def _compute_sphere_heights(self) -> Floats:
+        """Compute the half-spaces that give the heights of the lights and the eye above spheres.
+
+        Let c be the centre of a sphere, r its radius, and q a light or the eye, all relative to the
+        eye.  A ray with direction d meets the sphere at t d, with t^2 d^2 = 2 t c.d - p and the
+        power p = |c|^2 - r^2 of the eye.  The unit normal there is g (t d - c) / r, where g is 1 if
+        the eye is outside the sphere, and -1 if it is inside.  So the height of q above the tangent
+        plane is t (n.d + b / t) with n = g (q - c) / r and b = g (p - c.q) / r.
+
+        Returns
+        -------
+        half_spaces : (5, m + 1, spheres) float array
+            The components of n, then b, then the sum of the absolute values of the terms of b, for
+            each light, then for the eye.
+        """
+        c, r, p = self.center[:, None], self.radius, self.eye_power
+        q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
+        g, products = np.where(p > 0, 1.0, -1.0), c * q
+        b, b_size = p - products.sum(axis=0), np.abs(p) + np.abs(products).sum(axis=0)
+        return np.array([*(g * (q - c)), g * b, b_size]) / r
+
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
         """Set the attributes `shadow_volume` and `has_shadow_edge` for each box and light.
 
-        Each half-space n.x + b >= 0 touches its box: the minimum of n.x over the box's corners is
-        -b.  The corners x are relative to the eye, not to the light, so that nothing cancels in
-        n.x, however distant the light is.
+        The shadow volume of a box is the intersection of at most nine half-spaces n.x + b >= 0: up
+        to three behind the sides that face the light, and six whose planes contain the light and
+        the box's silhouette.  Each plane touches the box, so b is minus the minimum of n.x over the
+        corners.
 
         Parameters
         ----------
@@ -239,16 +247,20 @@ class Faces:
         side_sign = np.where(is_edge_on, 0, np.where(to_low >= 0, 1, np.where(to_high <= 0, -1, 0)))
         side_normal = np.eye(3)[:, :, None, None] * side_sign
         normal = np.append(side_normal, cone_normal.reshape(3, 6, *to_low.shape[1:]), axis=1)
+        # The corners are relative to the eye, not to the light.  So nothing cancels in b, however
+        # distant the light is.
         products = np.array([normal * low[:, None], normal * high[:, None]])
         b, b_size = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
         b[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
-        u, v, w = self.frame.vector_to_camera((normal[0], normal[1], normal[2]))
-        self.shadow_volume = np.array([u, v, w, b, b_size])
-        cone_edges = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
-        self.has_shadow_edge = np.append(is_on_plane, cone_edges, axis=0)
+        camera_normal = self.frame.vector_to_camera((normal[0], normal[1], normal[2]))
+        self.shadow_volume = np.array([*camera_normal, b, b_size])
+        is_cone_edge = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
+        self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 
-    def find_occluders(self, center: Floats, half_size: Floats, face: Ints, active: Bools) -> Ints:
-        """List the objects that may block light from parts of faces.
+    def find_occluders(
+        self, center: Floats, half_size: Floats, face: Ints, is_active: Bools
+    ) -> Ints:
+        """List the objects that may shade given parts of faces from the lights.
 
         A face is a sphere or a side of a box.  The search uses the tracer's light grid, which lists
         objects by their direction from each light.
@@ -256,28 +268,28 @@ class Faces:
         Parameters
         ----------
         center, half_size : (3, k) float arrays
-            Centres and half sizes of the bounding boxes of the parts, in the scene's axes.
+            Centres and half sizes of the parts' bounding boxes, along the scene's axes.
         face : (k,) int array
-            The face of each part.
-        active : (m, k) bool array
-            For which (light, part) pairs to search.
+            The face to which each part belongs.
+        is_active : (m, k) bool array
+            Whether to list the objects between each light and part.
 
         Returns
         -------
         triples : (3, q) int array
-            Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.  Each triple
-            occurs once, and the triples are sorted.
+            Row 0 contains indices of parts, row 1 of lights, and row 2 of objects.  The triples are
+            distinct and sorted.
         """
-        prepared, grid, keys = self.prepared, self.prepared_lights.grid, [np.zeros(0, np.intp)]
-        may_block = ~prepared.is_eye_inside & ~prepared.is_duplicate
-        shape = (*active.T.shape, self.object_count)
-        if grid is not None and active.any():
-            triples = grid.query(center, half_size[:, None], self.object_index[face], active)
+        grid, triple_keys = self.prepared_lights.grid, [np.zeros(0, np.intp)]
+        may_block = ~self.prepared.is_eye_inside & ~self.prepared.is_duplicate
+        shape = (*is_active.T.shape, self.object_count)
+        if grid is not None and is_active.any():
+            triples = grid.query(center, half_size[:, None], self.object_index[face], is_active)
             for light, part_index, occluder in triples:
-                triple_key = np.ravel_multi_index((part_index, light, occluder), shape)
-                keys.append(triple_key[may_block[occluder]])
+                key = np.ravel_multi_index((part_index, light, occluder), shape)
+                triple_keys.append(key[may_block[occluder]])
         # The grid may find an object in several octants, so remove duplicates.
-        return np.array(np.unravel_index(np.unique(np.concatenate(keys)), shape))
+        return np.array(np.unravel_index(np.unique(np.concatenate(triple_keys)), shape))
 
     def trace_samples(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
         """Trace camera rays to find the faces visible at given positions in the picture.
@@ -290,11 +302,11 @@ class Faces:
         Returns
         -------
         hits : Hits
-            The nearest intersection of each of the h rays that meet an object.
+            The nearest intersections of the h rays that meet an object.
         sample : (h,) int array
-            The ray of each hit, as an index into `x`.
+            The index of each hit's position in `x` and `y`.
         face : (h,) int array
-            The face (a sphere, or a side of a box) of each hit.
+            The index of the face (a sphere, or a side of a box) that each ray hits.
         """
         samples, order = Scattered.from_positions(x, y)
         hits = find_nearest_hits(self.prepared, samples)
@@ -303,27 +315,27 @@ class Faces:
         for group in hits.groups:
             is_high_side = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]
             side = 2 * group.face + is_high_side
-            side = group.run_object + group.shape.is_planar * box_count * side
-            face[group.interval] = group.repeat_runs(side)
+            run_face = group.run_object + group.shape.is_planar * box_count * side
+            face[group.interval] = group.repeat_runs(run_face)
         # A ray through the rim of a sheet may hit a side without area.
         sheet_face = self.sheet_face[self.object_index[face]]
         return hits, order[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
 
-    def is_lit(self, hits: Hits, active: Bools) -> Bools:
+    def is_lit(self, hits: Hits, is_tested: Bools) -> Bools:
         """Test which lights reach each hit (a point where a camera ray meets a face).
 
         Parameters
         ----------
         hits : Hits
             The h hits.
-        active : (m, h) bool array
-            Which (light, hit) pairs to test.
+        is_tested : (m, h) bool array
+            Whether to test each light for each hit.
 
         Returns
         -------
         is_lit : (m, h) bool array
-            Whether (1) the pair is active, (2) the light is in front of the surface, and (3) no
-            object blocks the segment between them.
+            Whether the light is tested and reaches the hit: it is in front of the surface, and no
+            object lies in between.
         """
-        may_reach = active & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
+        may_reach = is_tested & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
         return may_reach & ~find_shadows(hits, self.prepared_lights, may_reach)

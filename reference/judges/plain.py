@@ -7,10 +7,10 @@ repeat its errors.
 
 The number type can be chosen:
 
-- Decimal numbers of 80 digits make this renderer the *oracle*.  Lengths that agree to 50 digits are
-  treated as equal, because the scene's own numbers have 16 digits.  So contact and ties are decided
-  exactly.
-- Float32, the textbook quadratic formula, or shadow rays with an epsilon show how common ray
+- Decimal numbers of 80 digits make this renderer the *oracle*.  The numbers of a scene have 16
+  digits, so lengths that agree to 50 digits are treated as equal.  Therefore contacts and ties are
+  decided exactly.
+- Float32, the textbook quadratic formula, and shadow rays with an epsilon show how common ray
   tracers fail (see `reference.stability`).
 
 Visibility: the closest intersection with t > 0 along the camera ray is visible.  If several are
@@ -45,8 +45,8 @@ ARITHMETICS: dict[str, tuple[Callable[[Any], Any], float]] = {
     "float32": (np.float32, 0),
     "decimal": (np.frompyfunc(Decimal, 1, 1), 1e-50),
 }
-"""For each number type, the function that converts numbers to it, and the ratio to the scene's
-largest coordinate up to which lengths are treated as 0."""
+"""For each number type, the function that converts numbers to it, and the maximum length that is
+treated as 0, relative to the scene's largest coordinate."""
 
 
 def _dot(a: Array, b: Array) -> Any:
@@ -69,7 +69,7 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
 
     The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
     Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable
-    form of the roots avoids cancellation on huge spheres (Press et al., Numerical Recipes, 5.6).
+    form of the roots avoids cancellation for huge spheres (Press et al., Numerical Recipes, 5.6).
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def intersect_by_expansion(origin: Array, direction: Array, center: Array, radiu
     """Intersect rays with a sphere by the quadratic formula, with one square multiplied out.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
-    with the square of the distance from the ray's origin to the sphere, and with the square of the
-    distance of both from the point (0, 0, 0).
+    with the square of the distance from the ray's origin to the sphere.  It also grows with the
+    square of the distance of both from the point (0, 0, 0).
 
     Parameters
     ----------
@@ -178,8 +178,8 @@ SHADOW_METHODS: dict[str, Callable[[Array, Array], tuple[Array, float]]] = {
         0,
     ),
 }
-"""Methods of keeping a surface from shading its own points.  Each computes, from points and normals
-(3, n), the origins (3, n) of the shadow rays, and the length up to which intersections are ignored.
+"""Methods of keeping a surface from shading its own points.  From points and normals (3, n), each
+computes the origins (3, n) of shadow rays, and the distance within which to ignore intersections.
 
 The first method also skips the point's own object.  This is exact, because all objects are convex.
 """
@@ -218,9 +218,9 @@ class _PlainTracer:
         Converts numbers, or arrays of numbers, to the number type.
     intersect_sphere, start_shadow_rays : callables
         The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
-    skips_own_object, last_wins : bool
-        Whether shadow rays skip the surface that they start from (method "exact"); whether the last
-        of several equally close surfaces is visible instead of the first.
+    skips_own_object, shows_last : bool
+        Whether shadow rays skip the surface from which they start (method "exact"); whether the
+        last of several equally close surfaces is visible instead of the first.
     eye : (3, 1) array
         Position of the eye.
     light_positions : list of (3, 1) arrays
@@ -235,10 +235,10 @@ class _PlainTracer:
     scene_size : number
         The largest absolute coordinate or radius in the scene.
     relative_tolerance : number
-        A length is treated as 0 if its ratio to another length is at most this: 1e-50 in decimal
-        numbers, otherwise 0.
+        A length is treated as 0 if its ratio to another length is at most this number: 1e-50 in
+        decimal arithmetic, otherwise 0.
     tolerance : number
-        Lengths up to this are treated as 0: `relative_tolerance` times `scene_size`.
+        Maximum length that is treated as 0: `relative_tolerance` times `scene_size`.
     """
 
     def __init__(
@@ -263,7 +263,7 @@ class _PlainTracer:
         """
         to_numbers, relative_tolerance = ARITHMETICS[arithmetic]
         self.scene, self.surfaces, self.to_numbers = scene, scene.surfaces[:], to_numbers
-        self.skips_own_object, self.last_wins = shadow_method == "exact", ties == "last"
+        self.skips_own_object, self.shows_last = shadow_method == "exact", ties == "last"
         self.intersect_sphere = SPHERE_METHODS[sphere_method]
         self.start_shadow_rays = SHADOW_METHODS[shadow_method]
         self.eye = to_numbers(scene.camera.view_point)[:, None]
@@ -273,24 +273,24 @@ class _PlainTracer:
             (each.center, [each.radius]) if isinstance(each, Sphere) else (each.min_pt, each.max_pt)
             for each in self.surfaces
         ]
-        self.shapes = [(to_numbers(a)[:, None], to_numbers(b)[:, None]) for a, b in shapes]
-        lengths = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
+        self.shapes = [[to_numbers(numbers)[:, None] for numbers in shape] for shape in shapes]
+        coordinates = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
         self.relative_tolerance = to_numbers(relative_tolerance)
-        self.scene_size = max(np.abs(length).max() for length in lengths)
+        self.scene_size = max(np.abs(array).max() for array in coordinates)
         self.tolerance = self.relative_tolerance * self.scene_size
         indices = range(len(self.shapes))
         self.is_eye_inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
 
     def snap_to_zero(self, values: Array, scale: Array) -> Array:
-        """Replace values with 0 where they are tiny compared with a scale.
+        """Replace values with 0 where they are tiny in relation to a scale.
 
         Parameters
         ----------
         values : array
             Numbers of the tracer's number type.
         scale : array that broadcasts to `values`
-            A decimal value is tiny if its absolute value is at most 1e-50 times this.  Values in
-            float32 or float64 never count as tiny.
+            A decimal value is tiny if its absolute value is at most 1e-50 times the scale.  Values
+            in float32 or float64 are never tiny.
 
         Returns
         -------
@@ -303,7 +303,7 @@ class _PlainTracer:
         return np.where(is_tiny, self.to_numbers(0), values)
 
     def signed_distance(self, surface: int, points: Array) -> Array:
-        """Compute each point's signed distance from a surface.
+        """Compute the signed distance of each point from a surface.
 
         Parameters
         ----------
@@ -315,8 +315,9 @@ class _PlainTracer:
         Returns
         -------
         distance : (n,) array
-            Positive outside the surface, 0 on it, negative inside.  For a box, the maximum over the
-            planes of its sides, which is less than the distance near its edges and corners.
+            Positive outside the surface, 0 on it, negative inside.  For a box, this is the maximum
+            over the planes of its sides.  Near edges and corners, it is less than the distance from
+            the box.
         """
         center_or_low, radius_or_high = self.shapes[surface]
         if self.is_sphere[surface]:
@@ -363,7 +364,7 @@ class _PlainTracer:
         direction : (3, n) array
             Directions of the rays.
         is_closed : bool
-            Whether a ray in the plane of a side meets the slab behind this side.
+            Whether a ray that lies in the plane of a side counts as being in the slab.
 
         Returns
         -------
@@ -420,25 +421,25 @@ class _PlainTracer:
         """
         direction = self.ray_directions(x, y)
         closest_t, surface = self.find_closest(direction)
-        visible = np.flatnonzero(surface >= 0)
-        visible_surface, direction = surface[visible], direction.take(visible, 1)
-        points = self.eye + closest_t[visible] * direction
+        hit_index = np.flatnonzero(surface >= 0)
+        visible_surface, direction = surface[hit_index], direction.take(hit_index, 1)
+        points = self.eye + closest_t[hit_index] * direction
         normals = np.zeros_like(points)
         for i in np.unique(visible_surface).tolist():
-            index = np.flatnonzero(visible_surface == i)
-            hits = points.take(index, 1), direction.take(index, 1)
-            points[:, index], normals[:, index] = self.project_onto_surface(i, *hits)
+            ray_index = np.flatnonzero(visible_surface == i)
+            points_and_directions = points.take(ray_index, 1), direction.take(ray_index, 1)
+            points[:, ray_index], normals[:, ray_index] = self.project_onto_surface(i, *points_and_directions)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
-        for light, light_position, is_lit_by in lights:
-            is_lit_by[visible] = self.is_lit(visible_surface, points, normals, light_position)
+        for light, light_position, is_reached in lights:
+            is_reached[hit_index] = self.is_lit(visible_surface, points, normals, light_position)
             to_light, to_eye = _normalise(light_position - points), -_normalise(direction)
-            for i in np.unique(visible_surface[is_lit_by[visible]]).tolist():
-                index = np.flatnonzero(is_lit_by[visible] & (visible_surface == i))
-                vectors = (vector.take(index, 1) for vector in (normals, to_light, to_eye))
-                reflected = self.reflected_radiance(i, *vectors)
-                radiance[visible[index]] += reflected * light.intensity
+            for i in np.unique(visible_surface[is_reached[hit_index]]).tolist():
+                ray_index = np.flatnonzero(is_reached[hit_index] & (visible_surface == i))
+                unit_vectors = (vector.take(ray_index, 1) for vector in (normals, to_light, to_eye))
+                reflected = self.reflected_radiance(i, *unit_vectors)
+                radiance[hit_index[ray_index]] += reflected * light.intensity
         return TracedRays(radiance, surface, is_lit)
 
     def find_closest(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
@@ -456,13 +457,13 @@ class _PlainTracer:
         surface : (n,) int array
             Index of the surface intersected there, or -1.
         """
-        ray_count, length = direction.shape[1], _norm(direction)
+        ray_count, direction_length = direction.shape[1], _norm(direction)
         closest_t, surface = self.to_numbers(np.full(ray_count, np.inf)), np.full(ray_count, -1)
-        numbered = [*enumerate(self.is_eye_inside)]
-        for i, is_eye_inside in reversed(numbered) if self.last_wins else numbered:
+        order = range(len(self.shapes))
+        for i in reversed(order) if self.shows_last else order:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
-            t = far if is_eye_inside else near
-            is_ahead = (near <= far) & (t * length > self.tolerance)
+            t = far if self.is_eye_inside[i] else near
+            is_ahead = (near <= far) & (t * direction_length > self.tolerance)
             is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
             closest_t, surface = np.where(is_closer, t, closest_t), np.where(is_closer, i, surface)
         return closest_t, surface
@@ -494,14 +495,14 @@ class _PlainTracer:
         low, high = shape
         near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
         # At an edge or a corner, the side along the first (or the last) axis is visible.
-        t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
-        is_tied = np.asarray(np.abs(t - visible_t) * _norm(direction) <= self.tolerance)
-        axis = 2 - is_tied[::-1].argmax(axis=0) if self.last_wins else is_tied.argmax(axis=0)
-        ray = np.arange(direction.shape[1])
-        is_forward = direction[axis, ray] > 0
-        points[axis, ray] = np.where(is_forward == is_eye_inside, high[axis, 0], low[axis, 0])
+        side_t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
+        is_tied = np.asarray(np.abs(side_t - visible_t) * _norm(direction) <= self.tolerance)
+        axis = 2 - is_tied[::-1].argmax(axis=0) if self.shows_last else is_tied.argmax(axis=0)
+        ray_index = np.arange(direction.shape[1])
+        is_forward = direction[axis, ray_index] > 0
+        points[axis, ray_index] = np.where(is_forward == is_eye_inside, high[axis, 0], low[axis, 0])
         normals = np.zeros_like(points)
-        normals[axis, ray] = self.to_numbers(np.where(is_forward, -1, 1))
+        normals[axis, ray_index] = self.to_numbers(np.where(is_forward, -1, 1))
         return points, normals
 
     def is_lit(self, surface_index: Array, points: Array, normals: Array, light: Array) -> Array:
@@ -525,14 +526,13 @@ class _PlainTracer:
         is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
         for i, is_eye_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
-            candidates = points.take(index, 1), normals.take(index, 1)
-            ray_origin, min_length = self.start_shadow_rays(*candidates)
+            points_and_normals = points.take(index, 1), normals.take(index, 1)
+            ray_origin, min_length = self.start_shadow_rays(*points_and_normals)
             is_blocked = self.is_blocking(i, ray_origin, light, min_length)
             if self.skips_own_object:
-                # A surface that encloses the eye shadows its own points if the light is outside of
-                # it; no other surface does.
-                shadows_itself = is_eye_inside and self.signed_distance(i, light)[0] >= 0
-                is_blocked = np.where(surface_index[index] == i, shadows_itself, is_blocked)
+                # A surface shades its own points only if it contains the eye, but not the light.
+                shades_itself = is_eye_inside and self.signed_distance(i, light)[0] >= 0
+                is_blocked = np.where(surface_index[index] == i, shades_itself, is_blocked)
             is_lit[index] = ~is_blocked
         return is_lit
 
@@ -540,10 +540,6 @@ class _PlainTracer:
         """Test whether a surface blocks the segment from each point to a light.
 
         Intersections at the ends of the segment do not count.
-
-        If the point or the light is on a sphere, one intersection is known exactly.  The other
-        follows without a square root: both are equally far from the point of the ray that is
-        closest to the sphere's centre.
 
         Parameters
         ----------
@@ -573,18 +569,19 @@ class _PlainTracer:
         near, far = self.intersect(surface, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
         if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface]:
-            # Both intersections are equally far from the closest point, which is at t = middle_t.
+            # If the light or the point is on the sphere, one intersection is known exactly.  Both
+            # are equally far from the point at t = middle_t, which is closest to the centre.
             middle_t = _dot(self.shapes[surface][0] - points, direction)
-            blocks_own_light = is_between(2 * middle_t - distance)
+            blocks_light_on_sphere = is_between(2 * middle_t - distance)
             is_light_on_sphere = self.signed_distance(surface, light) == 0
-            is_blocked = np.where(is_light_on_sphere, blocks_own_light, is_blocked)
-            # From a point on the sphere, the segment is blocked if it leaves the sphere on the side
-            # opposite the eye, or meets the sphere again.
+            is_blocked = np.where(is_light_on_sphere, blocks_light_on_sphere, is_blocked)
+            # A segment from a point on the sphere is blocked if it starts on the side opposite the
+            # eye, or meets the sphere again.
             is_outward = (middle_t < -self.tolerance) | is_between(2 * middle_t)
             is_inward = middle_t > self.tolerance
-            blocks_own_point = is_outward if self.is_eye_inside[surface] else is_inward
+            blocks_point_on_sphere = is_outward if self.is_eye_inside[surface] else is_inward
             is_point_on_sphere = self.signed_distance(surface, points) == 0
-            is_blocked = np.where(is_point_on_sphere, blocks_own_point, is_blocked)
+            is_blocked = np.where(is_point_on_sphere, blocks_point_on_sphere, is_blocked)
         return np.asarray(is_blocked)
 
     def reflected_radiance(

@@ -11,9 +11,8 @@ region
 
 A cell has coordinates X and Y from -1 to 1, so its area is 4; areas here are fractions of it.
 
-The tracer's antialiasing divides cells in a similar way (a point of a curve near the centre;
-cutting triangles).  This is repeated here on purpose: a reference that shares code with what it
-validates would repeat its errors.
+The tracer's antialiasing divides cells in a similar way.  This module repeats the method on
+purpose: a reference that shares code with what it validates would repeat its errors.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from reference.judges.arrays import Floats, Index, Ints, sum_by_index
 from reference.judges.enclosures import CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED, Enclosures, X, Y
 
 MIN_AREA = 1e-12
-"""Minimum area of a region, as a fraction of its cell; smaller areas are mostly rounding error."""
+"""Minimum area of a region, as a fraction of its cell.  Smaller areas are mostly rounding error."""
 
 
 class Strips(NamedTuple):
@@ -70,39 +69,31 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     """Take one Newton step from the cell's centre towards a zero of each polynomial.
 
     The step is shortened if it would leave the cell.  `enclose_in_strips` works with any point, but
-    the closer the point is to the zero, the narrower is the strip.
+    points closer to the zero give narrower strips.
 
     Parameters
     ----------
     coef : (8, n) float array
-        Coefficients of polynomials in X and Y, which run from -1 to 1 in the cell.  Rows 0 to 2
-        contain the coefficients of 1, X and Y, which are the only ones used.
+        Coefficients of polynomials in X and Y, which run from -1 to 1 in the cell.  Only rows 0 to
+        2, the coefficients of 1, X and Y, are used.
 
     Returns
     -------
     x, y : (n,) float arrays
-        The points, from -1 to 1, or the centre if the polynomial has no gradient there.
+        The points, from -1 to 1.  This is the centre where the polynomial has no gradient.
     """
     value, slope_x, slope_y = coef[:X_SQUARED]
-    max_step = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
-    step = np.clip(-value / (slope_x**2 + slope_y**2), -max_step, max_step)
-    step = np.nan_to_num(step, posinf=0, neginf=0)
-    return step * slope_x, step * slope_y
+    max_scale = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
+    scale = np.clip(-value / (slope_x**2 + slope_y**2), -max_scale, max_scale)
+    scale = np.nan_to_num(scale, posinf=0, neginf=0)
+    return scale * slope_x, scale * slope_y
 
 
 def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips:
     """Enclose the zeros of each edge function in a strip between two parallel lines.
 
-    The picture may have an edge where an edge function is zero.  At a point (x, y) near the zero,
-    let g be the length of the gradient (a, b), and (p, q) its unit vector.  Let n be the coordinate
-    along the gradient, and t the coordinate perpendicular to it.  Let f_tt, f_tn and f_nn be the
-    second derivatives.  Apart from its error bound, the function equals
-    v + g n (1 + e) + f_tt t^2 / 2, where v is its value at the point.  Here |e| is at most k, a
-    bound on |f_tn t + f_nn n / 2| / g in the cell.
-
-    Let T (`max_t`) be the maximum of |t|.  Then f_tt t^2 / 2 differs from f_tt T^2 / 6 by at most
-    |f_tt| T^2 / 3.  Let d be this difference plus the error bound, and w = v + f_tt T^2 / 6.  Then
-    the function is zero only where |w + g n| <= d + (|w| + d) k / (1 - k): a strip.
+    The strip is perpendicular to the gradient of the function at a point near the zero.  It is wide
+    enough for the error bound and the curvature of the function.
 
     Parameters
     ----------
@@ -120,25 +111,33 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
         may get no strip.
     """
     coef = functions.coef
-    coef_1, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
+    constant, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
     x, y = _take_newton_step(coef)
-    v = coef_1 + coef[X] * x + coef[Y] * y
-    v = v + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
+    value = constant + coef[X] * x + coef[Y] * y
+    value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
     a = coef[X] + 2 * coef_xx * x + coef_xy * y
     b = coef[Y] + coef_xy * x + 2 * coef_yy * y
-    g = np.hypot(a, b)
-    p, q = a / g, b / g  # n is along (p, q), t along (-q, p)
+    slope = np.hypot(a, b)
+    p, q = a / slope, b / slope
+    # Relative to the point (x, y), let n be the coordinate along the gradient (p, q), and t the one
+    # along (-q, p).  With the second derivatives f_tt, f_tn and f_nn, the function is
+    #     value + slope n + f_tn t n + f_nn n^2 / 2 + f_tt t^2 / 2.
     f_tt = 2 * (coef_xx * q * q - coef_xy * p * q + coef_yy * p * p)
     f_tn = 2 * (coef_yy - coef_xx) * p * q + coef_xy * (p * p - q * q)
     f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
     max_distance = np.abs(p) + np.abs(q)
     max_t, max_n = max_distance + np.abs(p * y - q * x), max_distance + np.abs(p * x + q * y)
-    k = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / g
-    w = v + f_tt * max_t * max_t / 6
-    d = np.abs(f_tt) * max_t * max_t / 3 + functions.radius
-    half_width = np.where(k < 1, d + (np.abs(w) + d) * k / (1 - k), np.inf)
+    # The three middle terms are slope n (1 + e) with |e| <= max_e.
+    max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
+    # The last term differs from f_tt max_t^2 / 6 by at most |f_tt| max_t^2 / 3.
+    value += f_tt * max_t * max_t / 6
+    deviation = np.abs(f_tt) * max_t * max_t / 3 + functions.radius
+    # If the function is 0, |value + slope n (1 + e)| is at most the deviation.  Then
+    # |value + slope n| is at most the deviation plus the following bound on |slope n e|.
+    max_change = (np.abs(value) + deviation) * max_e / (1 - max_e)
+    half_width = np.where(max_e < 1, deviation + max_change, np.inf)
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
-    line = np.array([a, b, w - a * x - b * y]) * scale
+    line = np.array([a, b, value - a * x - b * y]) * scale
     # If there is no gradient, the strip is the whole cell.
     is_flat = ~np.isfinite(scale)
     line[:, is_flat] = [[1], [0], [0]]
@@ -150,7 +149,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
 
 
 class Regions(NamedTuple):
-    """Convex regions (n,) into which strips divide cells, sorted by cell and signs.
+    """Convex regions (n,) into which strips divide cells, sorted by cell and side bits.
 
     The borders of the regions are the centre lines of the strips.  A cell has coordinates X and Y
     from -1 to 1.
@@ -159,7 +158,7 @@ class Regions(NamedTuple):
     ----------
     cell : (n,) int array
         The cell of each region.
-    signs : (n,) int array
+    side_bits : (n,) int array
         Bit i is set if the region is on the positive side of the i-th centre line in its cell.
     area : (n,) float array
         Area of the region, as a fraction of the cell's area.
@@ -168,7 +167,7 @@ class Regions(NamedTuple):
     """
 
     cell: Ints
-    signs: Ints
+    side_bits: Ints
     area: Floats
     mean: Floats
 
@@ -189,44 +188,45 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
     Returns
     -------
     regions : Regions
-        All regions of all cells, possibly without those that have no area.
+        All regions of all cells.  Regions without area may be missing.
     """
     strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
-    max_strip_count = int(np.diff(strip_start).max(initial=0))
-    cell, signs = np.arange(cell_count).repeat(2), np.zeros(2 * cell_count, dtype=np.intp)
+    bit_count = int(np.diff(strip_start).max(initial=0))
+    cell, side_bits = np.arange(cell_count).repeat(2), np.zeros(2 * cell_count, dtype=np.intp)
     # The three corners of each triangle, as complex numbers X + i Y.
     corners = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], cell_count)
-    for bit in range(max_strip_count):
+    for bit in range(bit_count):
         strip = strip_start[cell] + bit
         triangle = np.flatnonzero(strip < strip_start[cell + 1])
         corner, strip = corners[:, triangle], strip[triangle]
         height = strips.a[strip] * corner.real + strips.b[strip] * corner.imag + strips.c[strip]
         is_above = height > 0
         above_count = is_above.sum(axis=0)
-        signs[triangle[above_count == 3]] |= 1 << bit
-        cut = np.flatnonzero((above_count == 1) | (above_count == 2))
+        side_bits[triangle[above_count == 3]] |= 1 << bit
+        cut_index = np.flatnonzero((above_count == 1) | (above_count == 2))
         # Rotate the corners so that the first is alone on its side of the line.
-        is_lone_above, triangle = above_count[cut] == 1, triangle[cut]
-        lone_corner = np.argmax(is_above[:, cut] == is_lone_above, axis=0)
+        is_lone_above, triangle = above_count[cut_index] == 1, triangle[cut_index]
+        lone_corner = np.argmax(is_above[:, cut_index] == is_lone_above, axis=0)
         order = (lone_corner + np.arange(3)[:, None]) % 3
-        (a, b, c), (height_a, height_b, height_c) = corners[order, triangle], height[order, cut]
+        a, b, c = corners[order, triangle]
+        height_a, height_b, height_c = height[order, cut_index]
         # The line meets the triangle's sides at p and q.
         p = a + height_a / (height_a - height_b) * (b - a)
         q = a + height_a / (height_a - height_c) * (c - a)
         corners[:, triangle] = a, p, q
         corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
-        signs_below = signs[triangle]
-        signs[triangle] = signs_below | is_lone_above << bit
-        signs = np.concatenate([signs, *[signs_below | ~is_lone_above << bit] * 2])
+        bits_below = side_bits[triangle]
+        side_bits[triangle] = bits_below | is_lone_above << bit
+        side_bits = np.concatenate([side_bits, *[bits_below | ~is_lone_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
     area, mean = _compute_moments(corners)
-    key, region = np.unique(cell << max_strip_count | signs, return_inverse=True)
+    key, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
     region_area = sum_by_index(region, area, key.size)
     weight = area / np.maximum(region_area, MIN_AREA)[region]
     region_mean = np.array([sum_by_index(region, weight * moment, key.size) for moment in mean])
     region_mean[0] = 1
-    cell, signs = key >> max_strip_count, key & ((1 << max_strip_count) - 1)
-    return Regions(cell, signs, region_area, region_mean)
+    cell, side_bits = key >> bit_count, key & ((1 << bit_count) - 1)
+    return Regions(cell, side_bits, region_area, region_mean)
 
 
 def _compute_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
@@ -242,13 +242,13 @@ def _compute_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
     area : (n,) float array
         Areas, as fractions of the cell's area of 4.
     mean : (6, n) float array
-        The means over each triangle, in this order.
+        The means of 1, X, Y, X^2, X Y and Y^2 over each triangle.
     """
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
     mean = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
-    # If a product has the factors p_i and q_i at corner i, its mean is
-    # (the sum of p_i q_i, plus the sum of p_i times the sum of q_i) / 12.
+    # Let p_i and q_i be X or Y of corner i.  The mean of their product over the triangle is
+    # (sum of p_i q_i + sum of p_i * sum of q_i) / 12.
     for first, second in ((x, x), (x, y), (y, y)):
         mean.append(((first * second).sum(axis=0) + first.sum(axis=0) * second.sum(axis=0)) / 12)
     return area, np.array(mean)

@@ -9,14 +9,14 @@ import numpy as np
 from reference.judges.arrays import Floats
 
 
-def squared_length(vectors: Floats) -> Floats:
-    """Compute the squared lengths of vectors that are linear in the coordinates X and Y.
+def compute_squared_length(vectors: Floats) -> Floats:
+    """Compute the squared lengths of vectors that depend linearly on X and Y.
 
     Parameters
     ----------
     vectors : (3, 3, n) float array
-        n vectors.  The first axis holds the components of a vector; the second holds the
-        coefficients of 1, X and Y.
+        n vectors.  The first axis holds the components; the second holds the coefficients of 1, X
+        and Y in each component.
 
     Returns
     -------
@@ -28,21 +28,21 @@ def squared_length(vectors: Floats) -> Floats:
     return np.array([(a * b).sum(axis=0) * (1 if a is b else 2) for a, b in pairs])
 
 
-def cross_product(constant_vectors: Floats, vectors: Floats) -> Floats:
-    """Compute the cross products of constant vectors with vectors linear in the position.
+def compute_cross_product(constant_vectors: Floats, vectors: Floats) -> Floats:
+    """Compute the cross products of constant vectors with vectors that depend on X and Y.
 
     Parameters
     ----------
     constant_vectors : (3, n) float array
         The first factors.
     vectors : (3, k, n) float array
-        The second factors.  The first axis holds the components of a vector; the second holds k
-        coefficients of each component, such as those of 1, X and Y.
+        The second factors.  The first axis holds the components; the second holds k coefficients of
+        each component, such as those of 1, X and Y.
 
     Returns
     -------
     product : (3, k, n) float array
-        The cross products, with the axes of `vectors`.
+        The cross products, with the same axes as `vectors`.
     """
     yzx, zxy = [1, 2, 0], [2, 0, 1]
     first_factor = constant_vectors[:, None]

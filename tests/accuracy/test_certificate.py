@@ -99,9 +99,9 @@ class SampledPoints:
             signs[cell] |= (z > 0) << bit
             allowed[cell] += (np.abs(z) <= lines.half_width[line]) * lines.jump[line]
         # Regions are sorted by cell and signs; very small ones may be missing.
-        region = find_in_sorted(32 * regions.cell + regions.signs, 32 * np.arange(n) + signs)
+        region = find_in_sorted(32 * regions.cell + regions.side_bits, 32 * np.arange(n) + signs)
         cell = np.flatnonzero(region >= 0)
-        enclosures, more = result.radiance[region[cell]], result.doubt[region[cell]] + allowed[cell]
+        enclosures, more = result.radiance[region[cell]], result.sample_error[region[cell]] + allowed[cell]
         self.compare(enclosures, radiance[:, cell], x[cell], y[cell], more)
         self.max_excess = (radiance - result.max_radiance).max(initial=self.max_excess)
         # The error of a cell includes the worst case in its strips.
@@ -221,7 +221,7 @@ def test_a_region_is_doubtful_if_its_centroid_is_in_a_strip() -> None:
     # Strips around x = 0 and x = 0.02; the centroids are at -0.5, 0.01 and 0.51.
     lines = strips_of(np.array([1, 0, 0]), np.array([1, 0, -0.02]))
     lines = lines._replace(half_width=np.array([0.1, 0.001]), jump=np.array([3.0, 5.0]))
-    doubt = certificate._bound_doubts(lines, divide_into_regions(lines, 1), 1)
+    doubt = certificate._bound_sample_errors(lines, divide_into_regions(lines, 1), 1)
     assert doubt.tolist() == [0, 3, 0]
 
 
