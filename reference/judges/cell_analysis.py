@@ -323,9 +323,8 @@ class CellAnalysis:
             possible_edges.append((claim[index], functions.take(index), enclosures[index]))
         for claim, functions, enclosures in possible_edges:
             index = np.flatnonzero(~is_false[claim])
-            edge_functions = functions.take(index)
-            edges = self._narrow_enclosures(edge_functions, enclosures[index])
-            self._edges.append((edge_functions.pair, light[claim[index]], edges))
+            edges = self._narrow_enclosures(functions.take(index), enclosures[index])
+            self._edges.append((functions.pair[index], light[claim[index]], edges))
         return is_true & ~is_false
 
     def _narrow_enclosures(self, functions: _RayFunctions, enclosures: Enclosures) -> Enclosures:

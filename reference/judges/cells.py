@@ -109,8 +109,7 @@ class Cells(NamedTuple):
         pair, light, occluder = self.triples
         pair_fields = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
         fields: dict[str, Any] = {name: getattr(self, name)[is_kept] for name in pair_fields}
-        triples = np.array([new_index[pair], light, occluder])
-        reduced = self._replace(**fields, triples=triples)
+        reduced = self._replace(**fields, triples=np.array([new_index[pair], light, occluder]))
         return reduced.select_triples(reduced.triples[0] >= 0), new_index
 
     def select_cells(self, is_kept: Bools) -> Cells:

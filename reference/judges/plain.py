@@ -427,8 +427,8 @@ class _PlainTracer:
         normals = np.zeros_like(points)
         for i in np.unique(visible_surface).tolist():
             ray_index = np.flatnonzero(visible_surface == i)
-            points_and_directions = points.take(ray_index, 1), direction.take(ray_index, 1)
-            points[:, ray_index], normals[:, ray_index] = self.project_onto_surface(i, *points_and_directions)
+            rays = points.take(ray_index, 1), direction.take(ray_index, 1)
+            points[:, ray_index], normals[:, ray_index] = self.project_onto_surface(i, *rays)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
