@@ -438,8 +438,8 @@ class CellAnalysis:
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
-        A pair is a face in a cell.  Only one occluder is tried in each cell: of the faces that
-        cover the cell, the one whose largest possible distance is smallest.
+        A pair is a face in a cell.  Only one occluder is tried in each cell: the face that covers
+        the cell and has the smallest upper bound on its distance.
 
         Parameters
         ----------
@@ -449,8 +449,8 @@ class CellAnalysis:
         Returns
         -------
         is_hidden : (p,) bool array
-            For each pair, whether its face is certainly behind the occluder.  Of two faces in the
-            same plane, the one whose object comes first in the scene file hides the other.
+            For each pair, whether its face is certainly behind the occluder.  If both are in the
+            same plane, the face whose object comes first in the scene file hides the other.
         """
         faces, inverse_distance = self.faces, self.inverse_distance
         cell, face = self.cells.pair_cell, self.cells.pair_face

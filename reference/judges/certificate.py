@@ -76,7 +76,7 @@ from tracer import Scene, to_codes
 
 # Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays fit into
 # the CPU cache.  Tuned on two scenes: half or twice this number takes 3 to 7 % longer.
-_ITEMS_PER_BATCH = 12000
+_MAX_ITEMS_PER_BATCH = 12000
 
 # Maximum number of edges that divide a cell into regions.  A cell with more edges is divided into
 # quarters, because each edge may double the number of regions.
@@ -164,19 +164,19 @@ def estimate_means(
 ) -> CellEstimates:
     """Estimate the mean radiance of each cell, and bound the error of the estimate.
 
-    Edges divide a cell into regions, and one sample is traced at the centroid of each region.  A
-    pair is a face (a sphere, or a side of a box) in a cell.
+    Edges divide a cell into regions, and one sample is traced at the centroid of each region.
 
     Parameters
     ----------
     analysis : CellAnalysis
-        The c cells, with their pairs and edge functions.
+        The c cells, with their edge functions.
     contributions : Contributions
-        The radiance that each unsettled light adds to a pair.  A light is settled if it is known to
-        reach all of the face in the cell, or none of it.
+        The radiance that each unsettled light adds to a face in a cell.  A light is unsettled if it
+        may reach only a part of the face.
     is_skipped : (c,) bool array
-        Cells in which no sample is traced.  Their mean is half of `max_radiance`, and their error
-        the other half.  Black cells, and cells with too many edges, are treated in the same way.
+        Cells in which no sample is traced.  Their mean is half of the maximum radiance in the cell,
+        and their error the other half.  Black cells, and cells with too many edges, are treated in
+        the same way.
 
     Returns
     -------
@@ -216,13 +216,14 @@ def estimate_means(
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     """Compute an upper bound on the radiance in each cell, as if no light were blocked.
 
+    A light is unsettled for a face in a cell if it may reach only a part of the face.
+
     Parameters
     ----------
     cells : Cells
-        The c cells, with the radiance of each face due to settled lights.  A light is settled for a
-        face if it is known to reach all of the face in the cell, or none of it.
+        The c cells, with the radiance of each face due to settled lights.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face wherever it reaches the face.
+        The radiance that each unsettled light adds to a face.
 
     Returns
     -------
@@ -241,7 +242,7 @@ def _enclose_edges(
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump of radiance across the edge.
 
-    A strip is the part of a cell between two parallel lines.  An edge is where an edge function is
+    A strip is the part of a cell between two parallel lines.  Edges are where edge functions are
     zero.
 
     Parameters
@@ -250,8 +251,7 @@ def _enclose_edges(
         The c cells, with their edge functions.
     contributions : Contributions
         The radiance that each unsettled light adds to a face in a cell.  It bounds the jump at
-        shadow edges and terminators.  A light is settled if it is known to reach all of the face,
-        or none of it.
+        shadow edges and terminators.  A light is unsettled if it may reach only a part of the face.
     max_radiance : (3, c) float array
         Upper bound on the radiance in each cell.  It bounds the jump at all other edges.
     is_skipped : (c,) bool array
@@ -267,7 +267,7 @@ def _enclose_edges(
     # Numbers that identify the contributions.
     keys = contributions.pair * light_count + contributions.light
     contribution, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
-    # Position -1 selects the appended 0, for lights without a contribution.
+    # Index -1 selects the appended 0, for lights without a contribution.
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
     index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
@@ -313,15 +313,15 @@ def _enclose_regions(
 ) -> Enclosures:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
-    The sample shows which face is visible in the region, and which lights reach it.
+    The sample shows which face is visible in the region, and which lights reach it.  A light is
+    unsettled for a face in a cell if it may reach only a part of the face.
 
     Parameters
     ----------
     analysis : CellAnalysis
-        The cells, with the radiance of each face due to settled lights.  A light is settled for a
-        face if it is known to reach all of the face in the cell, or none of it.
+        The cells, with the radiance of each face due to settled lights.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face wherever it reaches the face.
+        The radiance that each unsettled light adds to a face.
     regions : Regions
         The n regions of the cells.
 
@@ -350,10 +350,10 @@ def _enclose_regions(
 
 
 def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace samples in cells, and find the visible face and the lights that reach it.
+    """Trace samples in cells, and find the visible faces and the lights that reach them.
 
-    A pair is a face in a cell.  A light is settled for a pair if it is known to reach all of the
-    face in the cell, or none of it.
+    A pair is a face in a cell.  A light is unsettled for a pair if it may reach only a part of the
+    face.
 
     Parameters
     ----------
@@ -369,8 +369,7 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     pair : (n,) int array
         For each sample, the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether each light reaches the visible face at the sample.  False for settled lights, and
-        for the background.
+        Whether the light is unsettled, and reaches the visible face at the sample.
 
     Raises
     ------
@@ -444,14 +443,14 @@ class _Picture:
         """
         unsettled_count = np.count_nonzero(~cells.is_settled)
         item_count = cells.pair_cell.size + cells.triples.shape[1] + unsettled_count
-        if item_count <= _ITEMS_PER_BATCH:
+        if item_count <= _MAX_ITEMS_PER_BATCH:
             return [cells]
-        pixel = self.pixel_index(cells)
+        pixel = self.find_pixels(cells)
         is_below_median = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
         groups = [cells.select_cells(is_kept) for is_kept in (is_below_median, ~is_below_median)]
         return groups if is_below_median.any() else [cells]
 
-    def pixel_index(self, cells: Cells) -> Ints:
+    def find_pixels(self, cells: Cells) -> Ints:
         """Find the pixel that contains each of c cells.
 
         Parameters
@@ -483,7 +482,7 @@ class _Picture:
             Enclosures (8, 3, n) of the radiance in these cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        upper_left = self.pixel_index(cells)[cell_index][:, None, None]
+        upper_left = self.find_pixels(cells)[cell_index][:, None, None]
         row, column = np.divmod(upper_left, self.error_bound.shape[1])
         down, across = np.indices((pixels_across, pixels_across))
         pixels = row + down, column + across
@@ -560,7 +559,7 @@ class _Picture:
             Whether to add the cell now.
         """
         area = is_pending * np.float64(cells.width**2)
-        pixel, pixel_number = np.unique(self.pixel_index(cells), return_inverse=True)
+        pixel, pixel_number = np.unique(self.find_pixels(cells), return_inverse=True)
         remaining_error = self.permitted_error - self.error_bound.reshape(-1)[pixel]
         total_error = sum_by_index(pixel_number, area * error, pixel.size)
         average_error = remaining_error / sum_by_index(pixel_number, area, pixel.size)

@@ -44,8 +44,8 @@ ROUNDING = 1e-13
 # line parallel to the chord is tried instead.
 _MAX_REMAINDER_RATIO = 1 / 16
 
-# Where the ratio of an interval's half width to its centre is smaller, rounding errors spoil the
-# slope of the chord, and the Taylor polynomial is always accurate enough.
+# If the ratio of an interval's half width to its centre is smaller, rounding errors spoil the slope
+# of the chord, and the Taylor polynomial is always accurate enough.
 _MIN_CHORD_WIDTH = 1e-6
 
 

@@ -127,7 +127,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
     max_distance = np.abs(p) + np.abs(q)
     max_t, max_n = max_distance + np.abs(p * y - q * x), max_distance + np.abs(p * x + q * y)
-    # The three middle terms are slope n (1 + e) with |e| <= max_e.
+    # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
     max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
     # The last term differs from f_tt max_t^2 / 6 by at most |f_tt| max_t^2 / 3.
     value += f_tt * max_t * max_t / 6
@@ -204,7 +204,7 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
         above_count = is_above.sum(axis=0)
         side_bits[triangle[above_count == 3]] |= 1 << bit
         cut_index = np.flatnonzero((above_count == 1) | (above_count == 2))
-        # Rotate the corners so that the first is alone on its side of the line.
+        # Rotate the corners so that the first, a, is alone on its side of the line.
         is_lone_above, triangle = above_count[cut_index] == 1, triangle[cut_index]
         lone_corner = np.argmax(is_above[:, cut_index] == is_lone_above, axis=0)
         order = (lone_corner + np.arange(3)[:, None]) % 3

@@ -76,8 +76,8 @@ def compare(scene: Scene, image: Floats | None = None) -> Comparison:
 
 # Tolerances of radiance by kind of scene.  Rounding errors are multiplied by up to 10^4, because
 # objects are this many times their size away, and by exponents of up to 60.  In "enormous" scenes,
-# hits near a light have rounding errors of 2^24 EPS.  In "grazing" scenes, the eye may be 10^-9 away
-# from a floor, so hits are displaced along the floor.
+# hits near a light have rounding errors of 2^24 EPS.  In "grazing" scenes, the eye is only 10^-9
+# above a floor, so hits are displaced along the floor.
 TOLERANCES = dict.fromkeys(KINDS, 1e-8) | {"enormous": 1e-7, "grazing": 1e-4}
 
 
