@@ -240,7 +240,7 @@ class CellAnalysis:
         return Enclosures(coef)
 
     def _express_half_space(self, pair: Ints, half_space: Floats) -> _RayFunctions:
-        """Express half-spaces as functions that are positive where camera rays meet a face inside.
+        """Express half-spaces as functions that are positive where rays meet a face inside them.
 
         Parameters
         ----------
@@ -535,11 +535,10 @@ class CellAnalysis:
     def _find_shadows(self) -> None:
         """Settle lights that an object blocks everywhere in a cell, and list shadow edges.
 
-        A pair is a face in a cell.  A triple is a pair, a light, and an occluder that may shade the
-        face from the light.  If the occluder shades all of the face in the cell, the light is
-        marked in `cells.is_settled`, and adds no radiance.  Triples are removed if their light is
-        settled, or if their occluder shades nothing of the face in the cell.  For all others, the
-        shadow edges that may cross the cell are listed.
+        A triple is a pair (a face in a cell), a light, and an occluder that may shade the face from
+        the light.  If the occluder shades all of the face in the cell, the light is settled without
+        adding radiance.  If it may shade only a part, the shadow edges that may cross the cell are
+        listed.  Triples that do not matter any more are removed.
 
         For cells of the width `MAX_WIDTH`, the triples are created first.
         """

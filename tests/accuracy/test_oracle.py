@@ -175,8 +175,7 @@ LARGE_SCENES = {path.stem for path in list_scene_files() if len(load_scene(path)
 
 @pytest.mark.parametrize("name", scene_parameters(*{*NAMES} - LARGE_SCENES))
 def test_own_scenes(name):
-    # In some scenes, the camera is so far away, 1,700 times their size, that it is nearly
-    # orthographic.
+    # Some cameras are nearly orthographic: their distance is 1,700 times the size of the scene.
     scene = load_scene(SCENES / f"{name}.xml")
     scene = resize_picture(scene, *((16, 9) if len(scene.surfaces) > 20 else (48, 27)))
     exact = plain.render(scene, arithmetic="decimal")
