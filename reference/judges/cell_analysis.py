@@ -454,7 +454,7 @@ class CellAnalysis:
         """
         faces, inverse_distance = self.faces, self.inverse_distance
         cell, face = self.cells.pair_cell, self.cells.pair_face
-        file_index = faces.prepared.surfaces.file_index[faces.object_index[face]]
+        file_index = faces.prepared_scene.surfaces.file_index[faces.object_index[face]]
         covering_pair = np.flatnonzero(covers_cell)
         min_inverse_distance = inverse_distance[covering_pair].bounds()[0]
         order = np.lexsort((-file_index[covering_pair], min_inverse_distance, cell[covering_pair]))
@@ -507,8 +507,8 @@ class CellAnalysis:
         pair, light = np.nonzero(~self.cells.is_settled & is_sphere[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
         height_functions = self._express_light_height(pair, light)
-        is_in_front = _Condition(np.arange(pair.size), height_functions, has_edge=True)
-        self._decide_claims(light, is_unlit, [is_in_front])
+        condition = _Condition(np.arange(pair.size), height_functions, has_edge=True)
+        self._decide_claims(light, is_unlit, [condition])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
@@ -520,16 +520,16 @@ class CellAnalysis:
             Centre and half size of the box for each pair (a face in a cell), along the scene's
             axes.  The boxes are widened to allow for rounding errors.
         """
-        faces, axes = self.faces, self.faces.frame.axes.T
+        faces, face, axes = self.faces, self.cells.pair_face, self.faces.frame.axes.T
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
         center, half_size = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
         low_ray, high_ray = center - half_size, center + half_size
         min_inverse, max_inverse = self.inverse_distance.bounds()
         near, far = 1 / max_inverse, np.where(min_inverse > 0, 1 / min_inverse, np.inf)
-        low, high = faces.bounding_box[:, :, self.cells.pair_face]
+        low, high = faces.bounding_box[:, :, face]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
         high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
-        position_error = faces.prepared.position_error[faces.object_index[self.cells.pair_face]]
+        position_error = faces.prepared_scene.position_error[faces.object_index[face]]
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
@@ -662,8 +662,8 @@ class CellAnalysis:
         sphere_equation = faces.equation[:, face[both_spheres]]
         plane[:, both_spheres] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
         functions = self._express_half_space(pair, plane)
-        is_beyond_plane = _Condition(np.arange(pair.size), functions, has_edge=True)
-        self._decide_claims(-1, np.zeros(pair.size, np.bool_), [is_beyond_plane])
+        condition = _Condition(np.arange(pair.size), functions, has_edge=True)
+        self._decide_claims(-1, np.zeros(pair.size, np.bool_), [condition])
 
     def collect_edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
         """Collect all edge functions: the picture can have an edge only where one of them is zero.
@@ -729,7 +729,7 @@ class CellAnalysis:
             The radiance that each unsettled light adds to each requested pair, sorted by pair and
             light.
         """
-        faces, cells, prepared = self.faces, self.cells, self.faces.prepared
+        faces, cells, scene = self.faces, self.cells, self.faces.prepared_scene
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
         cell, object_index = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         light_position = faces.light_position[light].T
@@ -739,29 +739,29 @@ class CellAnalysis:
         #     |q - p|^2 = d^2 - 2 q.d / t + q^2 / t^2  and  (q - p).(-p) = d^2 - q.d / t.
         q_dot_d_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
         inverse_distance2 = (self.inverse_distance * self.inverse_distance)[pair]
-        distance2 = squared_direction - q_dot_d_over_t * 2.0
-        distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
-        inverse_length = distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
+        light_distance2 = squared_direction - q_dot_d_over_t * 2.0
+        light_distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
+        inverse_light_distance = light_distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
         light_height = self._enclose_functions(self._express_light_height(pair, light))
-        n_dot_l = (light_height * inverse_length).clamp_to_unit_interval()
+        n_dot_l = (light_height * inverse_light_distance).clamp_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
-        radiance = n_dot_l.coef[:, None] * (intensity * prepared.diffuse[:, object_index])
+        radiance = n_dot_l.coef[:, None] * (intensity * scene.diffuse[:, object_index])
         # Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the
         # unit vector halfway between them.  Then n.h = (n.l + n.v) / |l + v|, and
         # |l + v|^2 = 2 + 2 l.v.  Only glossy faces have this term.
-        glossy_index = np.flatnonzero(prepared.is_glossy[object_index])
+        glossy_index = np.flatnonzero(scene.is_glossy[object_index])
         glossy_pair, glossy_pair_index = np.unique(pair[glossy_index], return_inverse=True)
         inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
         eye_functions = self._express_light_height(glossy_pair, 0 * glossy_pair - 1)
         eye_height = self._enclose_functions(eye_functions)
         n_dot_v = eye_height * inverse_direction[cells.pair_cell[glossy_pair]]
-        inverse_lengths = inverse_length[glossy_index] * inverse_direction[cell[glossy_index]]
-        l_dot_v = (squared_direction - q_dot_d_over_t)[glossy_index] * inverse_lengths
+        scale = inverse_light_distance[glossy_index] * inverse_direction[cell[glossy_index]]
+        l_dot_v = (squared_direction - q_dot_d_over_t)[glossy_index] * scale
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
         n_dot_sum = n_dot_l[glossy_index] + n_dot_v[glossy_pair_index]
         n_dot_h = (n_dot_sum * inverse_sum).clamp_to_unit_interval()
         glossy_object = object_index[glossy_index]
-        lobe = n_dot_h.power(prepared.exponent[glossy_object], 0.0, 1.0).clamp_to_unit_interval()
-        specular = intensity[:, glossy_index] * prepared.specular[:, glossy_object]
+        lobe = n_dot_h.power(scene.exponent[glossy_object], 0.0, 1.0).clamp_to_unit_interval()
+        specular = intensity[:, glossy_index] * scene.specular[:, glossy_object]
         radiance[..., glossy_index] += lobe.coef[:, None] * specular
         return Contributions(pair, light, Enclosures(radiance))

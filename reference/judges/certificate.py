@@ -530,10 +530,10 @@ class _Picture:
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_final = self.is_final(cells, estimates.error, is_pending)
-            finished = np.flatnonzero(is_pending & is_final)
-            mean = enclose_constants(estimates.mean[:, finished], estimates.error[finished])
-            self.add(cells, finished, mean)
-            is_pending[finished] = False
+            finished_index = np.flatnonzero(is_pending & is_final)
+            means = enclose_constants(estimates.mean, estimates.error)
+            self.add(cells, finished_index, means[finished_index])
+            is_pending[finished_index] = False
         return cells.select_cells(is_pending)
 
     def is_final(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:

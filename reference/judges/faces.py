@@ -60,7 +60,7 @@ class Faces:
 
     Attributes
     ----------
-    frame, prepared : CameraFrame, PreparedScene
+    frame, prepared_scene : CameraFrame, PreparedScene
         The camera, and the scene that the tracer prepared for it.
     prepared_lights : Lights
         The lights that the tracer prepared.
@@ -124,14 +124,14 @@ class Faces:
             If the eye is on a surface, or the distance of a light is more than 1e14 times the size
             of the smallest object.
         """
-        self.prepared = prepared = PreparedScene(scene)
-        self.frame = frame = prepared.frame
-        self.prepared_lights = lights = prepared.prepare_lights()
-        spheres, boxes, is_eye_inside = prepared.spheres, prepared.boxes, prepared.is_eye_inside
+        self.prepared_scene = prepared_scene = PreparedScene(scene)
+        self.frame, is_eye_inside = prepared_scene.frame, prepared_scene.is_eye_inside
+        self.prepared_lights = lights = prepared_scene.prepare_lights()
+        spheres, boxes = prepared_scene.spheres, prepared_scene.boxes
         self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
         self.light_position, self.center = lights.from_eye, np.array(spheres.from_eye)
         self.radius, self.eye_power = spheres.radius, spheres.power
-        low, high = (corner - frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
+        low, high = (corner - self.frame.eye[:, None] for corner in (boxes.min_pt, boxes.max_pt))
         is_on_box = is_eye_inside[self.sphere_count :] & np.any((low == 0) | (high == 0), axis=0)
         if np.any(self.eye_power == 0) or is_on_box.any():
             raise ValueError("the eye is on a surface; move it off")
@@ -162,13 +162,13 @@ class Faces:
         low, high : (3, boxes) float arrays
             Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
-        prepared, axes, sphere_count = self.prepared, self.frame.axes, self.sphere_count
+        scene, axes, sphere_count = self.prepared_scene, self.frame.axes, self.sphere_count
         center, radius, power = self.center, self.radius, self.eye_power
         # Offsets from the eye, and positions, of the planes of the boxes' sides.  The last axes of
         # all arrays for boxes: x, y or z; low or high side; index of the box.
         offset = np.stack([low, high], axis=1)
-        position = np.stack([prepared.boxes.min_pt, prepared.boxes.max_pt], axis=1)
-        inward = np.where(prepared.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
+        position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
+        inward = np.where(scene.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
@@ -195,11 +195,11 @@ class Faces:
         box_index = np.broadcast_to(np.arange(sphere_count, self.object_count), offset.shape)
         self.object_index = append_sides(sphere_index, box_index)
         self.is_planar = self.object_index >= sphere_count
-        sphere_bounds = prepared.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
+        sphere_bounds = scene.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
         object_bounds = np.append(sphere_bounds, position.swapaxes(0, 1), axis=2)
         self.bounding_box = object_bounds[:, :, self.object_index]
         may_be_visible = append_sides(np.full(sphere_count, True), (offset * inward > 0) & has_area)
-        self.may_be_visible = may_be_visible & ~prepared.is_duplicate[self.object_index]
+        self.may_be_visible = may_be_visible & ~scene.is_duplicate[self.object_index]
         is_sheet = np.append(np.zeros(sphere_count, np.bool_), ~has_extent.all(axis=0))
         sheet_face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
         self.sheet_face = np.full(self.object_count, -1)
@@ -281,7 +281,7 @@ class Faces:
             distinct and sorted.
         """
         grid, triple_keys = self.prepared_lights.grid, [np.zeros(0, np.intp)]
-        may_block = ~self.prepared.is_eye_inside & ~self.prepared.is_duplicate
+        may_block = ~self.prepared_scene.is_eye_inside & ~self.prepared_scene.is_duplicate
         shape = (*is_active.T.shape, self.object_count)
         if grid is not None and is_active.any():
             triples = grid.query(center, half_size[:, None], self.object_index[face], is_active)
@@ -309,11 +309,11 @@ class Faces:
             The index of the face (a sphere, or a side of a box) that each ray hits.
         """
         samples, order = Scattered.from_positions(x, y)
-        hits = find_nearest_hits(self.prepared, samples)
+        hits = find_nearest_hits(self.prepared_scene, samples)
         box_count = self.object_count - self.sphere_count
         face = np.empty(hits.sample.size, dtype=np.intp)
         for group in hits.groups:
-            is_high_side = (group.sign > 0) ^ self.prepared.is_eye_inside[group.run_object]
+            is_high_side = (group.sign > 0) ^ self.prepared_scene.is_eye_inside[group.run_object]
             side = 2 * group.face + is_high_side
             run_face = group.run_object + group.shape.is_planar * box_count * side
             face[group.interval] = group.repeat_runs(run_face)

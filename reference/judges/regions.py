@@ -220,12 +220,12 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
         side_bits = np.concatenate([side_bits, *[bits_below | ~is_lone_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
     area, mean = _compute_moments(corners)
-    key, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
-    region_area = sum_by_index(region, area, key.size)
+    keys, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
+    region_area = sum_by_index(region, area, keys.size)
     weight = area / np.maximum(region_area, MIN_AREA)[region]
-    region_mean = np.array([sum_by_index(region, weight * moment, key.size) for moment in mean])
+    region_mean = np.array([sum_by_index(region, weight * moment, keys.size) for moment in mean])
     region_mean[0] = 1
-    cell, side_bits = key >> bit_count, key & ((1 << bit_count) - 1)
+    cell, side_bits = keys >> bit_count, keys & ((1 << bit_count) - 1)
     return Regions(cell, side_bits, region_area, region_mean)
 
 

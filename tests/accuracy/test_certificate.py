@@ -72,7 +72,7 @@ class EnclosureSampler:
         half_width, radiance = analysis.cells.width / 2, np.empty((3, cell.size))
         positions = analysis.cells.x[cell] + half_width * x, analysis.cells.y[cell] + half_width * y
         samples, order = Scattered.from_positions(*positions)
-        radiance[:, order] = compute_radiance(analysis.faces.prepared, samples)
+        radiance[:, order] = compute_radiance(analysis.faces.prepared_scene, samples)
         self.sample_count += cell.size
         return radiance, x, y
 
@@ -237,9 +237,9 @@ def test_means(name: str) -> None:
     assert_means_are_certified(small_scene(name, 24, 14), 256)
 
 
-@pytest.mark.parametrize("hard", hard_scenes("certificate"))
-def test_means_of_hard_scenes(hard: HardScene) -> None:
-    assert_means_are_certified(hard.scene, *hard.samples)
+@pytest.mark.parametrize("hard_scene", hard_scenes("certificate"))
+def test_means_of_hard_scenes(hard_scene: HardScene) -> None:
+    assert_means_are_certified(hard_scene.scene, *hard_scene.samples)
 
 
 @np.errstate(all="ignore")
@@ -258,7 +258,7 @@ def test_the_rim_of_a_sheet_shows_its_face() -> None:
 def test_means_where_thousands_of_samples_err(name: str) -> None:
     """Four million samples confirm the bounds in the pixels in which 65 x 65 samples err most."""
     scene = small_scene(name, 24, 14)
-    certified, prepared_scene = certify(scene, 1 / 32768), Faces(scene).prepared
+    certified, prepared_scene = certify(scene, 1 / 32768), Faces(scene).prepared_scene
     difference = np.abs(render_supersampled(scene, 65) - certified.image).max(axis=2)
     for row, column in np.argwhere(difference >= np.sort(difference, axis=None)[-4]):
         radiance_sum, grid_side = np.zeros(3), 2048

@@ -37,7 +37,7 @@ class Comparison(NamedTuple):
 
     Attributes
     ----------
-    exact : plain.TracedRays
+    exact_rays : plain.TracedRays
         The visible surface, lights and radiance of each pixel, according to the oracle.
     error : (n,) float array
         Largest absolute error of the three channels.
@@ -45,21 +45,21 @@ class Comparison(NamedTuple):
         Whether perturbations change neither the visible surface nor the lights that reach it.
     """
 
-    exact: plain.TracedRays
+    exact_rays: plain.TracedRays
     error: Floats
     is_certain: Bools
 
     def describe_wrong_pixels(self, tolerance: float) -> str:
         """Describe the certain pixels whose error exceeds a tolerance, one per line."""
-        pixels = np.flatnonzero(self.is_certain & ~(self.error <= tolerance))
-        return "\n".join(f"pixel {i}: {self.error[i]}, {self.exact.surface[i]}" for i in pixels)
+        index = np.flatnonzero(self.is_certain & ~(self.error <= tolerance))
+        return "\n".join(f"pixel {i}: {self.error[i]}, {self.exact_rays.surface[i]}" for i in index)
 
 
 def compare(scene: Scene, image: Floats | None = None) -> Comparison:
     """Compare an image of a scene, by default the tracer's, with the oracle."""
     image = render(scene) if image is None else image
     y, x = np.indices((scene.height, scene.width)).reshape(2, -1) + 0.5
-    exact = plain.trace(scene, x, y, arithmetic="decimal")
+    exact_rays = plain.trace(scene, x, y, arithmetic="decimal")
     is_certain = np.ones(x.size, dtype=bool)
     for right, down, growth in _PERTURBATIONS:
         surfaces = [
@@ -67,11 +67,11 @@ def compare(scene: Scene, image: Floats | None = None) -> Comparison:
             for each in scene.surfaces
         ]
         perturbed_scene = replace(scene, surfaces=surfaces)
-        perturbed = plain.trace(perturbed_scene, x + right, y + down, arithmetic="decimal")
-        has_same_lights = (perturbed.is_lit == exact.is_lit).all(axis=0)
-        is_certain &= (perturbed.surface == exact.surface) & has_same_lights
-    error = np.abs(image.reshape(-1, 3) - exact.radiance).max(axis=1)
-    return Comparison(exact, error, is_certain)
+        perturbed_rays = plain.trace(perturbed_scene, x + right, y + down, arithmetic="decimal")
+        has_same_lights = (perturbed_rays.is_lit == exact_rays.is_lit).all(axis=0)
+        is_certain &= (perturbed_rays.surface == exact_rays.surface) & has_same_lights
+    error = np.abs(image.reshape(-1, 3) - exact_rays.radiance).max(axis=1)
+    return Comparison(exact_rays, error, is_certain)
 
 
 # Tolerances of radiance by kind of scene.  Rounding errors are multiplied by up to 10^4, because
@@ -123,19 +123,19 @@ def test_pixels_next_to_edges_and_nearly_coinciding_surfaces_are_not_certain():
 @pytest.mark.parametrize("scale", [1e-60, 1e60])
 def test_the_oracle_sees_scenes_of_any_size(scale):
     scene = small_scene("one-sphere", 16, 12)
-    exact = plain.render(scene, arithmetic="decimal")
-    assert exact.max() > 0.5
-    scaled = plain.render(scale_and_shift(scene, scale), arithmetic="decimal")
-    np.testing.assert_allclose(scaled, exact, rtol=0, atol=1e-14)
+    exact_image = plain.render(scene, arithmetic="decimal")
+    assert exact_image.max() > 0.5
+    scaled_image = plain.render(scale_and_shift(scene, scale), arithmetic="decimal")
+    np.testing.assert_allclose(scaled_image, exact_image, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("inside", [False, True])
-def test_ties_of_two_faces_are_decided_alike_along_their_edge(inside):
+@pytest.mark.parametrize("is_inside", [False, True])
+def test_ties_of_two_faces_are_decided_alike_along_their_edge(is_inside):
     # The central column of pixels shows the edge between two faces.  No light reaches the face on
     # the first axis.
     box = Box(min_pt=(-1, -2, -1), max_pt=(0.5, 2, 1))
     eye, ahead, light = ((4, 6, 8), (-4, -6, -8), (0.4, 9, 9))
-    if inside:
+    if is_inside:
         # Light reaches all faces from inside; the two faces have different cosines.
         eye, ahead, light = (-0.5, 0, -1), (1, 0.3, 2), (0.499, 0, 0.5)
     camera = Camera(view_point=eye, view_dir=ahead, proj_distance=4)
@@ -145,8 +145,8 @@ def test_ties_of_two_faces_are_decided_alike_along_their_edge(inside):
         plain.trace(scene, x + shift, y, arithmetic="decimal", ties=ties).radiance[:, 0]
         for shift, ties in ((0, "first"), (0, "last"), (-0.01, "first"), (0.01, "first"))
     )
-    np.testing.assert_allclose(first_red, left_red if inside else right_red, atol=0.02)
-    np.testing.assert_allclose(last_red, right_red if inside else left_red, atol=0.02)
+    np.testing.assert_allclose(first_red, left_red if is_inside else right_red, atol=0.02)
+    np.testing.assert_allclose(last_red, right_red if is_inside else left_red, atol=0.02)
     assert (np.abs(first_red - last_red) > 0.1).sum() > 7
 
 
@@ -155,11 +155,11 @@ def test_ties_of_two_faces_are_decided_alike_along_their_edge(inside):
 )
 def test_random_scenes(kind):
     # A crowd has a thousand objects, so its pictures are smaller.
-    size, count = ((3, 2), 2) if kind == "crowd" else ((13, 9), 3)
-    scenes = [random_scene(kind, seed, *size) for seed in range(count)]
+    size, scene_count = ((3, 2), 2) if kind == "crowd" else ((13, 9), 3)
+    scenes = [random_scene(kind, seed, *size) for seed in range(scene_count)]
     # A light at the eye reaches all visible surfaces.
-    at_eye = [PointLight(position=scenes[0].camera.view_point)]
-    assert_correct([*scenes, replace(scenes[0], lights=at_eye)], TOLERANCES[kind])
+    eye_lights = [PointLight(position=scenes[0].camera.view_point)]
+    assert_correct([*scenes, replace(scenes[0], lights=eye_lights)], TOLERANCES[kind])
 
 
 @pytest.mark.parametrize("kind", FEW_OBJECTS)
@@ -178,12 +178,12 @@ def test_own_scenes(name):
     # Some cameras are nearly orthographic: their distance is 1,700 times the size of the scene.
     scene = load_scene(SCENES / f"{name}.xml")
     scene = resize_picture(scene, *((16, 9) if len(scene.surfaces) > 20 else (48, 27)))
-    exact = plain.render(scene, arithmetic="decimal")
-    assert exact.max() > 0.1
-    np.testing.assert_allclose(render(scene), exact, rtol=0, atol=1e-11)
+    exact_image = plain.render(scene, arithmetic="decimal")
+    assert exact_image.max() > 0.1
+    np.testing.assert_allclose(render(scene), exact_image, rtol=0, atol=1e-11)
     # In float64, `plain` makes wrong decisions where surfaces coincide.
     if name != "touching":
-        np.testing.assert_allclose(plain.render(scene), exact, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(plain.render(scene), exact_image, rtol=0, atol=1e-10)
 
 
 @pytest.mark.usefixtures("pixels_are_split")
@@ -235,7 +235,7 @@ def find_largest_error(scenes: Iterable[Scene]) -> float:
     a channel is the error of one component of the normal.
     """
     comparisons = [compare(scene) for scene in scenes]
-    assert all((comparison.exact.surface == 0).all() for comparison in comparisons)
+    assert all((comparison.exact_rays.surface == 0).all() for comparison in comparisons)
     return max(float(comparison.error.max()) for comparison in comparisons)
 
 
