@@ -206,20 +206,20 @@ class Faces:
         self.sheet_face[self.object_index[sheet_face]] = sheet_face
 
     def _compute_sphere_heights(self) -> Floats:
-        """Compute the half-spaces that give the heights of the lights and the eye above spheres.
+        """Compute the vectors n and numbers b that determine the heights of lights above spheres.
 
-        Let c be the centre of a sphere, r its radius, and q a light or the eye, all relative to the
-        eye.  A ray with direction d meets the sphere at t d, with t^2 d^2 = 2 t c.d - p and the
-        power p = |c|^2 - r^2 of the eye.  The unit normal there is g (t d - c) / r, where g is 1 if
-        the eye is outside the sphere, and -1 if it is inside.  So the height of q above the tangent
-        plane is t (n.d + b / t) with n = g (q - c) / r and b = g (p - c.q) / r.
+        A camera ray with direction d meets a sphere at t d.  Divided by t, the height of a light
+        above the sphere's tangent plane at this point is n.d + b / t.
 
         Returns
         -------
         half_spaces : (5, m + 1, spheres) float array
-            The components of n, then b, then the sum of the absolute values of the terms of b, for
-            each light, then for the eye.
+            For each light, then for the eye: the components of n, then b, then the sum of the
+            absolute values of the terms of b.
         """
+        # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point t d,
+        # t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
+        # outside the sphere, and -1 if it is inside.
         c, r, p = self.center[:, None], self.radius, self.eye_power
         q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, products = np.where(p > 0, 1.0, -1.0), c * q
