@@ -217,8 +217,8 @@ class Faces:
             For each light, then for the eye: the components of n, then b, then the sum of the
             absolute values of the terms of b.
         """
-        # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point t d,
-        # t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
+        # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point
+        # t d, t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
         # outside the sphere, and -1 if it is inside.
         c, r, p = self.center[:, None], self.radius, self.eye_power
         q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
