@@ -396,10 +396,9 @@ class CellAnalysis:
         for i, (pair, light, functions) in enumerate(self._edges):
             kept_index = np.flatnonzero(is_kept[pair])
             self._edges[i] = new_pair[pair[kept_index]], light[kept_index], functions[kept_index]
-        self.inverse_distance = self.inverse_distance[is_kept]
-        self.root_term = self.root_term[is_kept]
+        self.root_term, self._linear_term = self.root_term[is_kept], self._linear_term[is_kept]
         self.squared_root_term = self.squared_root_term[is_kept]
-        self._linear_term = self._linear_term[is_kept]
+        self.inverse_distance = self.inverse_distance[is_kept]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
     def _make_hit_conditions(self, discriminants: Enclosures) -> Iterator[_Condition]:
@@ -421,8 +420,7 @@ class CellAnalysis:
         condition : _Condition
             A condition for some of the pairs, whose indices are in `claim_index`.
         """
-        faces, cells = self.faces, self.cells
-        is_planar = faces.is_planar[cells.pair_face]
+        faces, cells, is_planar = self.faces, self.cells, self.faces.is_planar[self.cells.pair_face]
         pair = np.flatnonzero(~cells.covers_cell & is_planar)
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
@@ -463,8 +461,7 @@ class CellAnalysis:
         cell_occluder[cell[covering_pair[order]]] = covering_pair[order]
         occluder = cell_occluder[cell]
         pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
-        occluder = occluder[pair]
-        plane_id = faces.plane_id[:, face]
+        occluder, plane_id = occluder[pair], faces.plane_id[:, face]
         in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
         difference = inverse_distance[pair].subtract_independent(inverse_distance[occluder])
         is_behind, is_later = difference.bounds()[1] < 0, file_index[pair] > file_index[occluder]
@@ -568,9 +565,8 @@ class CellAnalysis:
             triple is a pair (a face in a cell), a light and an occluder.  Its index is in
             `claim_index`.
         """
-        faces, is_sphere = self.faces, self.cells.triples[2] < self.faces.sphere_count
-        triple_index = np.flatnonzero(is_sphere)
-        pair, light, sphere = self.cells.triples[:, triple_index]
+        triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
+        faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
         cell, face = self.cells.pair_cell[pair], self.cells.pair_face[pair]
         to_center, radius2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
         position, center = faces.light_position[light].T, faces.center[:, sphere]
