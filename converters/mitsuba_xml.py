@@ -52,8 +52,8 @@ class Document:
 def _format_element(element: Element[Any], line_start: str = "\n") -> str:
     """Format an XML element and all its descendants as text.
 
-    This is about twice as fast as ElementTree.  Attribute values are not escaped, because no value
-    in a converted scene needs it.
+    This is about twice as fast as ElementTree.  Attribute values are not escaped, because converted
+    scenes contain no characters that need it.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def _format_numbers(name: str, values: Iterable[float]) -> str:
     Returns
     -------
     text : str
-        The shortest text for each number that denotes the same float64 number.
+        For each number, the shortest text that denotes the same float64 number.
 
     Raises
     ------

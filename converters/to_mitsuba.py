@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     exit_status : int
         0, or `FAILED` (1) if a scene could not be read, converted or rendered, or a file could not
-        be written.  In this case, the other scenes have still been processed.
+        be written.  After such an error, the other scenes are still processed.
 
     Raises
     ------
@@ -143,9 +143,9 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Return the paths that are not converted scenes, and print a line for each of the others.
+    """Remove converted scenes from a list of paths, and print a line for each of them.
 
-    Converted scenes must be skipped because the shell pattern *.xml matches them, too.
+    The shell pattern *.xml matches converted scenes, too.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     Returns
     -------
     kept_paths : list of Path
-        The remaining paths, in the same order.  Paths of files that cannot be read are kept.
+        A new list of the remaining paths.  Paths of files that cannot be read are kept.
     """
     kept_paths = []
     for path in paths:
