@@ -50,7 +50,8 @@ _MIN_SQUARE = 1e-300
 class Contributions(NamedTuple):
     """n contributions of single lights to the radiance of pairs, sorted by pair and light.
 
-    A pair is a face (a sphere, or a side of a box) in a cell (a square part of the picture).
+    A pair consists of a cell (a square part of the picture) and a face in it (a sphere, or a side
+    of a box).
 
     Attributes
     ----------
@@ -72,7 +73,7 @@ class Contributions(NamedTuple):
 
 
 class _RayFunctions(NamedTuple):
-    """n functions of the camera ray, each for one pair (a face in a cell).
+    """n functions of the camera ray, each for one pair (a cell and a face in it).
 
     A function is the sum smooth_part + root_factor * root_term.  Here the root term is the square
     root in the inverse distance of a sphere; it is 0 for a side of a box.
@@ -99,7 +100,7 @@ class _RayFunctions(NamedTuple):
 class _Condition(NamedTuple):
     """A condition for each of n claims, which holds where a function is positive.
 
-    A claim concerns a pair (a face in a cell), for example that the face covers the cell.
+    A claim concerns a pair (a cell and a face in it), for example that the face covers the cell.
 
     Attributes
     ----------
@@ -158,10 +159,10 @@ def _enclose_cone(
 class CellAnalysis:
     """Inverse distances, edge functions and radiance in cells of the picture, with error bounds.
 
-    A pair is a face (a sphere, or a side of a box) that may be visible in a cell (a square part of
-    the picture).  A camera ray with direction d meets the face at the distance t, where
-    1 / t = k.d + root_term.  Here k is a constant vector of the face.  The root term is a square
-    root if the face is a sphere, and 0 if it is a side of a box.
+    A pair consists of a cell (a square part of the picture) and a face (a sphere, or a side of a
+    box) that may be visible in it.  A camera ray with direction d meets the face at the distance t,
+    where 1 / t = k.d + root_term.  Here k is a constant vector of the face.  The root term is a
+    square root if the face is a sphere, and 0 if it is a side of a box.
 
     A quantity is enclosed everywhere in a cell by a quadratic polynomial in the coordinates X and
     Y, which run from -1 to 1 in the cell.  Rows 0 to 5 of its array (8, n) hold the coefficients of
@@ -186,9 +187,9 @@ class CellAnalysis:
     def __init__(self, faces: Faces, cells: Cells) -> None:
         """Find the visible faces of each cell, the lights that reach them, and all possible edges.
 
-        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
-        that may shade the face from the light.  A light is settled for a pair if it is known to
-        reach all of the face in the cell, or none of it.
+        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
+        pair, a light, and an object that may shade the face from the light.  A light is settled for
+        a pair if it is known to reach all of the face in the cell, or none of it.
 
         Parameters
         ----------
@@ -245,7 +246,7 @@ class CellAnalysis:
         Parameters
         ----------
         pair : (n,) int array
-            Indices of pairs.  A pair is a face in a cell.
+            Indices of pairs.  A pair consists of a cell and a face in it.
         half_space : (5, n) float array
             For each pair, a half-space n.x + b >= 0.  Rows 0 to 2 contain n, and row 3 contains b.
             Row 4 contains the sum of the absolute values of the terms of b, to which the rounding
@@ -290,10 +291,10 @@ class CellAnalysis:
     ) -> Bools:
         """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
-        A claim concerns a pair (a face in a cell), for example that the face covers the cell.  It
-        is true at a point of the cell if all its conditions hold there.  If a claim is undecided,
-        every function of its conditions that may have both signs in the cell is listed as an edge,
-        unless `has_edge` of the condition is False.
+        A claim concerns a pair (a cell and a face in it), for example that the face covers the
+        cell.  It is true at a point of the cell if all its conditions hold there.  If a claim is
+        undecided, every function of its conditions that may have both signs in the cell is listed
+        as an edge, unless `has_edge` of the condition is False.
 
         Parameters
         ----------
@@ -360,9 +361,9 @@ class CellAnalysis:
     def _find_visible_faces(self) -> None:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
-        A pair is a face that may be visible in a cell.  It is removed if the face is outside the
-        cell, or hidden by another face everywhere in the cell.  The outlines of the remaining faces
-        that may cross the cell are listed as edges.
+        A pair consists of a cell and a face that may be visible in it.  It is removed if the face
+        is outside the cell, or hidden by another face everywhere in the cell.  The outlines of the
+        remaining faces that may cross the cell are listed as edges.
 
         This sets the attributes `inverse_distance`, `root_term` and `squared_root_term`, and
         updates `covers_cell` in `cells`.
@@ -404,10 +405,11 @@ class CellAnalysis:
     def _make_hit_conditions(self, discriminants: Enclosures) -> Iterator[_Condition]:
         """Yield the conditions for camera rays to hit each pair's face.
 
-        A pair is a face in a cell.  A ray hits a side of a box if it meets the side's plane inside
-        each of the side's four edges.  A ray hits a sphere if the centre is ahead of the eye, and
-        the line that contains the ray meets the sphere.  Faces that are known to cover their cell
-        are skipped.  So are spheres that contain the eye, because all rays hit them.
+        A pair consists of a cell and a face in it.  A ray hits a side of a box if it meets the
+        side's plane inside each of the side's four edges.  A ray hits a sphere if the centre is
+        ahead of the eye, and the line that contains the ray meets the sphere.  Faces that are known
+        to cover their cell are skipped.  So are spheres that contain the eye, because all rays hit
+        them.
 
         Parameters
         ----------
@@ -436,8 +438,8 @@ class CellAnalysis:
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
-        A pair is a face in a cell.  Only one occluder is tried in each cell: the face that covers
-        the cell and has the smallest upper bound on its distance.
+        A pair consists of a cell and a face in it.  Only one occluder is tried in each cell: the
+        face that covers the cell and has the smallest upper bound on its distance.
 
         Parameters
         ----------
@@ -479,7 +481,7 @@ class CellAnalysis:
         Parameters
         ----------
         pair : (n,) int array
-            Indices of pairs.  A pair is a face in a cell.
+            Indices of pairs.  A pair consists of a cell and a face in it.
         light : (n,) int array
             For each pair, the index of a light, or -1 for the eye instead of a light.
 
@@ -514,8 +516,8 @@ class CellAnalysis:
         Returns
         -------
         center, half_size : (3, p) float arrays
-            Centre and half size of the box for each pair (a face in a cell), along the scene's
-            axes.  The boxes are widened to allow for rounding errors.
+            Centre and half size of the box for each pair (a cell and a face in it), along the
+            scene's axes.  The boxes are widened to allow for rounding errors.
         """
         faces, face, axes = self.faces, self.cells.pair_face, self.faces.frame.axes.T
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
@@ -532,10 +534,10 @@ class CellAnalysis:
     def _find_shadows(self) -> None:
         """Settle lights that an object blocks everywhere in a cell, and list shadow edges.
 
-        A triple is a pair (a face in a cell), a light, and an occluder that may shade the face from
-        the light.  If the occluder shades all of the face in the cell, the light is settled without
-        adding radiance.  If it may shade only a part, the shadow edges that may cross the cell are
-        listed.  Triples that do not matter any more are removed.
+        A triple consists of a pair (a cell and a face in it), a light, and an occluder that may
+        shade the face from the light.  If the occluder shades all of the face in the cell, the
+        light is settled without adding radiance.  If it may shade only a part, the shadow edges
+        that may cross the cell are listed.  Triples that do not matter any more are removed.
 
         For cells of the width `MAX_WIDTH`, the triples are created first.
         """
@@ -562,8 +564,8 @@ class CellAnalysis:
         ------
         condition : _Condition
             The first condition for all triples with a sphere as the occluder, then the second.  A
-            triple is a pair (a face in a cell), a light and an occluder.  Its index is in
-            `claim_index`.
+            triple consists of a pair (a cell and a face in it), a light and an occluder.  Its index
+            is in `claim_index`.
         """
         triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
         faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
@@ -611,8 +613,8 @@ class CellAnalysis:
         ----------
         is_lit : (q,) bool array
             For each triple of the cells, whether a previous condition holds nowhere in the cell.  A
-            triple is a pair (a face in a cell), a light and an occluder.  The caller may update
-            this array between conditions.
+            triple consists of a pair (a cell and a face in it), a light and an occluder.  The
+            caller may update this array between conditions.
 
         Yields
         ------
@@ -667,7 +669,7 @@ class CellAnalysis:
         Returns
         -------
         pair : (n,) int array
-            For each function, the index of its pair (a face in a cell).
+            For each function, the index of its pair (a cell and a face in it).
         light : (n,) int array
             For each function, the light whose radiance changes at the edge, or -1 if all radiance
             changes.
@@ -681,10 +683,10 @@ class CellAnalysis:
     def shade(self, is_requested: Bools, error: float) -> Contributions:
         """Compute the radiance due to unsettled lights, and settle lights without edges.
 
-        A pair is a face in a cell.  A light is settled for a pair by adding its radiance to
-        `cells.radiance` and marking it in `cells.is_settled`.  This requires that (1) the light has
-        no edge in the cell, so that it reaches all of the face there, and (2) the error of its
-        radiance is at most `error` divided by the number of lights.
+        A pair consists of a cell and a face in it.  A light is settled for a pair by adding its
+        radiance to `cells.radiance` and marking it in `cells.is_settled`.  This requires that (1)
+        the light has no edge in the cell, so that it reaches all of the face there, and (2) the
+        error of its radiance is at most `error` divided by the number of lights.
 
         Parameters
         ----------
@@ -717,7 +719,7 @@ class CellAnalysis:
         Parameters
         ----------
         is_requested : (p,) bool array
-            For each pair (a face in a cell), whether to shade it.
+            For each pair (a cell and a face in it), whether to shade it.
 
         Returns
         -------

@@ -37,9 +37,9 @@ MAX_WIDTH = 8
 class Cells(NamedTuple):
     """c square cells of equal width that cover parts of a picture, with p pairs and q triples.
 
-    A pair is a face (a sphere, or a side of a box) that may be visible in a cell.  A light is
-    settled for a pair if it is known to reach all of the face in the cell, or none of it.  A triple
-    is a pair, a light, and an object that may shade the face from the light.
+    A pair consists of a cell and a face (a sphere, or a side of a box) that may be visible in it.
+    A light is settled for a pair if it is known to reach all of the face in the cell, or none of
+    it.  A triple consists of a pair, a light, and an object that may shade the face from the light.
 
     Attributes
     ----------
@@ -72,8 +72,8 @@ class Cells(NamedTuple):
     def select_triples(self, is_kept: Bools) -> Cells:
         """Copy all cells and pairs, but only the selected triples.
 
-        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
-        that may shade the face from the light.
+        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
+        pair, a light, and an object that may shade the face from the light.
 
         Parameters
         ----------
@@ -90,8 +90,8 @@ class Cells(NamedTuple):
     def select_pairs(self, is_kept: Bools) -> tuple[Cells, Ints]:
         """Copy all cells, but only the selected pairs and their triples.
 
-        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
-        that may shade the face from the light.
+        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
+        pair, a light, and an object that may shade the face from the light.
 
         Parameters
         ----------
@@ -115,8 +115,8 @@ class Cells(NamedTuple):
     def select_cells(self, is_kept: Bools) -> Cells:
         """Copy the selected cells with all their pairs and triples.
 
-        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
-        that may shade the face from the light.
+        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
+        pair, a light, and an object that may shade the face from the light.
 
         Parameters
         ----------
@@ -141,9 +141,9 @@ class Cells(NamedTuple):
     def split_into_quarters(self, width: int, height: int) -> Cells:
         """Divide each cell into four quarters, which inherit its pairs and triples.
 
-        A pair is a face that may be visible in a cell.  A triple is a pair, a light, and an object
-        that may shade the face from the light.  Pairs and triples are inherited without testing
-        whether they matter in the quarter.
+        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
+        pair, a light, and an object that may shade the face from the light.  Pairs and triples are
+        inherited without testing whether they matter in the quarter.
 
         Parameters
         ----------

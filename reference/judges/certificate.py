@@ -352,8 +352,8 @@ def _enclose_regions(
 def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
     """Trace samples in cells, and find the visible faces and the lights that reach them.
 
-    A pair is a face in a cell.  A light is unsettled for a pair if it may reach only a part of the
-    face.
+    A pair consists of a cell and a face in it.  A light is unsettled for a pair if it may reach
+    only a part of the face.
 
     Parameters
     ----------
