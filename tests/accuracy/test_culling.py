@@ -23,7 +23,7 @@ from reference.measured.workloads import build_crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias.lattice import CENTERS
 from tracer.arrays import Bools, Floats, Ints
-from tracer.geometry.camera import ScreenBounds, camera_frame
+from tracer.geometry.camera import ScreenBounds, compute_frame
 from tracer.geometry.sphere import Spheres
 from tracer.picture.render import RenderJob
 from tracer.trace import radiance as radiance_module
@@ -46,7 +46,7 @@ def render_by_brute_force(scene: Scene) -> Floats:
         patch("tracer.trace.samples.find_object_spans", _cover_whole_rows),
         patch("tracer.trace.radiance.find_shadows", _test_all_occluders),
         patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
-        patch.object(ScreenBounds, "window", lambda *_: window),
+        patch.object(ScreenBounds, "compute_window", lambda *_: window),
     ):
         return render(scene)
 
@@ -70,7 +70,7 @@ def _test_all_occluders(hits: Hits, lights: Lights, faces_light: Bools) -> Bools
                 hit = np.flatnonzero(is_facing & ~blocked & (own_object != index))
                 x, y, z = np.full((3, hit.size), light[:, None])
                 same_object = np.full(hit.size, index)
-                side = shape.side_of_light(same_object, (x, y, z))
+                side = shape.find_light_side(same_object, (x, y, z))
                 blocked[hit] = shape.occludes(same_object, hits.get_points(hit), (x, y, z), side)
     return is_blocked
 
@@ -128,7 +128,7 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         # shadow, which is enlarged up to 10^6 times.
         jumps = np.abs(np.diff(render(scene).sum(axis=2), axis=1))
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
-        frame = camera_frame(scene.camera, scene.width, scene.height)
+        frame = compute_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
         direction = np.array([frame.ray_right(x)[0], frame.ray_down(y)[0], frame.depth])
         camera = replace(

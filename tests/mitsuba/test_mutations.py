@@ -32,7 +32,7 @@ from tracer.arrays import Floats
 pytestmark = pytest.mark.cross_validation
 
 CameraFrame = tracer.geometry.camera.CameraFrame
-CAMERA_FRAME = tracer.geometry.camera.camera_frame
+CAMERA_FRAME = tracer.geometry.camera.compute_frame
 
 
 def mirrored(*arguments: object) -> CameraFrame:
@@ -53,12 +53,12 @@ def normal_ignored(camera: tracer.Camera, *arguments: object) -> CameraFrame:
 
 
 def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFrame]) -> None:
-    """Replace the tracer's function `camera_frame` in all modules that import it."""
+    """Replace the tracer's function `compute_frame` in all modules that import it."""
     modules = [module for name, module in sys.modules.items() if name.startswith("tracer")]
-    homes = [module for module in modules if vars(module).get("camera_frame") is CAMERA_FRAME]
+    homes = [module for module in modules if vars(module).get("compute_frame") is CAMERA_FRAME]
     assert len(homes) > 1
     for module in homes:
-        monkeypatch.setattr(module, "camera_frame", camera)
+        monkeypatch.setattr(module, "compute_frame", camera)
 
 
 @pytest.mark.parametrize("check_flavour", [check_scene, check_diffuse])

@@ -156,7 +156,7 @@ def find_silhouette_pixels(
         # Find the columns in which the object covers both the upper and the lower side of the row.
         covered_start, covered_stop = left, right
         for border_index in (row, row + 1):
-            border_left, border_right = shape.row_extent(object_index, borders[border_index], 0.0)
+            border_left, border_right = shape.find_columns(object_index, borders[border_index], 0.0)
             covered_start = np.maximum(covered_start, border_left)
             covered_stop = np.minimum(covered_stop, border_right)
         covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])

@@ -119,7 +119,7 @@ class Lattice(NamedTuple):
         x, y = self.samples(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
 
-    def mean(self, radiance: Floats, width: int) -> Floats:
+    def average(self, radiance: Floats, width: int) -> Floats:
         """Average the radiance of the samples in each pixel of a rectangle.
 
         Parameters

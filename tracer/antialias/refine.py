@@ -74,7 +74,7 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
         True if many pairs of silhouettes cross the same pixel, compared with the number of samples
         per pixel.
     """
-    pairs_per_pixel = scene.bounds.silhouette_density(scene.frame)
+    pairs_per_pixel = scene.bounds.estimate_silhouette_density(scene.frame)
     return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
 
 

@@ -85,7 +85,7 @@ class Boxes:
         camera_data = planes, _find_screen_bounds(frame, low, high), is_eye_inside
         return cls(frame, objects, min_pt, max_pt, *camera_data, curvature, coordinate_bound)
 
-    def bounding_boxes(self) -> tuple[Floats, Floats]:
+    def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return two opposite corners of each of the n boxes, in scene axes.
 
         Returns
@@ -98,7 +98,7 @@ class Boxes:
 
     # Intersections with rays from the eye.
 
-    def row_extent(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
+    def find_columns(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
         """Compute which columns each of n boxes covers in a row of the picture.
 
         Parameters
@@ -130,7 +130,7 @@ class Boxes:
             bound = -max_remainder / (a + 0.0)
             np.fmax(min_right, bound, out=min_right, where=a >= 0)
             np.fmin(max_right, bound, out=max_right, where=a < 0)
-        return frame.column_of(min_right), frame.column_of(max_right)
+        return frame.to_column(min_right), frame.to_column(max_right)
 
     def intersect(
         self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
@@ -202,7 +202,7 @@ class Boxes:
         face_code = np.where(face_ts[0] == t, face_codes[0], face_code)
         return np.where(is_hit & (t > 0), t, np.inf), face_code
 
-    def tangent_planes(
+    def compute_tangent_planes(
         self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the plane of the face on which each run of hits lies.
@@ -216,7 +216,7 @@ class Boxes:
         run_length : (runs,) int array
             Number of hits in each run.
         to_hit, t : (3, n) and (n,) float arrays
-            Ignored: only `Spheres.tangent_planes` uses them.
+            Ignored: only `Spheres.compute_tangent_planes` uses them.
         face_code : (n,) int8 array
             Second result of `intersect` for the ray through each hit: twice the axis of the face,
             plus 1 if its normal has a positive component.
@@ -246,7 +246,7 @@ class Boxes:
 
     # Tests of shadow segments: segments from hits to lights.
 
-    def corners(self, object_index: Ints) -> tuple[Triple, Triple]:
+    def get_corners(self, object_index: Ints) -> tuple[Triple, Triple]:
         """Look up two opposite corners of each given box.
 
         Parameters
@@ -262,7 +262,7 @@ class Boxes:
         box_index = self.objects.to_local(object_index)
         return take3(self.min_pt, box_index), take3(self.max_pt, box_index)
 
-    def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
+    def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
         """Test whether a light is inside each of n boxes.
 
         Parameters
@@ -300,7 +300,7 @@ class Boxes:
             Outside, the actual distance from the box may be larger.  The array has the broadcast
             shape of (n,) and the points.
         """
-        low, high = self.corners(object_index)
+        low, high = self.get_corners(object_index)
         plane_distances = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
         return np.asarray(np.max(plane_distances, axis=0))
 
@@ -335,7 +335,7 @@ class Boxes:
         blocked : (n,) bool array
             Whether the box blocks the segment.
         """
-        low, high = self.corners(object_index)
+        low, high = self.get_corners(object_index)
         if growth is not None:
             low, high = map3(lambda x: x - growth, low), map3(lambda x: x + growth, high)
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
@@ -378,7 +378,7 @@ class Boxes:
         # At these fractions of its length, the axis enters and leaves (1) the box grown by the
         # capsule's radius on all sides, and (2) the box shrunk by the radius.
         enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
-        low, high = self.corners(object_index)
+        low, high = self.get_corners(object_index)
         # Coordinate i is x in the first pass, then y, then z.
         for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
             direction, to_low, to_high = end_i - start_i, low_i - start_i, high_i - start_i

@@ -22,7 +22,7 @@ from tracer.arrays import Bools, Floats, Ints, Triple, cross, dot
 from tracer.scene.model import Camera, normalize
 
 # Thickness of a layer of depth, as a multiple of the width of a packet at this depth: see
-# `CameraFrame.depth_layer`.  Tuned on six scenes of 4 to 1,000 objects: with half of it, rendering
+# `CameraFrame.assign_layer`.  Tuned on six scenes of 4 to 1,000 objects: with half of it, rendering
 # takes 1.03 to 1.06 times as long.
 _LAYER_ASPECT = 4
 
@@ -175,7 +175,7 @@ class CameraFrame(NamedTuple):
         """
         return self.center_down + (row - self.height / 2) * self.pixel_height
 
-    def column_of(self, ray_right: Floats) -> Floats:
+    def to_column(self, ray_right: Floats) -> Floats:
         """Compute the column of the picture through which each ray passes.
 
         This is the inverse of the method `ray_right`.
@@ -194,7 +194,7 @@ class CameraFrame(NamedTuple):
         """
         return (ray_right - self.center_right) / self.pixel_width + self.width / 2
 
-    def row_of(self, ray_down: Floats) -> Floats:
+    def to_row(self, ray_down: Floats) -> Floats:
         """Compute the row of the picture through which each ray passes.
 
         This is the inverse of the method `ray_down`.
@@ -212,7 +212,7 @@ class CameraFrame(NamedTuple):
         """
         return (ray_down - self.center_down) / self.pixel_height + self.height / 2
 
-    def depth_layer(self, depth: Floats, packet_width: float) -> Ints:
+    def assign_layer(self, depth: Floats, packet_width: float) -> Ints:
         """Assign each of n points to a depth layer.
 
         Packets are groups of neighbouring hits.  Near a horizon, neighbours in the picture may be
@@ -243,7 +243,7 @@ class CameraFrame(NamedTuple):
         return center_size + self.width * self.pixel_width + self.height * self.pixel_height
 
 
-def camera_frame(
+def compute_frame(
     camera: Camera, width: int, height: int, offset: tuple[float, float] = (0.0, 0.0)
 ) -> CameraFrame:
     """Compute the eye, the axes and the pixel grid that determine a camera's rays.
@@ -323,8 +323,8 @@ class ScreenBounds(NamedTuple):
         bounds : ScreenBounds
             The rectangles of all n objects.
         """
-        rows = (frame.row_of(slope * frame.depth) for slope in y_slopes)
-        return cls(*rows, *(frame.column_of(slope * frame.depth) for slope in x_slopes))
+        rows = (frame.to_row(slope * frame.depth) for slope in y_slopes)
+        return cls(*rows, *(frame.to_column(slope * frame.depth) for slope in x_slopes))
 
     def take(self, selection: Bools | slice) -> ScreenBounds:
         """Select rectangles by mask or slice.
@@ -362,7 +362,7 @@ class ScreenBounds(NamedTuple):
         is_in_picture: Bools = is_in_rows & is_in_columns
         return is_in_picture
 
-    def window(self, frame: CameraFrame) -> tuple[slice, slice]:
+    def compute_window(self, frame: CameraFrame) -> tuple[slice, slice]:
         """Compute a rectangle of pixels that contains all visible objects.
 
         Parameters
@@ -391,7 +391,7 @@ class ScreenBounds(NamedTuple):
             find_covered_pixels(visible_bounds.left, visible_bounds.right, frame.width),
         )
 
-    def depth_complexity(self, frame: CameraFrame) -> float:
+    def compute_depth_complexity(self, frame: CameraFrame) -> float:
         """Compute an upper bound on the mean number of objects that the rays of a row meet.
 
         Parameters
@@ -411,7 +411,7 @@ class ScreenBounds(NamedTuple):
         width_change = np.append(covered_width, -covered_width)[order]
         return float(width_change.cumsum().max(initial=0) / width)
 
-    def silhouette_density(self, frame: CameraFrame) -> float:
+    def estimate_silhouette_density(self, frame: CameraFrame) -> float:
         """Estimate how often the silhouettes of two objects cross the same pixel.
 
         The estimate assumes that objects are as tall as they are wide, at random positions.

@@ -115,7 +115,7 @@ class Spheres:
         camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
         return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
 
-    def bounding_boxes(self) -> tuple[Floats, Floats]:
+    def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
         """Compute the axis-aligned bounding boxes of all n spheres, in scene axes.
 
         Returns
@@ -127,7 +127,7 @@ class Spheres:
 
     # Intersections with rays from the eye.
 
-    def row_extent(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
+    def find_columns(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
         """Compute which columns each of n spheres covers in a row of the picture.
 
         Parameters
@@ -157,7 +157,7 @@ class Spheres:
         discs = self._cut_discs(sphere_index, grown_radius, frame.ray_down(top + height / 2))
         ray_ahead, center_right, center_ahead, disc_radius2 = discs
         low_slope, high_slope = _tangent_slopes(center_right, center_ahead, disc_radius2, power)
-        return frame.column_of(low_slope * ray_ahead), frame.column_of(high_slope * ray_ahead)
+        return frame.to_column(low_slope * ray_ahead), frame.to_column(high_slope * ray_ahead)
 
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
@@ -221,7 +221,7 @@ class Spheres:
             ray leaves the sphere.
         sqrt_term : (n,) float array
             |n . d| radius, with the unit normal n at the hit and the ray's direction d;
-            `tangent_planes` needs it.
+            `compute_tangent_planes` needs it.
         """
         sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
@@ -248,7 +248,7 @@ class Spheres:
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
         return np.where(t > 0, t, np.inf), sqrt_term
 
-    def tangent_planes(
+    def compute_tangent_planes(
         self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, sqrt_term: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the tangent plane of the sphere at each of n hits.
@@ -271,7 +271,7 @@ class Spheres:
         face_axis : (runs,) int array
             `NO_FACE` for each run.
         normal_sign, face_position : 0-dimensional float arrays
-            Meaningless, because spheres have no faces: see `Boxes.tangent_planes`.
+            Meaningless, because spheres have no faces: see `Boxes.compute_tangent_planes`.
         normal : tuple of three (n,) float arrays
             Unit normals that face the eye, in camera axes.
         eye_height : (n,) float array
@@ -290,7 +290,7 @@ class Spheres:
 
     # Tests of shadow segments: segments from hits to lights.
 
-    def side_of_light(self, object_index: Ints, light: Triple) -> Sides:
+    def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
         """Test whether a light is outside, on or inside each of n spheres.
 
         Parameters
@@ -351,7 +351,7 @@ class Spheres:
         hit, light : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each segment, in scene axes.
         light_side : (n,) int8 array
-            Side of the sphere on which the light lies: the result of `side_of_light`.
+            Side of the sphere on which the light lies: the result of `find_light_side`.
         growth : (n,) float array, optional
             Distance by which the sphere grows before the test; negative to shrink it.  A sphere
             that shrinks to nothing blocks nothing.

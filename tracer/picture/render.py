@@ -320,7 +320,7 @@ class RenderJob:
         scene, sample_count = self.prepared_scene, float(self._lattice.size)
         if self._is_adaptive:
             pixel_count = scene.frame.width * scene.frame.height
-            silhouette_density = scene.bounds.silhouette_density(scene.frame)
+            silhouette_density = scene.bounds.estimate_silhouette_density(scene.frame)
             edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_density
             samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
             max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
@@ -419,7 +419,7 @@ class RenderJob:
         samples = self._lattice.samples(visible_rows, columns)
         if self._lattice.size > 1:
             sample_radiance = compute_radiance(scene, samples)
-            visible_radiance[:] = self._lattice.mean(sample_radiance, column_count)
+            visible_radiance[:] = self._lattice.average(sample_radiance, column_count)
         else:
             compute_radiance(scene, samples, out=visible_radiance.reshape(-1, 3).T)
         return radiance

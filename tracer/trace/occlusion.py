@@ -568,7 +568,7 @@ def _build_square_packets(
         square_index -= square_index.min()
         square_key = square_key * (square_index.max() + 1) + square_index
     order = square_key.argsort(kind="stable")
-    depth_layer = hits.scene.frame.depth_layer(hits.from_eye[2].take(first_hit), square_width)
+    depth_layer = hits.scene.frame.assign_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
     first_child, child_count = find_runs(square_key[order], depth_layer[order])
     return _merge_row_packets(row_packets, first_child, child_count), row_packets

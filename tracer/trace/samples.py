@@ -73,7 +73,7 @@ def find_object_spans(
     span_candidate, row = enumerate_ranges(np.maximum(stop_row - first_row, 0), first_row)
     position = candidate[span_candidate]
     object_index = position + shape.objects.start
-    left, right = shape.row_extent(object_index, row_top[row], height)
+    left, right = shape.find_columns(object_index, row_top[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
     kept_span = indices(left <= right)
     return object_index[kept_span], row[kept_span], left[kept_span] - pad, right[kept_span] + pad

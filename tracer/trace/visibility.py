@@ -164,7 +164,7 @@ class _Intersections(NamedTuple):
         is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
             x, y = samples.get_positions(self.sample)
-            strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.depth_layer(depth, _RUN_WIDTH)
+            strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.assign_layer(depth, _RUN_WIDTH)
             is_start |= mark_run_starts(self.object_index, np.floor(y), strip, depth_layer)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
@@ -284,7 +284,7 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         run_length = np.diff(run_start, append=end - start)
         run_object = group.pair_object[run_start]
-        tangent_planes = group.shape.tangent_planes(
+        tangent_planes = group.shape.compute_tangent_planes(
             run_object, run_length, group_from_eye, group.t, group.hit_data
         )
         fields = group.shape, slice(start, end), group.sample, run_length, run_object

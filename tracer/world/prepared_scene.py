@@ -15,7 +15,7 @@ import numpy as np
 
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, mark_run_starts
 from tracer.geometry.box import Boxes
-from tracer.geometry.camera import ScreenBounds, camera_frame
+from tracer.geometry.camera import ScreenBounds, compute_frame
 from tracer.geometry.rounding import POSITION_ROUNDING
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
@@ -52,7 +52,7 @@ class Lights(NamedTuple):
         Linear RGB intensities.
     side : (lights, n) int8 array
         Side of each object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`, from
-        `Spheres.side_of_light`.
+        `Spheres.find_light_side`.
     grid : LightGrid or None
         Lists of objects by their direction from each light; None if no object can be in shadow.
     """
@@ -129,7 +129,7 @@ class PreparedScene:
 
     def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.surfaces = surfaces = scene.surfaces
-        self.frame = frame = camera_frame(scene.camera, scene.width, scene.height, offset)
+        self.frame = frame = compute_frame(scene.camera, scene.width, scene.height, offset)
         self.spheres = Spheres.from_surfaces(frame, surfaces)
         self.boxes = Boxes.from_surfaces(frame, surfaces)
         shapes: tuple[Shape, ...] = self.spheres, self.boxes  # in the order of their indices
@@ -139,8 +139,8 @@ class PreparedScene:
         self.bounds = bounds._replace(top=np.where(self.is_duplicate, np.inf, bounds.top))
         self.is_eye_inside = np.concatenate([shape.is_eye_inside for shape in shapes])
         self.curvature = np.concatenate([shape.curvature for shape in shapes])
-        self.depth_complexity = self.bounds.depth_complexity(frame)
-        self.window = self.bounds.window(frame)
+        self.depth_complexity = self.bounds.compute_depth_complexity(frame)
+        self.window = self.bounds.compute_window(frame)
         colors = [
             (*s.diffuse, *((*s.specular, s.exponent) if isinstance(s, Phong) else (0, 0, 0, 0)))
             for s in surfaces.shaders
@@ -224,8 +224,8 @@ class PreparedScene:
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
         shapes = self._all_shapes
-        sides = [shape.side_of_light(shape.objects.indices(), (x, y, z)) for shape in shapes]
-        boxes = [shape.bounding_boxes() for shape in shapes]
+        sides = [shape.find_light_side(shape.objects.indices(), (x, y, z)) for shape in shapes]
+        boxes = [shape.compute_bounding_boxes() for shape in shapes]
         box_min, box_max = (np.concatenate(points, axis=1) for points in zip(*boxes, strict=True))
         is_visible = self.bounds.in_picture(self.frame)
         return Lights(
