@@ -81,7 +81,7 @@ def main() -> None:
     cpu_seconds = {name: _measure_cpu_seconds(commands[name]) / frame_count for name in renderers}
     tracer_seconds = cpu_seconds["tracer, 1 process"]
     seconds_per_task = _measure_seconds_per_task(50 * frame_count)
-    png_files = [build_path(f"frame-{k}.xml.png") for k in range(frame_count)]
+    png_files = [build_path(f"frame-{frame_index}.xml.png") for frame_index in range(frame_count)]
     png_size = sum(path.stat().st_size for path in png_files) / frame_count
     max_cores = tracer_seconds / seconds_per_task
     costs = format_section(

@@ -151,9 +151,9 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     polygons, fraction = [], np.linspace(0, 1, grid.cells_per_side + 1)
     for octant, patch_index in enumerate(grid.patch_of_octant.tolist()):
         if patch_index >= 0:
-            origin, size = (a[:, patch_index, None] for a in (grid.patch_origin, grid.patch_size))
+            origin, size = grid.patch_origin[:, patch_index], grid.patch_size[:, patch_index]
             # The grid's lines are at u and v, the absolute coordinates in an inner octant.
-            u, v = np.meshgrid(*(origin + size * fraction))
+            u, v = np.meshgrid(*(origin + size * fraction[:, None]).T)
             # Bit k of `octant` is set where component k of the direction is negative.
             x, y = (1 - v, 1 - u) if octant & 4 else (u, v)
             nodes = np.stack([-x if octant & 1 else x, -y if octant & 2 else y], axis=-1)

@@ -92,7 +92,7 @@ def convert_scene(scene: Scene, exposure: float = 1.0) -> str:
     for light in scene.lights:
         color = f"{exposure!r} * {_format_vector(light.intensity)}"
         lines.append(f"light_source {{ {_format_vector(light.position)} rgb {color} }}")
-    texture_names = {shader: f"S{k}" for k, shader in enumerate(scene.surfaces.shaders)}
+    texture_names = {shader: f"S{index}" for index, shader in enumerate(scene.surfaces.shaders)}
     for shader, name in texture_names.items():
         lines.append(f"#declare {name} = {_convert_shader(shader)}")
     for surface in scene.surfaces:

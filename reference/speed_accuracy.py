@@ -250,8 +250,8 @@ def main() -> None:
     note = (
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Each point is\na picture with 1, 4, 16, ... samples per pixel; this"
-        " tracer has points with 9, 36, ... as well.  Its curve has steps, because it divides\n"
-        "pixels into quarters.  POV-Ray uses decreasing thresholds, and the certified tracer"
+        " tracer also has points with 9, 36, ... samples.  Its curve has steps, because it\ndivides"
+        " pixels into quarters.  POV-Ray uses decreasing thresholds, and the certified tracer"
         " permits errors of 1/8, 1/32, ... in every pixel."
     )
     title = "Time against error: lower left is better"

@@ -399,17 +399,17 @@ def _draw_panel(
         method: np.array([row[::2] for row in rows if row[1] == method], float).T
         for method in ("this tracer", *panel.methods)
     }
-    is_radiance, x = panel.measure_error is measure_largest_error, curves["this tracer"][0]
+    is_radiance_error, x = panel.measure_error is measure_largest_error, curves["this tracer"][0]
     scene = panel.build_scene(x[0])
     min_percentage = 25 / (scene.width * scene.height)  # a quarter of that of one pixel
-    min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance else (min_percentage, 100.0)
+    min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance_error else (min_percentage, 100.0)
     # Errors of zero are drawn at a different height for each curve, so that all are visible.
-    zero_height = {method: min_error / _CURVE_SPACING**k for k, method in enumerate(curves)}
+    zero_height = {method: min_error / _CURVE_SPACING**index for index, method in enumerate(curves)}
     limits = {"xlim": (x[0], x[-1]), "ylim": (min(zero_height.values()) / 1.6, 1.6 * max_error)}
     guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
     label = ";   ".join([panel.axis_label, *guides])
     axes.set(title=panel.title, xlabel=label, xscale="log", yscale="log", **limits)
-    if is_radiance:
+    if is_radiance_error:
         axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
     else:
