@@ -234,11 +234,11 @@ def draw_classes() -> None:
 def draw_certificate() -> None:
     """Draw the cells into which the certificate divides a picture."""
     scene, _, _ = _load_and_prepare("four-spheres", 48)
-    with patch.object(_Picture, "add", autospec=True, side_effect=_Picture.add) as recorder:
+    with patch.object(_Picture, "add_cells", autospec=True, side_effect=_Picture.add_cells) as mock:
         certificate = certify(scene, 1 / 256)
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     outlines: list[Floats] = []
-    for _, cells, cell_index, _ in (call.args for call in recorder.call_args_list):
+    for _, cells, cell_index, _ in (call.args for call in mock.call_args_list):
         centers = np.stack([cells.x[cell_index], cells.y[cell_index]], axis=-1)
         outlines += [*(centers[:, None] + cells.width * corners)]
     _, (image_axes, cell_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.7))

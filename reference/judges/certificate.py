@@ -469,7 +469,7 @@ class _Picture:
         row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.error_bound.shape[1] + column)
 
-    def add(self, cells: Cells, cell_index: Ints, radiance: Enclosures) -> None:
+    def add_cells(self, cells: Cells, cell_index: Ints, radiance: Enclosures) -> None:
         """Add the mean radiance of cells to the pixels that they cover.
 
         Parameters
@@ -495,7 +495,7 @@ class _Picture:
         np.add.at(self.error_bound, pixels, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
-        """Add cells whose radiance is accurate enough to the picture, and return the others.
+        """Add sufficiently accurate cells to the picture, and return the others.
 
         A cell wider than a pixel is accurate enough if it shows a single face, and if each light
         reaches all of this face or none of it.  Other cells are tested by `is_final`.
@@ -526,13 +526,13 @@ class _Picture:
         contributions = analysis.shade(is_only_face | (cells.width <= 1), settled_error)
         smooth_pair = np.flatnonzero(is_only_face & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[smooth_pair]] = False
-        self.add(cells, cells.pair_cell[smooth_pair], cells.radiance[smooth_pair])
+        self.add_cells(cells, cells.pair_cell[smooth_pair], cells.radiance[smooth_pair])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_final = self.is_final(cells, estimates.error, is_pending)
             finished_index = np.flatnonzero(is_pending & is_final)
             means = enclose_constants(estimates.mean, estimates.error)
-            self.add(cells, finished_index, means[finished_index])
+            self.add_cells(cells, finished_index, means[finished_index])
             is_pending[finished_index] = False
         return cells.select_cells(is_pending)
 

@@ -278,8 +278,8 @@ class _PlainTracer:
         self.relative_tolerance = to_numbers(relative_tolerance)
         self.scene_size = max(np.abs(array).max() for array in coordinates)
         self.tolerance = self.relative_tolerance * self.scene_size
-        indices = range(len(self.shapes))
-        self.is_eye_inside = [bool(self.signed_distance(i, self.eye)[0] <= 0) for i in indices]
+        distances = [self.compute_signed_distance(i, self.eye) for i in range(len(self.shapes))]
+        self.is_eye_inside = [bool(distance[0] <= 0) for distance in distances]
 
     def snap_to_zero(self, values: Array, scale: Array) -> Array:
         """Replace values with 0 where they are tiny in relation to a scale.
@@ -302,7 +302,7 @@ class _PlainTracer:
         is_tiny = np.abs(values) <= self.relative_tolerance * scale
         return np.where(is_tiny, self.to_numbers(0), values)
 
-    def signed_distance(self, surface: int, points: Array) -> Array:
+    def compute_signed_distance(self, surface: int, points: Array) -> Array:
         """Compute the signed distance of each point from a surface.
 
         Parameters
@@ -326,7 +326,7 @@ class _PlainTracer:
             distance = np.maximum(center_or_low - points, points - radius_or_high).max(axis=0)
         return self.snap_to_zero(distance, self.scene_size)
 
-    def ray_directions(self, x: Array, y: Array) -> Array:
+    def compute_ray_directions(self, x: Array, y: Array) -> Array:
         """Compute the directions of camera rays through given positions in the picture.
 
         Parameters
@@ -419,7 +419,7 @@ class _PlainTracer:
         traced : TracedRays
             The results, with one item per ray.
         """
-        direction = self.ray_directions(x, y)
+        direction = self.compute_ray_directions(x, y)
         closest_t, surface = self.find_closest(direction)
         hit_index = np.flatnonzero(surface >= 0)
         visible_surface, direction = surface[hit_index], direction.take(hit_index, 1)
@@ -438,7 +438,7 @@ class _PlainTracer:
             for i in np.unique(visible_surface[is_reached[hit_index]]).tolist():
                 ray_index = np.flatnonzero(is_reached[hit_index] & (visible_surface == i))
                 unit_vectors = (vector.take(ray_index, 1) for vector in (normals, to_light, to_eye))
-                reflected = self.reflected_radiance(i, *unit_vectors)
+                reflected = self.compute_reflected_radiance(i, *unit_vectors)
                 radiance[hit_index[ray_index]] += reflected * light.intensity
         return TracedRays(radiance, surface, is_lit)
 
@@ -531,7 +531,7 @@ class _PlainTracer:
             is_blocked = self.is_blocking(i, ray_origin, light, min_length)
             if self.skips_own_object:
                 # A surface shades its own points only if it contains the eye, but not the light.
-                shades_itself = is_eye_inside and self.signed_distance(i, light)[0] >= 0
+                shades_itself = is_eye_inside and self.compute_signed_distance(i, light)[0] >= 0
                 is_blocked = np.where(surface_index[index] == i, shades_itself, is_blocked)
             is_lit[index] = ~is_blocked
         return is_lit
@@ -573,18 +573,18 @@ class _PlainTracer:
             # are equally far from the point at t = middle_t, which is closest to the centre.
             middle_t = _dot(self.shapes[surface][0] - points, direction)
             blocks_light_on_sphere = is_between(2 * middle_t - distance)
-            is_light_on_sphere = self.signed_distance(surface, light) == 0
+            is_light_on_sphere = self.compute_signed_distance(surface, light) == 0
             is_blocked = np.where(is_light_on_sphere, blocks_light_on_sphere, is_blocked)
             # A segment from a point on the sphere is blocked if it starts on the side opposite the
             # eye, or meets the sphere again.
             is_outward = (middle_t < -self.tolerance) | is_between(2 * middle_t)
             is_inward = middle_t > self.tolerance
             blocks_point_on_sphere = is_outward if self.is_eye_inside[surface] else is_inward
-            is_point_on_sphere = self.signed_distance(surface, points) == 0
+            is_point_on_sphere = self.compute_signed_distance(surface, points) == 0
             is_blocked = np.where(is_point_on_sphere, blocks_point_on_sphere, is_blocked)
         return np.asarray(is_blocked)
 
-    def reflected_radiance(
+    def compute_reflected_radiance(
         self, surface: int, normals: Array, to_light: Array, to_eye: Array
     ) -> NDArray[np.float64]:
         """Compute the radiance that surface points reflect from a light of intensity 1.
