@@ -33,14 +33,14 @@ from pathlib import Path
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page
-from reference.handins.diagnosis import AGREEING, Solution, find_worst_pixel
+from reference.handins.diagnosis import AGREEING, Reference, find_worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
 from reference.handins.results import (
     Result,
     format_csv,
     format_json,
     format_text,
-    with_common_causes_first,
+    sort_causes,
 )
 from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
@@ -88,7 +88,7 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
         The options.  In addition, `is_class` is True if the first argument is a folder, and
         `folder` is that folder, or otherwise the picture's folder.
     hand_ins : list of HandIn
-        The pictures to compare and those that are missing, each with its reference.
+        The pictures to compare and the missing pictures, each with its reference.
 
     Raises
     ------
@@ -148,8 +148,8 @@ def _choose_comparison_path(options: argparse.Namespace, picture_path: Path) -> 
     Returns
     -------
     path : Path
-        The argument of -o if it names a file.  If it names a folder, a file in that folder; each
-        picture of a class has a different one.
+        The argument of -o if it names a file.  If it names a folder, a different file in that
+        folder for each submitted picture.
     """
     if not is_folder(options.output):
         return Path(options.output)
@@ -189,15 +189,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         comparisons = map_in_workers(
             compare, hand_ins, lambda hand_in: compare(hand_in._replace(error=_WORKER_DIED))
         )
-        results_and_pairs = sorted(track(comparisons, len(hand_ins), "pictures"), key=_sort_key)
-    results = with_common_causes_first([result for result, _ in results_and_pairs])
+        results_and_pairs = sorted(track(comparisons, len(hand_ins), "pictures"), key=_get_sort_key)
+    results = sort_causes([result for result, _ in results_and_pairs])
     if options.html:
         pairs = {str(result.picture): pair for result, pair in results_and_pairs if pair}
         html = render_class_page(results, pairs, options.folder)
         write_page(Path(options.html), html, "choose another with --html", FAILED_STATUS)
     if results[0].error and not (options.is_class or options.format_results):
         raise Failure("", results[0].error, exit_status=FAILED_STATUS)
-    format_results = options.format_results or partial(format_text, as_list=options.is_class)
+    format_results = options.format_results or partial(format_text, is_class=options.is_class)
     with errors_as_failure("standard output", "written", exit_status=FAILED_STATUS):
         print_or_raise(sys.stdout, format_results(results))
     if any(result.verdict == "unread" for result in results):
@@ -208,7 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _compare_with_progress_bar(
     options: argparse.Namespace, hand_in: HandIn
 ) -> tuple[Result, Pair | None]:
-    """Compare one picture with its reference, showing a progress bar after the first second.
+    """Compare one picture with its reference; show a progress bar after the first second.
 
     Parameters
     ----------
@@ -221,9 +221,9 @@ def _compare_with_progress_bar(
     -------
     result : Result
         The mistakes in the picture and measures of the difference, or an error.
-    pair : dict or None
-        The HTML page's data on both pictures; None if no page is requested, or if there is an
-        error.
+    pair : Pair or None
+        Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
+        there is an error.
     """
     with Progress(1, "pictures") as bar, ThreadPoolExecutor(1) as executor:
         future = executor.submit(compare_hand_in, options, hand_in)
@@ -232,7 +232,7 @@ def _compare_with_progress_bar(
         return future.result()
 
 
-def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
+def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
     """Return a sort key that puts pictures first, by path, then missing pictures, by student.
 
     Scenes that nobody has handed in come last.
@@ -240,7 +240,7 @@ def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, s
     Parameters
     ----------
     result_and_pair : tuple of Result and (Pair or None)
-        The result of a comparison, and the page's data on both pictures, which are ignored here.
+        The two items that `compare_hand_in` returns; only the result is used.
 
     Returns
     -------
@@ -256,8 +256,8 @@ def _sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, s
 
 
 @lru_cache(maxsize=1)
-def _load_solution(path: Path) -> Solution:
-    """Load the reference scene or picture to compare hand-ins with; cache the most recent one.
+def _load_reference(path: Path) -> Reference:
+    """Load the scene or picture to compare hand-ins with; cache only the most recent one.
 
     Parameters
     ----------
@@ -266,8 +266,8 @@ def _load_solution(path: Path) -> Solution:
 
     Returns
     -------
-    solution : Solution
-        The reference, whose method `diagnose` finds the mistakes in a hand-in.
+    reference : Reference
+        Its method `diagnose` finds the mistakes in a hand-in.
 
     Raises
     ------
@@ -275,13 +275,13 @@ def _load_solution(path: Path) -> Solution:
         If the file cannot be read, or is not a valid scene.
     """
     if path.suffix.lower() != ".xml":
-        return Solution(read_picture(path))
+        return Reference(read_picture(path))
     with errors_as_failure(path, "read"):
-        return Solution(load_scene(path), shlex.quote(str(path)))
+        return Reference(load_scene(path), shlex.quote(str(path)))
 
 
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a submitted picture with its reference, returning errors instead of raising them.
+    """Compare a submitted picture with its reference; return errors instead of raising them.
 
     Parameters
     ----------
@@ -295,9 +295,9 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
     result : Result
         The mistakes in the picture and measures of the difference.  If the picture is missing or
         cannot be compared, the `error` of the result states why.
-    pair : dict or None
-        The HTML page's data on both pictures.  None if no page is requested, if the sizes differ,
-        or if the picture cannot be compared.
+    pair : Pair or None
+        Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
+        the picture cannot be compared.
     """
     paths = hand_in.picture, hand_in.reference
     picture_name, reference_name = (str(path) if path else None for path in paths)
@@ -338,41 +338,40 @@ def _compare_files(
     Returns
     -------
     result : Result
-        A copy of `result` that also has the diagnosis (the mistakes in the picture) and, unless the
-        sizes differ, measures of the difference.
-    pair : dict or None
-        The HTML page's data on both pictures.  None if no page is requested, or if the sizes
-        differ.
+        A copy of `result` to which the mistakes are added, and, if the sizes are equal, measures of
+        the difference.
+    pair : Pair or None
+        Both pictures, for the HTML page.  None if no page is requested, or if the sizes differ.
 
     Raises
     ------
     Failure
         If a file cannot be read or written.
     """
-    picture, solution = read_picture(picture_path), _load_solution(reference_path)
-    diagnosis = solution.diagnose(picture)
-    notes = ("It", picture.note), (reference_path.name, solution.picture.note)
+    picture, reference = read_picture(picture_path), _load_reference(reference_path)
+    diagnosis = reference.diagnose(picture)
+    notes = ("It", picture.note), (reference_path.name, reference.picture.note)
     sentences = [f"{name} {note}" for name, note in notes if note and diagnosis.kind != "identical"]
     result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
-    if picture.codes.shape != solution.codes.shape:
+    if picture.codes.shape != reference.codes.shape:
         return result, None
-    ssim, rmse, maximum, difference = compare_codes(picture.codes, solution.codes)
+    ssim, rmse, max_difference, difference = compare_codes(picture.codes, reference.codes)
     agrees = diagnosis.kind in AGREEING
     if options.ssim is not None or options.max is not None:
-        agrees = (options.max is None or maximum <= options.max) and (
+        agrees = (options.max is None or max_difference <= options.max) and (
             options.ssim is None or ssim >= options.ssim
         )
     result = result._replace(
-        agrees=agrees, ssim=ssim, rmse=rmse, max=maximum,
-        differing=int((picture.codes != solution.codes).any(axis=2).sum()),
-        worst=find_worst_pixel(picture.codes, solution.codes),
+        agrees=agrees, ssim=ssim, rmse=rmse, max=max_difference,
+        differing=int((picture.codes != reference.codes).any(axis=2).sum()),
+        worst=find_worst_pixel(picture.codes, reference.codes),
     )  # fmt: skip
-    pair = make_pair(result, picture.codes, solution.codes, difference) if options.html else None
+    pair = make_pair(result, picture.codes, reference.codes, difference) if options.html else None
     if options.output and not (options.is_class and agrees):
         output_path = _choose_comparison_path(options, picture_path)
         labels = make_printable(picture_path.name), make_printable(reference_path.name)
         with errors_as_failure(output_path, "written", OUTPUT_REMEDY, error_types=(ValueError,)):
             output_path.parent.mkdir(parents=True, exist_ok=True)
-            write_comparison(output_path, (picture.codes, solution.codes), difference, labels)
+            write_comparison(output_path, (picture.codes, reference.codes), difference, labels)
         result = result._replace(comparison=str(output_path))
     return result, pair

@@ -42,15 +42,15 @@ class Picture(NamedTuple):
     Attributes
     ----------
     codes : (h, w, 3) uint8 array
-        Red, green and blue of each pixel, as encoded with gamma.
+        8-bit codes of the pixels: red, green and blue, as encoded with gamma.
     note : str
-        How storing the picture in this format altered it, as a predicate: "is a JPEG, which changes
-        levels: …".  Empty if it did not.
+        How the file format altered the picture, as a predicate: "is a JPEG, which changes levels:
+        …".  Empty if it did not.
     lossy_levels : int
-        Number of levels by which the file format may have altered codes.
+        Number of levels by which the file format may have altered the codes.
     save : callable, optional
-        Saves codes (h, w, 3) in this file's format, and returns the codes (h, w, 3) that are read
-        back.
+        Saves codes (h, w, 3) in the format of the file, and returns the codes (h, w, 3) that are
+        read back.
     """
 
     codes: Codes
@@ -70,7 +70,7 @@ def read_picture(path: Path) -> Picture:
     Returns
     -------
     picture : Picture
-        The 8-bit codes of the pixels, and how storing the picture in this format altered them.
+        The 8-bit codes of the pixels, and how the file format altered them.
 
     Raises
     ------
@@ -141,16 +141,14 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
 
 
 def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
-    """Test whether a picture file has more than 8 bits per channel.
-
-    Pillow silently drops the lower bits.  However, its decoder's arguments give the encoding of the
-    pixels: a mode such as "RGB;16B", or the largest level in a PPM file.
+    """Test whether a picture file has more than 8 bits per channel, of which Pillow drops some.
 
     Parameters
     ----------
     image : ImageFile
         The picture, opened with Pillow but not yet decoded.
     """
+    # The arguments of Pillow's decoder state a mode such as "RGB;16B", or a PPM's largest level.
     for codec, _, _, arguments in image.tile:
         is_ppm = codec.startswith("ppm")
         largest_level = arguments[1] if is_ppm and isinstance(arguments, tuple) else 0
@@ -202,19 +200,19 @@ def to_picture(columns: Codes, width: int) -> Codes:
 
 
 def level_difference(first_codes: Codes, second_codes: Codes, channel_axis: int = -2) -> Codes:
-    """Return, for each pixel, the largest absolute difference over the three colour channels.
+    """Compute the difference of two pictures at each pixel: the largest of its three channels.
 
     Parameters
     ----------
-    first_codes, second_codes : (..., 3, n) uint8 arrays
-        The two pictures to compare, as codes from 0 to 255.
+    first_codes, second_codes : (..., 3, n) or (h, w, 3) uint8 arrays
+        8-bit codes of the two pictures.
     channel_axis : int
-        The axis of the channels: -2 for arrays (..., 3, n), or 2 for pictures (h, w, 3).
+        The axis of the channels: -2 for arrays (..., 3, n), 2 for arrays (h, w, 3).
 
     Returns
     -------
-    largest_difference : (..., n) uint8 array
-        The differences: an array like the inputs, but without the channel axis.
+    levels : (..., n) or (h, w) uint8 array
+        The absolute differences in levels, which are the units of the codes.
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)

@@ -32,7 +32,7 @@ def render_with_mistakes(scene: Scene, *keywords: str, formula: str = "codes") -
     KeyError
         If a keyword is unknown.
     ValueError
-        If two mistakes replace the same formula and so exclude each other.
+        If two mistakes replace the same formula, and so exclude each other.
     """
     mistakes, pixel_count = list_mistakes(scene), scene.width * scene.height
     replacements = join_formulas([mistakes[keyword].formulas for keyword in keywords])

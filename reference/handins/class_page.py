@@ -25,7 +25,7 @@ _LEGEND = (
 def make_pair(
     result: Result, submitted_codes: Codes, reference_codes: Codes, difference: Differences
 ) -> Pair:
-    """Prepare a submitted picture, its reference picture and their difference for an HTML page.
+    """Make the part of an HTML page that shows a submitted picture and its reference picture.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def make_pair(
     Returns
     -------
     Pair
-        The contents of the page: the three pictures, a thumbnail, the diagnosis and the metrics.
+        The two pictures and their difference, a thumbnail, the diagnosis and the metrics.
     """
     diagnosis = result.diagnosis
     return prepare_pair(
@@ -60,7 +60,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     """Render an HTML page that shows the results of a class.
 
     The page contains a table by student and scene, the pairs of pictures, the number of pictures
-    with each mistake, and the files that could not be compared.
+    with each mistake, and the errors of files that could not be compared.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     pair_index = {path: index for index, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
     right_scenes: dict[str, set[str]] = defaultdict(set)
-    # Paragraphs on the files that could not be compared, or whose pictures the page does not show.
+    # Paragraphs on the files that were not compared, or whose pictures are not on the page.
     notes = list[str]()
     for result in results:
         path, diagnosis = result.picture or "", result.diagnosis

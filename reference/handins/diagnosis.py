@@ -19,7 +19,7 @@ import numpy as np
 
 from reference.handins import symptoms
 from reference.handins.formulas import Array
-from reference.handins.mistakes import OF_PICTURE
+from reference.handins.mistakes import PICTURE_FORMULAS
 from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Submission
 from reference.pictures import Codes, Picture, level_difference, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
@@ -52,7 +52,7 @@ class Diagnosis:
         The alternative causes, at least one.  Each maps the keywords of mistakes that are made
         together to sentences, as in ``{"gamma-none": "Gamma is missing."}``.  A verdict, such as
         "identical", is a single cause with one keyword.
-    before, after : str
+    text_before, text_after : str
         Text of the report before and after the sentences of the causes; may be empty.
     hint : str
         If no cause is known, the keywords of the cause with the most similar picture, joined by
@@ -60,8 +60,8 @@ class Diagnosis:
     """
 
     causes: tuple[dict[str, str], ...]
-    before: str = ""
-    after: str = ""
+    text_before: str = ""
+    text_after: str = ""
     hint: str = ""
 
     @property
@@ -79,17 +79,18 @@ class Diagnosis:
         first_cause, *other_causes = self.causes
         sentences = [" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
                      for cause in other_causes]  # fmt: skip
-        alternatives, note = [*filter(None, sentences)], ""
-        if alternatives:
-            unnamed_count = len(alternatives) - _MAX_NAMED + 1
-            note = " Or: ".join(alternatives[: _MAX_NAMED - 1])
+        sentences, note = [*filter(None, sentences)], ""
+        if sentences:
+            unnamed_count = len(sentences) - _MAX_NAMED + 1
+            note = " Or: ".join(sentences[: _MAX_NAMED - 1])
             note += f" Or one of {unnamed_count} more." if unnamed_count > 0 else ""
             note = f"(In this scene one cannot tell it from: {note})"
-        return " ".join(filter(None, (self.before, self.first_cause_text, note, self.after)))
+        texts = self.text_before, self.first_cause_text, note, self.text_after
+        return " ".join(filter(None, texts))
 
     def preceded_by(self, sentence: str) -> Diagnosis:
         """Return a copy whose report begins with the given sentence, which may be empty."""
-        return replace(self, before=f"{sentence} {self.before}".strip())
+        return replace(self, text_before=f"{sentence} {self.text_before}".strip())
 
     def with_mistake(self, keyword: str, sentence: str) -> Diagnosis:
         """Return a copy with one more mistake at the beginning of each cause.
@@ -101,18 +102,18 @@ class Diagnosis:
         keyword, sentence : str
             Keyword of the mistake, and the sentence that describes it.
         """
-        other_causes = ({},) if self.kind in AGREEING else self.causes
-        return replace(self, causes=tuple({keyword: sentence} | cause for cause in other_causes))
+        known_causes = ({},) if self.kind in AGREEING else self.causes
+        return replace(self, causes=tuple({keyword: sentence} | cause for cause in known_causes))
 
-    def most_frequent_first(self, frequency: Counter[str]) -> Diagnosis:
+    def sort_causes(self, cause_counts: Counter[str]) -> Diagnosis:
         """Return a copy with the causes sorted by frequency, the most frequent first.
 
         Parameters
         ----------
-        frequency : Counter of str
-            The frequency of each cause; the key consists of the cause's keywords, joined by ``+``.
+        cause_counts : Counter of str
+            The frequency of each cause, by its keywords, joined by ``+``.
         """
-        causes = sorted(self.causes, key=lambda cause: -frequency["+".join(cause)])
+        causes = sorted(self.causes, key=lambda cause: -cause_counts["+".join(cause)])
         return replace(self, causes=tuple(causes))
 
 
@@ -121,7 +122,7 @@ def _make_verdict(keyword: str, sentence: str) -> Diagnosis:
     return Diagnosis(({keyword: sentence},))
 
 
-class Solution:
+class Reference:
     """A scene or a reference picture with which to compare the pictures that students submit.
 
     Parameters
@@ -154,8 +155,7 @@ class Solution:
         Parameters
         ----------
         height, width : int
-            Size of the pictures in pixels.  Without a scene, it must be the size of the reference
-            picture.
+            Size of the pictures in pixels; without a scene, the size of the reference picture.
 
         Returns
         -------
@@ -164,8 +164,8 @@ class Solution:
         """
         codes = self.codes
         if not self.scene:
-            surface_index = codes.any(axis=2).ravel() - 1
-            return MistakeRenderer(codes, to_columns(codes), surface_index, width, OF_PICTURE)
+            surface_index = codes.any(axis=2).ravel() - 1  # 0, or -1 for black pixels
+            return MistakeRenderer(codes, to_columns(codes), surface_index, width, PICTURE_FORMULAS)
         scene = replace(self.scene, width=width, height=height)
         codes = codes if codes.shape[:2] == (height, width) else _render_codes(scene)
         return MistakeRenderer(scene, to_columns(codes), _find_visible_surfaces(scene), width, {})
@@ -238,7 +238,7 @@ class Solution:
             numbers = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
             remainder = f"That leaves {numbers} pixels that differ."
             causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
-            return Diagnosis(tuple(causes), after=remainder if finding.unexplained_count else "")
+            return Diagnosis(tuple(causes), "", remainder if finding.unexplained_count else "")
         if not submission.lossy_levels and (symptom := symptoms.find_symptom(submission)):
             return _make_verdict(*symptom)
         return self._diagnose_unknown(submission, finding)
@@ -260,23 +260,23 @@ class Solution:
             A diagnosis of the kind "unknown", which describes the hint and the wrong pixels.
         """
         if not submission.clearly_wrong_count:
-            pixels = symptoms.count_pixels(submission.wrong_count, "is", "are")
-            return _make_verdict(UNKNOWN, f"{pixels} one level off; no known mistake does this.")
+            clause = symptoms.format_count(submission.wrong_count, "is", "are")
+            return _make_verdict(UNKNOWN, f"{clause} one level off; no known mistake does this.")
         mistake_count = len(submission.renderer.mistakes)
-        sentence, after = f"None of the {mistake_count} known mistakes explains this picture.", ""
+        sentence, text = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
-            nearest = " ".join(_fill_in_sentences(finding.hint, submission).values())
-            numbers = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
-            after = f"The nearest that is known: {nearest} It does not explain {numbers}. "
-        after += self._describe_differences(submission, finding.hint)
-        return Diagnosis(({UNKNOWN: sentence},), after=after, hint="+".join(finding.hint))
+            hint_text = " ".join(_fill_in_sentences(finding.hint, submission).values())
+            counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
+            text = f"The nearest that is known: {hint_text} It does not explain {counts}. "
+        text += self._describe_differences(submission, finding.hint)
+        return Diagnosis(({UNKNOWN: sentence},), text_after=text, hint="+".join(finding.hint))
 
     def _describe_differences(self, submission: Submission, hint: Cause) -> str:
-        """Describe in words where a submitted picture differs from the reference picture.
+        """Describe where a submitted picture differs from the reference picture.
 
-        The text names the surfaces with the most wrong pixels, the lights that are wrong at these
-        pixels, and the worst pixel.  If there is a hint, or if outlines differ, lights and pixel
-        are omitted, because they would be misleading.
+        The text names the surfaces with the most wrong pixels.  It also names the lights that are
+        missing or wrongly present, and the worst pixel, if there is no hint and the outlines of
+        surfaces are right.
 
         Parameters
         ----------
@@ -296,23 +296,22 @@ class Solution:
         levels = level_difference(*both_codes)
         is_wrong = levels > 1
         y, x = divmod(int(levels.argmax()), width)
-        handin_code, reference_code = (" ".join(map(str, codes[:, levels.argmax()]))
-                                       for codes in both_codes)  # fmt: skip
-        worst = f" The worst is {x},{y}: {handin_code} in place of {reference_code}"
-        count = symptoms.count_pixels(is_wrong.sum())
+        submitted_text, reference_text = (" ".join(map(str, codes[:, levels.argmax()]))
+                                          for codes in both_codes)  # fmt: skip
+        worst_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
+        count_text = symptoms.format_count(is_wrong.sum())
         if not self.scene:
             advice = "With the scene in place of the right picture, more can be said."
-            return f"{count}.{worst}. {advice}"
-        surfaces = _describe_wrong_surfaces(self.scene, submission, is_wrong)
-        count_and_surfaces = f"{count}: {surfaces}."
-        on_background = is_wrong & (renderer.surface_index < 0)
-        if hint or on_background.sum() > 0.02 * is_wrong.sum():
-            return count_and_surfaces
+            return f"{count_text}.{worst_text}. {advice}"
+        surfaces_text = _describe_wrong_surfaces(self.scene, submission, is_wrong)
+        is_wrong_background = is_wrong & (renderer.surface_index < 0)
+        if hint or is_wrong_background.sum() > 0.02 * is_wrong.sum():
+            return f"{count_text}: {surfaces_text}."
         is_scene_size = (self.scene.width, self.scene.height) == (width, height)
         option = "" if is_scene_size else f" --size {width}x{height}"
         command = f"tracer {self.name}{option} --pixel {x},{y}"
-        lights = _describe_wrong_lights(self.scene, submission, is_wrong)
-        return f"{count_and_surfaces}{lights}{worst}; {command} explains it."
+        lights_text = _describe_wrong_lights(self.scene, submission, is_wrong)
+        return f"{count_text}: {surfaces_text}.{lights_text}{worst_text}; {command} explains it."
 
 
 def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Array) -> str:
@@ -334,13 +333,13 @@ def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Arr
     """
     surface_index = submission.renderer.surface_index
     wrong_surface_index = surface_index[is_wrong]
-    change = submission.codes[:, is_wrong].astype(np.int16)
-    change -= submission.renderer.reference_codes[:, is_wrong]
+    changes = submission.codes[:, is_wrong].astype(np.int16)
+    changes -= submission.renderer.reference_codes[:, is_wrong]
     surfaces, counts = np.unique(wrong_surface_index, return_counts=True)
     order, phrases = np.argsort(-counts, kind="stable"), []
     for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
         name = str(SurfaceRef.from_index(scene, int(surface))) if surface >= 0 else "the background"
-        note = _brightness_note(change[:, wrong_surface_index == surface])
+        note = _describe_brightness(changes[:, wrong_surface_index == surface])
         phrases.append(f"{count:,} of {(surface_index == surface).sum():,} on {name}{note}")
     if other_count := counts[order[_MAX_NAMED:]].sum():
         phrases.append(f"{other_count:,} on others")
@@ -362,7 +361,7 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
     Returns
     -------
     str
-        One sentence for each such light, with a space before it; empty if there are none.
+        One sentence for each of these lights, with a space before it; may be empty.
     """
     verbs = "should shine but does not", "should be blocked but shines"
     sentences = ""
@@ -375,7 +374,7 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
 
 
 def _render_codes(scene: Scene) -> Codes:
-    """Render a scene as 8-bit codes (h, w, 3) without warnings, such as about non-square pixels."""
+    """Render a scene as 8-bit codes (h, w, 3); suppress warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         codes: Codes = to_codes(render(scene))
@@ -407,7 +406,7 @@ def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]
     Parameters
     ----------
     first_codes, second_codes : (h, w, 3) uint8 arrays
-        Codes of the pictures.
+        8-bit codes of the pictures.
 
     Returns
     -------
@@ -426,7 +425,7 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
     Parameters
     ----------
     submitted_codes, reference_codes : (3, n) uint8 arrays
-        Codes of the n pixels of the two pictures.
+        8-bit codes of the n pixels of the two pictures.
 
     Returns
     -------
@@ -438,7 +437,7 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
     if not count:
         return _make_verdict("identical", "The pictures are identical.")
     if count <= max(10, 0.01 * levels.size) and levels.max() == 1:
-        sentence = f"{symptoms.count_pixels(count)} by one level: rounding, nothing to worry about."
+        sentence = f"{symptoms.format_count(count)} by one level: rounding, nothing to worry about."
         return _make_verdict("rounding", sentence)
     return None
 
@@ -449,7 +448,7 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     Parameters
     ----------
     codes : (h, w, 3) uint8 array
-        Codes of the picture.
+        8-bit codes of the picture.
 
     Returns
     -------
@@ -464,7 +463,7 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
 
 
 def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
-    """Map each mistake of a cause to its sentence, with estimated numbers filled in.
+    """Fill in the numbers in the sentences that describe the mistakes of a cause.
 
     Parameters
     ----------
@@ -488,19 +487,19 @@ def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
     return {key: re.sub(r"\{(\w+)\}", format_number, mistakes[key].sentence) for key in cause}
 
 
-def _brightness_note(change: Array) -> str:
-    """Note whether nearly all pixels of a region are too bright, or nearly all too dark.
+def _describe_brightness(changes: Array) -> str:
+    """Describe whether nearly all pixels of a region are too bright, or nearly all too dark.
 
     Parameters
     ----------
-    change : (3, n) int array
-        Difference from the reference picture, in levels, of each channel of the region's n pixels.
+    changes : (3, n) int array
+        Submitted minus reference codes of the region's n pixels.
 
     Returns
     -------
     str
         " (brighter)" or " (darker)"; empty if neither applies.
     """
-    if (change >= -1).all(axis=0).mean() > 0.9:
+    if (changes >= -1).all(axis=0).mean() > 0.9:
         return " (brighter)"
-    return " (darker)" if (change <= 1).all(axis=0).mean() > 0.9 else ""
+    return " (darker)" if (changes <= 1).all(axis=0).mean() > 0.9 else ""

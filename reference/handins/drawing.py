@@ -15,8 +15,8 @@ import numpy as np
 
 from reference.figures import decode_to_linear
 from reference.handins import mistakes
-from reference.handins.formulas import Array, Formulas, parameter_names, used_names
-from reference.handins.mistakes import REFERENCE_FORMULAS, sample_position_formulas
+from reference.handins.formulas import Array, Formulas, list_parameters, used_names
+from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
@@ -24,14 +24,13 @@ from tracer import Phong, Scene, Sphere
 _MAX_CACHED_BYTES = 60_000_000
 
 
-def make_formula_inputs(scene: Scene | Codes) -> dict[str, Any]:
+def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
     """Convert a scene to the arrays from which formulas compute its picture.
 
     Parameters
     ----------
-    scene : Scene or (h, w, 3) uint8 array
-        A scene; or, if there is no scene, the codes (levels from 0 to 255) of the reference
-        picture.
+    source : Scene or (h, w, 3) uint8 array
+        A scene; or, if there is no scene, the 8-bit codes of the reference picture.
 
     Returns
     -------
@@ -40,12 +39,12 @@ def make_formula_inputs(scene: Scene | Codes) -> dict[str, Any]:
         (3, surfaces, 1), "diffuse" (3, surfaces) and "position" (lights, 3, 1).  Without a scene,
         the only array is "picture" (h, w, 3), the reference picture in linear light.
     """
-    if not isinstance(scene, Scene):
-        return {"picture": decode_to_linear(scene)}
-    camera, surfaces = scene.camera, list(scene.surfaces) or [Sphere()]
+    if not isinstance(source, Scene):
+        return {"picture": decode_to_linear(source)}
+    camera, surfaces, lights = source.camera, list(source.surfaces) or [Sphere()], source.lights
     shaders = [surface.shader for surface in surfaces]
     # Formulas need a surface: an empty scene gets a sphere with radius NaN, which all rays miss.
-    radius_factor = 1 if len(scene.surfaces) else np.nan
+    radius_factor = 1 if len(source.surfaces) else np.nan
     # In order of first use, which is nearly the order in the file.
     distinct_shaders = [*dict.fromkeys(shaders)]
     shader_by_number = [distinct_shaders[k % len(distinct_shaders)] for k in range(len(surfaces))]
@@ -71,14 +70,14 @@ def make_formula_inputs(scene: Scene | Codes) -> dict[str, Any]:
         "diffuse": to_vectors(shaders, "diffuse"), "specular": to_vectors(shaders, "specular"),
         "exponent": to_array(shaders, "exponent", 1.0),
         "shader_of_number": np.array([shaders.index(shader) for shader in shader_by_number]),
-        "position": to_vectors(scene.lights, "position").T[:, :, None],
-        "color": to_vectors(scene.lights, "intensity").T[:, :, None],
+        "position": to_vectors(lights, "position").T[:, :, None],
+        "color": to_vectors(lights, "intensity").T[:, :, None],
     }  # fmt: skip
 
 
 @cache
-def _list_with_dependents(names: tuple[str, ...]) -> tuple[str, ...]:
-    """List the given formulas and all that depend on them, directly or indirectly.
+def _list_affected(names: tuple[str, ...]) -> tuple[str, ...]:
+    """List the formulas whose values change if the given formulas are replaced.
 
     Parameters
     ----------
@@ -88,13 +87,14 @@ def _list_with_dependents(names: tuple[str, ...]) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Names of all these formulas, in order of computation.
+        Names of the given formulas, and of all formulas that depend on them, in the order of
+        computation.
     """
-    affected = {*names}
+    affected_names = {*names}
     for name, formula in REFERENCE_FORMULAS.items():
-        if not affected.isdisjoint(parameter_names(formula)):
-            affected.add(name)
-    return tuple(name for name in REFERENCE_FORMULAS if name in affected)
+        if not affected_names.isdisjoint(list_parameters(formula)):
+            affected_names.add(name)
+    return tuple(name for name in REFERENCE_FORMULAS if name in affected_names)
 
 
 class FormulaCache:
@@ -102,15 +102,15 @@ class FormulaCache:
 
     A picture is defined by formulas (functions for values such as the radiance), and a mistake by
     the formulas that it replaces.  Pictures with different mistakes share the values that are
-    computed in the same way.  The *version* of a value is the index of its *recipe*: a tuple of its
-    formula and of the versions of the formula's arguments.
+    computed in the same way.  The *recipe* of a value is a tuple of its formula and of the versions
+    of the arguments; the *version* of a value is the index of its recipe.
 
     Parameters
     ----------
     inputs : dict of str to array or number
         The result of `make_formula_inputs`; the `width` and `height` of the picture in pixels; and,
-        for the n pixels of the cache, their columns `i` (n,), their rows `j` (n,), and the
-        `submitted_codes` (3, n), which are the codes of the submitted picture.
+        for the n pixels of the cache, their columns `i` (n,), their rows `j` (n,) and their codes
+        in the submitted picture, `submitted_codes` (3, n).
     fitting_cache : FormulaCache, optional
         The cache whose pixels are used to compute values of the whole picture, such as its largest
         radiance.  By default, the pixels of this cache are used.
@@ -122,14 +122,14 @@ class FormulaCache:
         self._recipes: list[Any] = [None] * len(inputs)
         self._version_by_recipe: dict[Any, int] = {}
         self._reference_versions = {name: version for version, name in enumerate(inputs)}
-        self._reference_versions = self._versions_with(REFERENCE_FORMULAS)
+        self._reference_versions = self._find_versions(REFERENCE_FORMULAS)
         self._reference_recipe_count, self._cached_bytes = len(self._recipes), 0
 
-    def _versions_with(self, replacements: Formulas) -> dict[str, int]:
-        """Return the version of each formula's value when some formulas are replaced.
+    def _find_versions(self, replacements: Formulas) -> dict[str, int]:
+        """Find the version of each formula's value when some formulas are replaced.
 
-        The version of a value is the index of its recipe: a tuple of its formula and of the
-        versions of the formula's arguments.  New recipes are registered.
+        Values that are computed in the same way have the same version.  The version is the index of
+        a recipe, which consists of a formula and the versions of its arguments.
 
         Parameters
         ----------
@@ -143,12 +143,12 @@ class FormulaCache:
             cache are omitted.
         """
         versions = self._reference_versions.copy()
-        for name in _list_with_dependents(tuple(replacements)):
+        for name in _list_affected(tuple(replacements)):
             if name in self._inputs:
                 continue
             formula = replacements.get(name, REFERENCE_FORMULAS[name])
             try:
-                recipe = (formula, *map(versions.__getitem__, parameter_names(formula)))
+                recipe = (formula, *map(versions.__getitem__, list_parameters(formula)))
             except KeyError:  # an argument cannot be computed, so neither can this formula
                 versions.pop(name, None)
                 continue
@@ -157,20 +157,18 @@ class FormulaCache:
                 self._recipes.append(recipe)
         return versions
 
-    def is_computable(self, replacements: Formulas) -> bool:
-        """Test whether the codes of a picture can be computed from the inputs of this cache.
+    def can_compute_codes(self, replacements: Formulas) -> bool:
+        """Test whether the inputs of this cache suffice to compute the codes of a picture.
 
         Parameters
         ----------
         replacements : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._versions_with(replacements)
+        return "codes" in self._find_versions(replacements)
 
     def get_value(self, name: str, replacements: Formulas) -> Any:
         """Return the value of a formula for all n pixels of this cache.
-
-        If each pixel has several samples, the clipped radiance is averaged over the samples.
 
         Parameters
         ----------
@@ -194,33 +192,31 @@ class FormulaCache:
             for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & used_names(replacements):
                 fitted_value = self._fitting_cache.get_value(fitted_name, replacements)
                 replacements = replacements | {fitted_name: _make_constant_function(fitted_value)}
-        if "samples" in replacements:
+        if "samples" in replacements:  # average the clipped radiance over the samples of a pixel
             replacements = replacements.copy()
             samples_per_side = replacements.pop("samples")()
-            offsets = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
-            total = sum(self.get_value("clipped", replacements | sample_position_formulas(x, y))
-                        for x in offsets for y in offsets)  # fmt: skip
-            replacements["clipped"] = _make_constant_function(total / samples_per_side**2)
-        return self._compute(self._versions_with(replacements)[name])
+            positions = [(k + 0.5) / samples_per_side for k in range(samples_per_side)]
+            radiance_sum = sum(self.get_value("clipped", replacements | make_sample_formulas(x, y))
+                               for x in positions for y in positions)  # fmt: skip
+            replacements["clipped"] = _make_constant_function(radiance_sum / samples_per_side**2)
+        return self._compute_value(self._find_versions(replacements)[name])
 
-    def _compute(self, version: int) -> Any:
+    def _compute_value(self, version: int) -> Any:
         """Return a value from the cache, or compute and cache it.
-
-        If the cached values would take more than `_MAX_CACHED_BYTES`, all values but those of the
-        reference picture are deleted.
 
         Parameters
         ----------
         version : int
-            Index of the value's recipe: a tuple of a formula and the versions of its arguments.
+            Index of the value's recipe, which consists of a formula and the versions of its
+            arguments.
         """
         if version not in self._values:
-            formula, *argument_versions = self._recipes[version]
+            formula, *versions = self._recipes[version]
             cached = self._values
-            arguments = [cached[k] if k in cached else self._compute(k) for k in argument_versions]
+            arguments = [cached[k] if k in cached else self._compute_value(k) for k in versions]
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
-            if self._cached_bytes > _MAX_CACHED_BYTES:
+            if self._cached_bytes > _MAX_CACHED_BYTES:  # keep only values of the reference picture
                 self._values = {k: cached[k] for k in cached if k < self._reference_recipe_count}
                 self._cached_bytes = 0
             self._values[version] = value
@@ -243,7 +239,7 @@ def join_formulas(formula_sets: Sequence[Formulas]) -> Formulas:
     Returns
     -------
     dict of str to callable
-        All formulas; empty if two mistakes replace the same formula and so exclude each other.
+        All formulas; empty if two mistakes replace the same formula, and so exclude each other.
     """
     joined = {name: formulas[name] for formulas in formula_sets for name in formulas}
     return joined if len(joined) == sum(map(len, formula_sets)) else {}

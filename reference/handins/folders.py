@@ -45,11 +45,11 @@ class HandIn(NamedTuple):
 def list_hand_ins(folder: Path) -> list[Path]:
     """List all pictures and archives in a folder and its subfolders, sorted by path.
 
-    Skip (1) hidden files and folders, whose names begin with a dot; (2) `__MACOSX` folders, which
-    macOS adds to archives; and (3) comparisons written by an earlier run (`NAME.compare.png`).
+    Hidden files and folders, `__MACOSX` folders (which macOS adds to archives) and comparisons
+    written by an earlier run (`NAME.compare.png`) are skipped.
     """
     return sorted(path for path in folder.rglob("*")
-                  if _is_file(path, _PICTURES + _ARCHIVES)
+                  if _is_file_with(path, _PICTURES + _ARCHIVES)
                   and not any(map(_is_hidden, path.relative_to(folder).parts)))  # fmt: skip
 
 
@@ -58,8 +58,10 @@ def _is_hidden(name: str) -> bool:
     return name.startswith(".") or name == "__MACOSX"
 
 
-def _is_file(path: Path, suffixes: tuple[str, ...]) -> bool:
-    """Test whether a path is a file with one of several suffixes, in upper or lower case.
+def _is_file_with(path: Path, suffixes: tuple[str, ...]) -> bool:
+    """Test whether a path is a file with one of the given suffixes, in upper or lower case.
+
+    Comparisons written by an earlier run (`NAME.compare.png`) do not count.
 
     Parameters
     ----------
@@ -67,18 +69,13 @@ def _is_file(path: Path, suffixes: tuple[str, ...]) -> bool:
         The path.
     suffixes : tuple of str
         Suffixes in lower case, such as ".png".
-
-    Returns
-    -------
-    bool
-        False for comparisons written by an earlier run (`NAME.compare.png`).
     """
     name = path.name.lower()
     return name.endswith(suffixes) and not name.endswith(".compare.png") and path.is_file()
 
 
-def match_hand_ins(pictures: Sequence[Path], folder: Path, references: Path) -> list[HandIn]:
-    """Match the pictures that students handed in with reference pictures, and list missing ones.
+def match_hand_ins(pictures: Sequence[Path], class_path: Path, right_path: Path) -> list[HandIn]:
+    """Match the pictures of students with their reference pictures, and list missing pictures.
 
     The file name of a picture of the scene NAME must contain NAME as a whole word, in upper or
     lower case: `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.
@@ -86,78 +83,76 @@ def match_hand_ins(pictures: Sequence[Path], folder: Path, references: Path) -> 
     Parameters
     ----------
     pictures : sequence of Path
-        The result of `list_hand_ins(folder)`, or one picture.
-    folder : Path
+        The result of `list_hand_ins(class_path)`, or one picture.
+    class_path : Path
         The folder of the class, with a subfolder for each student; or the one picture.
-    references : Path
-        A scene file, a reference picture, or a folder of these.  In a folder with the scene
-        `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are ignored, because they were
-        computed from the scene.
+    right_path : Path
+        A scene file, a reference picture, or a folder of these.
 
     Returns
     -------
     list of HandIn
-        One for each of `pictures`.  If `folder` and `references` are folders, missing pictures
-        follow: for each scene that any student has handed in, one for each student who has not;
-        then one for each scene that nobody has handed in.  An empty subfolder stands for a student
-        who has handed in nothing.
+        One hand-in for each of `pictures`.  If both paths are folders, missing pictures follow:
+        one for each student and each scene that only others have handed in; then one for each scene
+        that nobody has handed in.  An empty subfolder counts as a student.
     """
-    path_by_scene = _find_references(references)
-    matched = [_match_hand_in(picture, folder, references, path_by_scene) for picture in pictures]
-    if not (folder.is_dir() and references.is_dir()):
-        return matched
-    students_and_scenes = {(hand_in.student, hand_in.scene) for hand_in in matched}
-    found_scenes = {scene for _, scene in students_and_scenes if scene}
+    path_by_scene = _list_references(right_path)
+    hand_ins = [_match_hand_in(path, class_path, right_path, path_by_scene) for path in pictures]
+    if not (class_path.is_dir() and right_path.is_dir()):
+        return hand_ins
+    students_and_scenes = {(hand_in.student, hand_in.scene) for hand_in in hand_ins}
+    used_scenes = {scene for _, scene in students_and_scenes if scene}
     filled_folders = {parent for picture in pictures for parent in picture.parents}
-    empty_folders = {path.name for path in folder.iterdir() if path.is_dir()
+    empty_folders = {path.name for path in class_path.iterdir() if path.is_dir()
                      and path not in filled_folders and not _is_hidden(path.name)}  # fmt: skip
     students = {student for student, _ in students_and_scenes} | empty_folders
-    missing = [HandIn(student, scene, None, path_by_scene[scene], "no picture of this scene")
-               for student in sorted(students) for scene in sorted(found_scenes)
-               if (student, scene) not in students_and_scenes]  # fmt: skip
-    unused = [HandIn("", scene, None, path, "nobody has handed in a picture of it")
-              for scene, path in path_by_scene.items() if scene not in found_scenes]  # fmt: skip
-    return matched + missing + unused
+    hand_ins += [HandIn(student, scene, None, path_by_scene[scene], "no picture of this scene")
+                 for student in sorted(students) for scene in sorted(used_scenes)
+                 if (student, scene) not in students_and_scenes]  # fmt: skip
+    hand_ins += [HandIn("", scene, None, path, "nobody has handed in a picture of it")
+                 for scene, path in path_by_scene.items() if scene not in used_scenes]  # fmt: skip
+    return hand_ins
 
 
-def _find_references(references: Path) -> dict[str, Path]:
+def _list_references(right_path: Path) -> dict[str, Path]:
     """List the scenes and reference pictures with which to compare the pictures of students.
 
     Parameters
     ----------
-    references : Path
+    right_path : Path
         A scene file, a reference picture, or a folder of these.
 
     Returns
     -------
     dict of str to Path
-        The files by name, in lower case and without suffixes.  Files computed from a scene in the
-        folder are excluded: their names begin with the name of the scene and a dot.
+        The files by name, in lower case and without suffixes.  In a folder with the scene
+        `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are ignored, because they were
+        computed from the scene.
     """
-    if not references.is_dir():
-        return {_base_name(references): references}
-    scenes = sorted(references.glob("*.xml"))
-    pictures = [path for path in sorted(references.iterdir()) if _is_file(path, _PICTURES)]
-    computed = {path for path in pictures + scenes for scene in scenes
-                if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
-    return {_base_name(path): path for path in pictures + scenes if path not in computed}
+    if not right_path.is_dir():
+        return {_get_base_name(right_path): right_path}
+    scenes = sorted(right_path.glob("*.xml"))
+    pictures = [path for path in sorted(right_path.iterdir()) if _is_file_with(path, _PICTURES)]
+    computed_files = {path for path in pictures + scenes for scene in scenes
+                      if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
+    return {_get_base_name(path): path for path in pictures + scenes if path not in computed_files}
 
 
 def _match_hand_in(
-    picture: Path, folder: Path, references: Path, path_by_scene: dict[str, Path]
+    picture: Path, class_path: Path, right_path: Path, path_by_scene: dict[str, Path]
 ) -> HandIn:
-    """Determine which student handed in a picture, and of which scene, from its path.
+    """Identify the student and the scene of a picture by its path.
 
-    The student's name is that of the subfolder in the folder of the class.  Without a subfolder, it
-    is the part of the file name that is not the scene's name.
+    The subfolder is named after the student.  Without a subfolder, the student's name is the part
+    of the file name that is not the scene's name.
 
     Parameters
     ----------
     picture : Path
         The file that the student handed in.
-    folder : Path
+    class_path : Path
         The folder of the class; or `picture`, if it is the only one.
-    references : Path
+    right_path : Path
         The scene, the reference picture, or the folder of these.  A single scene or reference
         picture is used for every file name.
     path_by_scene : dict of str to Path
@@ -168,27 +163,24 @@ def _match_hand_in(
     HandIn
         Its error is set if the file is an archive, or if no scene matches the file name.
     """
-    subfolder = picture.relative_to(folder).parent
+    subfolder = picture.relative_to(class_path).parent
     student = str(subfolder) if subfolder.parts else ""
-    if _is_file(picture, _ARCHIVES):
+    if _is_file_with(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
-    name = _COPY.sub("", _base_name(picture))
+    name = _COPY.sub("", _get_base_name(picture))
     scenes = [scene for scene in path_by_scene
               if re.search(rf"(?<![^\W_]){re.escape(scene)}(?![^\W_])", name)]  # fmt: skip
-    if scenes or not references.is_dir():
+    if scenes or not right_path.is_dir():
         scene = max(scenes, key=len) if scenes else next(iter(path_by_scene))
         student = student or name.replace(scene, " ", 1).strip(" _-.") or picture.parent.name
         return HandIn(student, scene, picture, path_by_scene[scene])
-    error = f"no scene or picture in {references} has this name"
+    error = f"no scene or picture in {right_path} has this name"
     words = (name, name.rpartition("_")[2])
-    similar = [near for word in words for near in difflib.get_close_matches(word, path_by_scene, 1)]
-    error += f"; did you mean {path_by_scene[similar[0]].name}?" if similar else ""
+    guesses = [key for word in words for key in difflib.get_close_matches(word, path_by_scene, 1)]
+    error += f"; did you mean {path_by_scene[guesses[0]].name}?" if guesses else ""
     return HandIn(student or picture.parent.name, "", picture, None, error)
 
 
-def _base_name(path: Path) -> str:
-    """Return the name of a file in lower case, without its suffix or a preceding ".xml".
-
-    `Room.xml.png`, `room.png` and `room.xml` all have the base name "room".
-    """
+def _get_base_name(path: Path) -> str:
+    """Return a file name in lower case, without suffixes: "room" for `Room.xml.png`."""
     return path.stem.lower().removesuffix(".xml")

@@ -57,7 +57,7 @@ def dot(first: Array, second: Array) -> Array:
 
 
 def select_vectors(surface_vectors: Array, surface_index: Array) -> Array:
-    """Look up, for each of n pixels, the vector of the surface that the pixel shows.
+    """Look up the vector of the surface that each of n pixels shows.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def intersect_spheres(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     assume_unit_d : bool
-        Whether to treat all directions as unit vectors.  If they are not, this simulates a mistake.
+        Whether to simulate the mistake of treating all directions as unit vectors.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def intersect_spheres(
         The smaller and the larger t at which each ray crosses each sphere; NaN if the ray's line
         misses the sphere.
     """
-    # The sphere cuts a chord from the ray's line.  The roots are the t of the chord's midpoint,
+    # The ray's line crosses the sphere along a chord.  The roots are the t of the chord's midpoint,
     # minus and plus half the chord's length in t.  Names that end in 2 hold squares.
     to_center = [centers[axis] - o[axis] for axis in range(3)]
     midpoint_t = sum(to_center[axis] * d[axis] for axis in range(3))
@@ -120,8 +120,8 @@ def intersect_boxes(
     o, d : (3, n) arrays
         Origins and directions of the rays.
     sort_crossings : bool
-        Whether to sort the two t at which a ray crosses each pair of parallel faces.  False
-        simulates a mistake.
+        Whether to sort the two t at which a ray crosses two opposite faces.  False simulates the
+        mistake of not sorting them.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Cal
     intersect : callable
         The correct function.  It returns an array of the t at which rays o + t d cross surfaces.
     factor : float
-        The factor that simulates the mistake.
+        The wrong factor.
 
     Returns
     -------
@@ -156,8 +156,8 @@ def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Cal
     return lambda *arguments: factor * intersect(*arguments)
 
 
-def make_far_only_intersect(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """Make a faulty intersection function, which returns the far intersection twice.
+def make_far_intersect(intersect: Callable[..., Array]) -> Callable[..., Array]:
+    """Make a faulty intersection function, which returns the far intersections twice.
 
     Parameters
     ----------
@@ -188,10 +188,9 @@ def make_intersect(
     low, high : (3, surfaces, 1) arrays
         Opposite corners of the boxes; the entries of spheres are ignored.
     is_present : (surfaces,) bool array
-        False for surfaces that are missing from the picture, so that no ray hits them.
+        False for surfaces that no ray hits, because they are missing from the picture.
     intersect_sphere, intersect_box : callable
-        Functions called like `intersect_spheres` and `intersect_boxes`, with results of the same
-        form.
+        `intersect_spheres` and `intersect_boxes`, or faulty functions that replace them.
 
     Returns
     -------
@@ -213,8 +212,8 @@ def make_intersect(
     return intersect
 
 
-def smallest_positive_root(roots: Array) -> Array:
-    """Return the smallest positive t at which each ray o + t d crosses each surface.
+def find_first_crossing(roots: Array) -> Array:
+    """Find the smallest positive t at which each ray o + t d crosses each surface.
 
     Parameters
     ----------
@@ -225,8 +224,8 @@ def smallest_positive_root(roots: Array) -> Array:
     Returns
     -------
     t : (...) array
-        The smaller of those roots that exceed `_MIN_T`, a tiny positive number; infinity if neither
-        does.
+        The first of the two roots that exceeds `_MIN_T`, a tiny positive number; infinity if
+        neither does.
     """
     near_t, far_t = roots
     t = np.where(near_t > _MIN_T, near_t, far_t)
@@ -243,15 +242,15 @@ def intersect_shadow_rays(
     intersect : callable
         A function that `make_intersect` has returned.
     hits : (3, n) array
-        Points on surfaces, at which the shadow rays begin.
+        Points on surfaces, where the shadow rays begin.
     shadow_directions : (lights, 3, n) array
-        Directions of the shadow rays: from each hit to each light.
+        Vectors from each hit to each light.
 
     Returns
     -------
     roots : (lights, 2, surfaces, n) array
-        The smaller and the larger t at which each shadow ray crosses each surface; an empty array
-        if there are no lights.
+        The smaller and the larger t at which each shadow ray crosses each surface.  Empty if there
+        are no lights.
     """
     roots = [intersect(hits, directions) for directions in shadow_directions]
     return np.array(roots) if roots else np.zeros((0, 2, 1, 1))
@@ -263,8 +262,8 @@ def find_blocking_surfaces(
 ) -> Array:  # fmt: skip
     """Find the surfaces that block each light from each of n hits.
 
-    The shadow ray from a hit to a light is o + t d.  A surface blocks the light if the first t >
-    `min_t` at which the ray crosses the surface is less than `max_t`.
+    A shadow ray o + t d leads from each hit to each light.  A surface blocks the light if the ray
+    crosses the surface between `min_t` and `max_t`.
 
     Parameters
     ----------
@@ -275,7 +274,7 @@ def find_blocking_surfaces(
     is_tested : (surfaces, n) bool array
         True if the surface can block light from the hit.
     min_far_t : float, optional
-        The limit that replaces `min_t` where the larger t is tested.
+        Lower limit for the larger t of each surface.  By default, it is `min_t`.
 
     Returns
     -------
@@ -283,15 +282,15 @@ def find_blocking_surfaces(
         True if the surface blocks the light from the hit.
     """
     far_limits = min_t if min_far_t is None else np.full_like(min_t, min_far_t)
-    is_blocking, rays = [], zip(shadow_roots, min_t, far_limits, max_t, strict=True)
-    for (near_t, far_t), min_near, min_far, limit in rays:
-        first_t = np.where(near_t > min_near, near_t, np.where(far_t > min_far, far_t, np.nan))
-        is_blocking.append((first_t < limit) & is_tested)
+    is_blocking, lights = [], zip(shadow_roots, min_t, far_limits, max_t, strict=True)
+    for (near_t, far_t), near_limit, far_limit, end_t in lights:
+        first_t = np.where(near_t > near_limit, near_t, np.where(far_t > far_limit, far_t, np.nan))
+        is_blocking.append((first_t < end_t) & is_tested)
     return np.array(is_blocking, dtype=bool).reshape(len(shadow_roots), *is_tested.shape)
 
 
-def value_of_last_chosen(values: Array, is_chosen: Array) -> Array:
-    """Return the value of the last chosen surface, in the order of the scene file.
+def select_last_chosen(values: Array, is_chosen: Array) -> Array:
+    """Select the value of the last of the chosen surfaces, in the order of the scene file.
 
     Parameters
     ----------
@@ -309,7 +308,7 @@ def value_of_last_chosen(values: Array, is_chosen: Array) -> Array:
     return values[..., chosen_index[-1:]] if chosen_index.size else 0 * values[..., :1]
 
 
-def box_normals(
+def compute_box_normals(
     hits: Array, low: Array, high: Array, axis_shift: int = 0, forced_sign: float | None = None
 ) -> Array:
     """Compute the unit normals of boxes at n hits, correctly or with a simulated mistake.
@@ -321,10 +320,9 @@ def box_normals(
     low, high : (3, n) arrays
         Opposite corners of the box at each hit.
     axis_shift : int
-        Number of axes by which to turn each normal, in the order x, y, z, x.  Any value but 0
-        simulates a mistake.
+        If 1 or 2, simulates a mistake: the normal of the x-faces lies along y or z, and so on.
     forced_sign : float, optional
-        Sign to give all normals, 1 or -1, which simulates a mistake.  By default, normals point
+        If 1 or -1, simulates a mistake: all normals have this sign.  By default, normals point
         outward.
 
     Returns
@@ -333,13 +331,13 @@ def box_normals(
     """
     from_center, half_size = hits - (low + high) / 2, (high - low) / 2
     face_axis = np.abs(np.abs(from_center) - half_size).argmin(axis=0)
-    coordinate = np.take_along_axis(from_center, face_axis[None], axis=0)[0]
-    sign = np.where(coordinate < 0, -1.0, 1.0) if forced_sign is None else forced_sign
+    face_coordinate = np.take_along_axis(from_center, face_axis[None], axis=0)[0]
+    sign = np.where(face_coordinate < 0, -1.0, 1.0) if forced_sign is None else forced_sign
     return np.eye(3)[:, (face_axis + axis_shift) % 3] * sign
 
 
 def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
-    """Convert a picture to grey by replacing each channel with the weighted mean of all channels.
+    """Convert a picture to grey: replace each channel with the weighted mean of all channels.
 
     Parameters
     ----------
@@ -351,14 +349,14 @@ def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
     Returns
     -------
     (3, n) array
-        Three equal rows.  Each mean is increased by a tiny number, because rounding could otherwise
-        make the mean of three equal integers slightly smaller than the integers.
+        Three equal rows.
     """
+    # Without the tiny addend, rounding could make the mean of equal integers slightly too small.
     return np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
 
 
-def median_where(is_selected: Array, values: Array, default: float) -> float:
-    """Return the median of the selected values.
+def compute_median(is_selected: Array, values: Array, default: float) -> float:
+    """Compute the median of the selected values.
 
     Parameters
     ----------
@@ -373,19 +371,19 @@ def median_where(is_selected: Array, values: Array, default: float) -> float:
     -------
     float
     """
-    selected = values[is_selected]
-    return float(np.median(selected)) if selected.size else default
+    selected_values = values[is_selected]
+    return float(np.median(selected_values)) if selected_values.size else default
 
 
-def commonest_color(is_hit: Array, submitted_codes: Array) -> Array:
-    """Return the most frequent background colour of a submitted picture.
+def find_background_color(is_hit: Array, submitted_codes: Array) -> Array:
+    """Find the most frequent background colour of a submitted picture.
 
     Parameters
     ----------
     is_hit : (n,) bool array
         True for pixels that show a surface, false for background pixels.
     submitted_codes : (3, n) uint8 array
-        Red, green and blue levels of the picture, from 0 to 255.
+        8-bit codes of the picture.
 
     Returns
     -------
@@ -406,13 +404,13 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
     picture : (h, w, 3) array
         Linear light at the centre of each pixel.
     x, y : (n,) arrays
-        The positions: from -0.5 at the left and lower edges of the picture to 0.5 at the right and
+        The positions: -0.5 at the left and lower edges of the picture, and 0.5 at the right and
         upper edges.
 
     Returns
     -------
     light : (3, n) array
-        Linear light at each position; outside the picture, that of the nearest pixel.
+        Linear light at each position; outside the picture, the light of the nearest pixel.
     """
     height, width = picture.shape[:2]
     row_and_column = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
@@ -421,20 +419,20 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
 
 
 def shows_surface(picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
-    """Guess which pixels show a surface when the scene of a reference picture is unknown.
+    """Guess which pixels show a surface, if only the reference picture is known, not its scene.
 
-    A pixel is assumed to show the background if the reference picture is black there but the
-    submitted picture is not.
+    A pixel counts as background if it is black in the reference picture, but not in the submitted
+    picture.
 
     Parameters
     ----------
     picture : (h, w, 3) array
         Linear light of the reference picture.
     x, y : (n,) arrays
-        Positions of the pixels: from -0.5 at the left and lower edges to 0.5 at the right and upper
-        edges.
+        Positions of the pixels: -0.5 at the left and lower edges of the picture, and 0.5 at the
+        right and upper edges.
     submitted_codes : (3, n) uint8 array
-        Red, green and blue levels of the submitted picture.
+        8-bit codes of the submitted picture.
 
     Returns
     -------
@@ -446,9 +444,9 @@ def shows_surface(picture: Array, x: Array, y: Array, submitted_codes: Array) ->
 
 _OWN: tuple[Callable[..., Any], ...] = (
     normalize, dot, select_vectors, intersect_spheres, intersect_boxes, make_scaled_intersect,
-    make_far_only_intersect, make_intersect, smallest_positive_root, intersect_shadow_rays,
-    find_blocking_surfaces, value_of_last_chosen, box_normals, mix_channels, commonest_color,
-    median_where, interpolate_light, shows_surface, len, partial,
+    make_far_intersect, make_intersect, find_first_crossing, intersect_shadow_rays,
+    find_blocking_surfaces, select_last_chosen, compute_box_normals, mix_channels,
+    find_background_color, compute_median, interpolate_light, shows_surface, len, partial,
 )  # fmt: skip
 _NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
     logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
@@ -461,19 +459,17 @@ _FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
 def compile_formula(expression: str) -> Callable[..., Any]:
     """Compile a Python expression into a function of the variables that it contains.
 
-    The parameters of the function are the variables in alphabetical order.  Equal expressions give
-    the same function object.
-
     Parameters
     ----------
     expression : str
-        The expression, such as "dot(n, l)", which becomes a function of `l` and `n`.  It can call
-        the functions in `_FUNCTIONS`, such as `dot`.
+        The expression, such as "dot(n, l)".  It can call the functions in `_FUNCTIONS`, such as
+        `dot`; all other names are variables.
 
     Returns
     -------
     callable
-        Takes the values of the variables, and returns the value of the expression.
+        Takes the values of the variables, in alphabetical order, and returns the value of the
+        expression.  Equal expressions give the same function object.
 
     Raises
     ------
@@ -488,18 +484,18 @@ def compile_formula(expression: str) -> Callable[..., Any]:
 
 
 @cache
-def parameter_names(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the parameter names, in order, of a function that `compile_formula` has returned."""
+def list_parameters(function: Callable[..., Any]) -> tuple[str, ...]:
+    """List the parameter names, in order, of a function that `compile_formula` has returned."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]
 
 
 def used_names(formulas: Formulas) -> set[str]:
-    """Return the names of all values that the given formulas use.
+    """Collect the names of all values that formulas use.
 
     Parameters
     ----------
     formulas : dict of str to callable
         The formulas by name: functions that `compile_formula` has returned.
     """
-    return {name for formula in formulas.values() for name in parameter_names(formula)}
+    return {name for formula in formulas.values() for name in list_parameters(formula)}

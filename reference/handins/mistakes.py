@@ -1,8 +1,8 @@
 """Read the table of known mistakes from the page `mistakes.md`.
 
 The page defines the reference picture by formulas, and each mistake by the formulas that it
-replaces.  A formula is a Python expression for a value such as the radiance.  Reports follow the
-order of the table: of mistakes with the same picture, the first in the table is named first.
+replaces.  A formula is a Python expression for a value such as the radiance.  Reports name mistakes
+with the same picture in the order of the table.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
 VARIANTS = ("shadow-own", "shadow-own-lobe")
-"""Not mistakes: other ways to write a correct tracer, which render some mistakes differently."""
+"""Other ways to write a correct tracer, in which some mistakes look different."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (a tuple of keywords of mistakes) of a background that is not black."""
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
@@ -36,8 +36,7 @@ class Mistake(NamedTuple):
     formulas : dict of str to callable
         The formulas, by name, that replace those of the reference picture.
     concerns_one_object : bool
-        True if the mistake concerns a single surface or light of the scene; an example is a missing
-        surface.
+        True for mistakes such as a missing surface, which concern one surface or light.
     """
 
     sentence: str
@@ -46,7 +45,7 @@ class Mistake(NamedTuple):
 
 
 def _read_table_rows() -> Iterator[list[str]]:
-    """Read the rows of all tables on the page `mistakes.md`, without the table headings.
+    """Read the rows of all tables on the page `mistakes.md`, without their headings.
 
     Yields
     ------
@@ -62,7 +61,7 @@ REFERENCE_FORMULAS: Formulas = {
     row[0]: compile_formula(row[1]) for row in _read_table_rows() if len(row) == 2
 }
 """The formulas of the reference picture, in the order of computation."""
-CAMERA = frozenset([*REFERENCE_FORMULAS][: [*REFERENCE_FORMULAS].index("samples")])
+CAMERA_FORMULAS = frozenset([*REFERENCE_FORMULAS][: [*REFERENCE_FORMULAS].index("samples")])
 """Names of the camera's formulas."""
 WHOLE_PICTURE_FORMULAS = {k for k in REFERENCE_FORMULAS if k.startswith("fitted_")} | {"brightest"}
 """Names of formulas with one value for the whole picture, computed from all pixels."""
@@ -80,7 +79,7 @@ def parse_formulas(assignments: str) -> Formulas:
     Returns
     -------
     dict of str to callable
-        For each assigned name, a function that computes the expression on the right.  The
+        For each name on the left, a function that computes the expression on the right.  The
         function's parameters are the variables in the expression, in alphabetical order.
 
     Raises
@@ -88,18 +87,18 @@ def parse_formulas(assignments: str) -> Formulas:
     SyntaxError
         If an expression is not valid Python.
     """
-    assigned = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
-    return {name: compile_formula(expression) for name, expression in assigned}
+    sides = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
+    return {name: compile_formula(expression) for name, expression in sides}
 
 
-def sample_position_formulas(x: float, y: float) -> Formulas:
-    """Return the formulas that place one sample at a given position in each pixel.
+def make_sample_formulas(x: float, y: float) -> Formulas:
+    """Make the formulas that place one sample at a given position in each pixel.
 
     Parameters
     ----------
     x, y : float
-        Position of the sample in its pixel: from 0 at the left and upper edges to 1 at the right
-        and lower edges.
+        Position of the sample in its pixel: 0 at the left and upper edges, 1 at the right and lower
+        edges.
 
     Returns
     -------
@@ -109,8 +108,8 @@ def sample_position_formulas(x: float, y: float) -> Formulas:
     return parse_formulas(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
 
 
-# Formulas that replace those of a scene when only the reference picture is known.
-OF_PICTURE = parse_formulas(
+# Formulas that replace those of a scene if only the reference picture is known.
+PICTURE_FORMULAS = parse_formulas(
     "hit = shows_surface(picture, x, y, submitted_codes);"
     " radiance = interpolate_light(picture, x, y)"
 )
@@ -119,9 +118,8 @@ OF_PICTURE = parse_formulas(
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     """List the mistakes that a tracer may make when it renders a scene.
 
-    In the table of mistakes, a row whose sentence contains ``{surface}`` or ``{light}`` stands for
-    one mistake per surface or light of the scene.  The index of the surface or light, counted from
-    0 as by `tracer --pixel`, replaces ``{k}`` in the row's keyword and formulas.
+    A row of the table whose sentence contains ``{surface}`` or ``{light}`` is repeated for each
+    surface or light.  The index of the surface or light replaces ``{k}`` in the row.
 
     Parameters
     ----------
@@ -140,7 +138,7 @@ def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     }
     mistakes = {}
     for keyword, sentence, assignments in _MISTAKES:
-        placeholder = next((word for word in object_names if word in sentence), "")
+        placeholder = next((key for key in object_names if key in sentence), "")
         for index, name in enumerate(object_names.get(placeholder, [""])):
             formulas = parse_formulas(assignments.replace("{k}", str(index)))
             mistake = Mistake(sentence.replace(placeholder, name), formulas, bool(placeholder))

@@ -99,12 +99,11 @@ class Result(NamedTuple):
         return f"{self.verdict:8} {self.error or report.lstrip()}"
 
 
-def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
+def sort_causes(results: Sequence[Result]) -> list[Result]:
     """Sort the alternative causes of each picture by their frequency in the student's pictures.
 
     A cause is a set of mistakes that are made together.  All pictures of a student come from one
-    program, so a cause that explains several of them is more likely than one that explains only
-    one.
+    program, so a cause that explains several pictures is more likely than others.
 
     Parameters
     ----------
@@ -116,12 +115,12 @@ def with_common_causes_first(results: Sequence[Result]) -> list[Result]:
     list of Result
         Copies of the results, in the same order, each with the most frequent cause first.
     """
-    frequencies: dict[str, Counter[str]] = defaultdict(Counter)
+    cause_counts: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
         if result.diagnosis and not result.agrees:
-            frequencies[result.student].update(result.diagnosis.kind.split("|"))
+            cause_counts[result.student].update(result.diagnosis.kind.split("|"))
     return [
-        result._replace(diagnosis=result.diagnosis.most_frequent_first(frequencies[result.student]))
+        result._replace(diagnosis=result.diagnosis.sort_causes(cause_counts[result.student]))
         if result.diagnosis else result for result in results
     ]  # fmt: skip
 
@@ -149,42 +148,41 @@ def list_mistake_counts(results: Sequence[Result]) -> list[str]:
 
 
 def summarize_counts(results: Sequence[Result]) -> str:
-    """Summarise how many pictures of a class agree, differ or are missing.
+    """Summarise how many pictures of a class are right, wrong or missing.
 
     Returns
     -------
     str
-        The number of pictures that agree, differ, cannot be compared or are missing, and the number
-        of scenes that nobody has handed in, as in "3 pictures: 2 agree, 1 differ; 1 are missing".
+        A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  If there are any, it also
+        counts the pictures that cannot be compared, and the scenes that nobody has handed in.
     """
     counts = Counter("nobody" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip
-    verbs = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
-    clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verbs.items() if counts[verdict]]
-    summary = f"{sum(counts[verdict] for verdict in verbs)} pictures: {', '.join(clauses)}"
+    verb_of = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
+    clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verb_of.items() if counts[verdict]]
+    summary = f"{sum(counts[verdict] for verdict in verb_of)} pictures: {', '.join(clauses)}"
     summary += f"; {counts['missing']} are missing" if counts["missing"] else ""
     nobody_note = f"; scenes that nobody has handed in: {counts['nobody']}"
     return summary + (nobody_note if counts["nobody"] else "")
 
 
-def format_text(results: Sequence[Result], *, as_list: bool) -> str:
-    """Format results as text for a terminal.
+def format_text(results: Sequence[Result], *, is_class: bool) -> str:
+    """Format the results of a class, or of a single comparison, as text for a terminal.
 
     Parameters
     ----------
     results : sequence of Result
-        At least one result.
-    as_list : bool
-        Whether to format all results, one per line, with a summary at the end.  If false, only the
-        first result is formatted.
+        The results of the class, or a single result.
+    is_class : bool
+        Whether the results are those of a class.
 
     Returns
     -------
     str
-        For a single result, up to three lines: metrics, diagnosis and the file of the comparison
-        picture; or only the error.
+        For a class, one line per result and a summary.  For a single comparison, the error; or up
+        to three lines: metrics, diagnosis and the file of the comparison picture.
     """
-    if as_list:
+    if is_class:
         return "\n".join([*(result.format_line() for result in results), summarize_counts(results)])
     result = results[0]
     lines = result.format_metrics(), str(result.diagnosis), make_printable(result.comparison or "")
@@ -200,8 +198,6 @@ def format_csv(results: Sequence[Result]) -> str:
     """Format results as CSV, with a header and one row per result.
 
     The column "worst" contains the worst pixel as ``column,row``, as `tracer --pixel` expects it.
-    File names come from students, so cells are made safe: control characters are escaped, and an
-    apostrophe precedes text that a spreadsheet would run as a formula.
 
     Parameters
     ----------
@@ -217,17 +213,18 @@ def format_csv(results: Sequence[Result]) -> str:
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(results[0].to_row())
     for result in results:
+        # Cells are made safe, because students choose the names of files.
         worst_pixel = ",".join(map(str, result.worst)) if result.worst else None
         cells = (result.to_row() | {"worst": worst_pixel}).values()
-        writer.writerow([_make_cell_safe(c) if isinstance(c, str) else c for c in cells])
+        writer.writerow([_make_safe(cell) if isinstance(cell, str) else cell for cell in cells])
     return buffer.getvalue().removesuffix("\n")
 
 
-def _make_cell_safe(text: str) -> str:
+def _make_safe(text: str) -> str:
     """Make the text of a CSV cell safe to show in a terminal or a spreadsheet.
 
-    Control characters are escaped, and an apostrophe is put before text that begins like a
-    spreadsheet formula, with a character such as "=".
+    Control characters are escaped.  Text that begins like a spreadsheet formula, with a character
+    such as "=", gets an apostrophe before it.
     """
     text = make_printable(text)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -164,7 +164,7 @@ class MistakeRenderer:
         first_pixel = self.make_cache(np.array([0]), self._blank_codes)
         self.mistakes = {
             keyword: mistake for keyword, mistake in self.mistakes.items()
-            if (changes := self.formulas_for((keyword,))) and first_pixel.is_computable(changes)
+            if (changes := self.formulas_for((keyword,))) and first_pixel.can_compute_codes(changes)
         }  # fmt: skip
         subset = choose_stratified(surface_index, MAX_PIXELS // 32)
         stratum = surface_index[subset]
@@ -213,14 +213,14 @@ class MistakeRenderer:
         pixels : (k,) int array
             Indices of the pixels.
         submitted_codes : (3, n) uint8 array
-            Codes of all n pixels of the submitted picture.
+            8-bit codes of all n pixels of the submitted picture.
         fitting_cache : FormulaCache, optional
             The cache whose pixels are used to fit parameters such as gamma.  By default,
             `pixels` are used.
         """
         row, column = np.divmod(pixels, self.width)
-        inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixels]}
-        return FormulaCache(self._inputs | inputs, fitting_cache)
+        pixel_inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixels]}
+        return FormulaCache(self._inputs | pixel_inputs, fitting_cache)
 
     def split_pixels(self, pixels: Array) -> Iterator[Array]:
         """Divide an array of pixel indices into batches that take little memory to render."""
@@ -231,7 +231,7 @@ class MistakeRenderer:
         self, formula_sets: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
         fitting_cache: FormulaCache | None = None, formula: str = "codes",
     ) -> Array:  # fmt: skip
-        """Evaluate one formula for several pictures with different mistakes, at the same pixels.
+        """Evaluate a formula for several pictures with different mistakes, at the same pixels.
 
         Parameters
         ----------
@@ -240,10 +240,10 @@ class MistakeRenderer:
         pixels : (k,) int array
             Indices of the pixels.
         submitted_codes : (3, n) uint8 array, optional
-            Codes of all n pixels of the submitted picture; by default, black.
+            8-bit codes of all n pixels of the submitted picture; by default, black.
         fitting_cache : FormulaCache, optional
-            The cache whose pixels are used to fit parameters such as gamma.  By default, each
-            batch of `pixels` is used.
+            The cache whose pixels are used to fit parameters such as gamma.  By default, they are
+            fitted separately for each batch of `pixels`.
         formula : str
             Name of the formula to evaluate; by default, the 8-bit codes.
 
@@ -255,21 +255,19 @@ class MistakeRenderer:
         submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
         caches = (self.make_cache(batch, submitted_codes, fitting_cache)
                   for batch in self.split_pixels(pixels))  # fmt: skip
-        values = [[cache.get_value(formula, changes) for changes in formula_sets]
+        values = [[cache.get_value(formula, formulas) for formulas in formula_sets]
                   for cache in caches]  # fmt: skip
         return np.concatenate(values, axis=-1)
 
     @cached_property
-    def groups(self) -> dict[Cause, list[Cause]]:
-        """Groups of causes that change the picture in the same way.
+    def cause_groups(self) -> dict[Cause, list[Cause]]:
+        """Groups of causes that give the same picture: lists of causes, by the first cause.
 
-        Each key is the first cause of a group, and the value is the list of all its causes.  A
-        cause consists of the keyword of a mistake; or of that keyword and the keyword of a variant
-        of a correct tracer in which the mistake gives another picture.
+        A cause consists of one mistake.  It may also contain a variant: another way to write a
+        correct tracer, in which the mistake gives another picture.
 
-        A mistake that shows only together with another one forms a separate group.  Mistakes that
-        depend on numbers estimated from a submitted picture are skipped.  In a scene with many
-        surfaces, mistakes that concern one surface or light are skipped, too.
+        Mistakes that depend on numbers estimated from a submitted picture are skipped.  In a scene
+        with many surfaces, mistakes that concern one surface or light are skipped, too.
         """
         variants = ((), *((keyword,) for keyword in mistakes.VARIANTS if keyword in self.mistakes))
         has_many_surfaces = self.surface_count > _MAX_PAIRED_SURFACES
@@ -282,7 +280,7 @@ class MistakeRenderer:
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
         pixels = self.sample[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.formulas_for(cause) for cause in causes], pixels)
-        # Some mistakes show only where another mistake raises the radiance above 1.
+        # Mistakes that show only where another mistake raises the radiance above 1 form own groups.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
             for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes
@@ -298,22 +296,21 @@ class MistakeRenderer:
     def single_causes(self) -> list[Cause]:
         """All causes that consist of one mistake, some with a variant of a correct tracer."""
         singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
-        return singles + [cause for group in self.groups.values() for cause in group if cause[1:]]
+        return singles + [cause for cause in chain(*self.cause_groups.values()) if cause[1:]]
 
     @cached_property
     def rendered_pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Array]:
-        """All pairs of mistakes that change the picture, rendered at a few pixels.
+        """All pairs of mistakes, rendered at k pixels.
 
         Item 0 maps the cause of each pair to the two causes that it combines.  Item 1 contains the
-        codes (pairs, 3, k) of each pair at k pixels.  Item 2 contains the indices (k,) of these
-        pixels.
+        8-bit codes (pairs, 3, k) of each pair.  Item 2 contains the indices (k,) of the pixels.
         """
         pixels = self.sample[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
-        skipped = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
-        skipped |= {*mistakes.ROUNDINGS}
-        candidates = [cause for cause in self.groups if skipped.isdisjoint(cause)]
-        pairs = {cause: (first, second) for first, second in combinations(candidates, 2)
+        skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
+        skipped_keys |= {*mistakes.ROUNDINGS}
+        causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
+        pairs = {cause: (first, second) for first, second in combinations(causes, 2)
                  if (cause := self.join_causes(first, second))}  # fmt: skip
         if not pairs:
             return pairs, np.zeros((0, 3, len(pixels)), dtype=np.uint8), pixels
@@ -325,14 +322,14 @@ class MistakeRenderer:
         Parameters
         ----------
         first, second : tuple of str
-            Keywords of mistakes that are made together.
+            Keywords of mistakes that are made together.  Each cause may end with the keyword of a
+            variant of a correct tracer.
 
         Returns
         -------
         tuple of str
-            The keywords of both causes.  If one of them is the keyword of a variant of a correct
-            tracer, it comes last.  Empty if the mistakes exclude each other, or if both causes
-            contain a variant.
+            The keywords of both causes, that of a variant last.  Empty if the mistakes exclude each
+            other, or if both causes contain a variant.
         """
         variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
         cause = (*remove_variants((*first, *second)), *variants)
@@ -509,7 +506,7 @@ class Submission:
                 cached[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
-        """Count the pixels in which the submitted picture differs from what a cause produces.
+        """Count the pixels in which the submitted picture differs from the picture of a cause.
 
         Parameters
         ----------
@@ -525,9 +522,9 @@ class Submission:
         return self._counts_by_cause[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
-        """Count the pixels in which the submitted picture differs even slightly from a cause's.
+        """Count the pixels in which the submitted picture differs at all from that of a cause.
 
-        Differences as small as those of lossy compression are ignored.
+        Only differences that lossy compression may cause are ignored.
 
         Parameters
         ----------
@@ -619,9 +616,9 @@ class Submission:
         min_count: float = self._count_unexplained(causes[0]) if causes else np.inf
         if min_count > _MAX_UNEXPLAINED:
             pairs = self._add_rounding(self._select_best_pairs())
-            pair_causes = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
-            if pair_causes and _MIN_RATIO * self._count_unexplained(pair_causes[0]) <= min_count:
-                causes = pair_causes
+            good_pairs = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
+            if good_pairs and _MIN_RATIO * self._count_unexplained(good_pairs[0]) <= min_count:
+                causes = good_pairs
         # A pair is nearest only if it leaves less than half as many pixels unexplained.
         nearest = min(causes[:1] or singles + pairs, default=(), key=lambda cause: (
             (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
@@ -641,8 +638,8 @@ class Submission:
     def _select_best_pairs(self) -> list[Cause]:
         """Select the pairs of mistakes whose pictures are most similar to the submitted picture.
 
-        Of several mistakes with the same picture, only the first is tried in pairs.  The others
-        replace it later in those pairs that are among the best.
+        At first, only one of several mistakes with the same picture is tried.  The others replace
+        it in the best pairs.
 
         Returns
         -------
@@ -651,55 +648,53 @@ class Submission:
             mistakes.
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
-        all_pairs, codes, pixels = renderer.rendered_pairs
+        groups, (all_pairs, codes, pixels) = renderer.cause_groups, renderer.rendered_pairs
         is_unexplained = level_difference(codes, self.codes[:, pixels]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
         pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSES]}
         if self.codes[:, renderer.surface_index < 0].any():
-            pairs |= {cause: (background, other) for other in renderer.groups
+            pairs |= {cause: (background, other) for other in groups
                       if (cause := renderer.join_causes(background, other))}  # fmt: skip
-        best, groups = self._select_best([*pairs]), {background: [background]} | renderer.groups
-        similar = {joined: None for cause in best
-                   for first in groups[pairs[cause][0]] for second in groups[pairs[cause][1]]
-                   if (joined := renderer.join_causes(first, second))}  # fmt: skip
-        return self._select_best([*similar]) if len(similar) > len(best) else best
+        best_pairs, groups = self._select_best([*pairs]), {background: [background]} | groups
+        # The best pairs, and all pairs with the same pictures; the keys of a dictionary are unique.
+        twin_pairs = {cause: None for pair in best_pairs
+                       for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
+                       if (cause := renderer.join_causes(first, second))}  # fmt: skip
+        return self._select_best([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
 
     def _needs_each_mistake(self, cause: Cause) -> bool:
         """Test whether both mistakes of a pair are needed to explain the submitted picture.
 
-        Each mistake must explain at least `_MIN_RATIO` times as many pixels as the pair leaves
-        unexplained.  With a camera mistake, the picture of the pair must also show at least
-        `_MIN_SHOWN_SURFACES` surfaces, or as many as the reference picture shows, because a picture
-        with fewer surfaces may agree by chance.
+        Without either mistake, far more pixels must be unexplained.  A pair with a camera mistake
+        must also show several surfaces; otherwise, its picture may agree by chance.
 
         Parameters
         ----------
         cause : tuple of str
-            Keywords of two mistakes.  Two more keywords may follow: that of a variant of a correct
-            tracer, in which the mistakes give another picture, and that of a rounding mistake.
+            Keywords of two mistakes.  The keywords of a variant of a correct tracer, and of a
+            rounding mistake, may follow.
         """
-        pair_count, keywords = self._count_unexplained(cause), remove_variants(cause)
-        if pair_count > self._max_unexplained:
+        count_of_pair, keywords = self._count_unexplained(cause), remove_variants(cause)
+        if count_of_pair > self._max_unexplained:
             return False  # the pair will not be reported
         for keyword in set(keywords).difference(mistakes.ROUNDINGS):
-            others = tuple(other for other in cause if other != keyword)
-            if self._count_unexplained(others) - pair_count < max(_MIN_RATIO * pair_count, 1):
+            rest = tuple(other for other in cause if other != keyword)
+            if self._count_unexplained(rest) - count_of_pair < max(_MIN_RATIO * count_of_pair, 1):
                 return False
-        renderer, formulas_for = self.renderer, self.renderer.formulas_for
-        if not renderer.surface_count or mistakes.CAMERA.isdisjoint(formulas_for(keywords)):
+        renderer, formulas = self.renderer, self.renderer.formulas_for(cause)
+        if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
-        shown = renderer.evaluate([formulas_for(cause)], renderer.sample, formula="shown_surface")
-        surfaces = shown[0], renderer.surface_index[renderer.sample]
-        shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in surfaces)
+        surface_index = renderer.evaluate([formulas], renderer.sample, formula="shown_surface")[0]
+        shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in (
+            surface_index, renderer.surface_index[renderer.sample]))  # fmt: skip
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
     def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that are good enough to report.
 
-        A cause is good enough if (1) it leaves at most 3 % of the wrong pixels unexplained; (2) no
-        other cause leaves far fewer pixels unexplained; and (3) no other cause gives far more
-        pixels exactly.  A cause that depends on a number estimated from the submitted picture, such
-        as a gamma, is selected only if there is no other.
+        A cause is good enough if it leaves few pixels unexplained, and if no other cause explains
+        the picture far better.  A cause that depends on a number estimated from the submitted
+        picture, such as a gamma, is selected only if there is no other.
 
         Parameters
         ----------
@@ -715,18 +710,18 @@ class Submission:
         causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = [cause for cause in causes if self._count_unexplained(cause) < limit]
+        end_count = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        causes = [cause for cause in causes if self._count_unexplained(cause) < end_count]
         max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
-        causes = [c for c in causes if not any(map(self.renderer.needs_fitting, c))] or causes
-        table_order = [*self.renderer.mistakes]
-        return sorted(causes, key=lambda cause: [table_order.index(k) for k in cause])
+        keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting
+        causes = [cause for cause in causes if not any(map(needs_fitting, cause))] or causes
+        return sorted(causes, key=lambda cause: [keywords.index(keyword) for keyword in cause])
 
     def _add_rounding(self, causes: list[Cause]) -> list[Cause]:
-        """Add a rounding mistake to each cause whose picture becomes far more exact with it.
+        """Add a rounding mistake to each cause that gives far more pixels exactly with it.
 
-        A rounding mistake, such as truncating levels, changes codes by at most one level.
+        A rounding mistake, such as truncating levels, changes 8-bit codes by at most one level.
 
         Parameters
         ----------
@@ -736,9 +731,9 @@ class Submission:
         Returns
         -------
         list of tuples of str
-            Each cause, unchanged or with one more keyword.  All causes are unchanged if differences
-            of one level already count as wrong, or after lossy compression.
+            Each cause, unchanged or with one more keyword.
         """
+        # Without a tolerance, rounding is found like any other mistake; lossy compression hides it.
         if not self.tolerance or self.lossy_levels:
             return causes
         join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
@@ -754,7 +749,7 @@ class Submission:
 
 
 def remove_variants(cause: Cause) -> Cause:
-    """Remove the keywords that are not mistakes from a cause.
+    """Remove the keywords of variants from a cause.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Recognise differences that no formula makes: rounding, speckles, JPEG, borders, missing lights.
+"""Recognise differences that no formula causes: rounding, speckles, JPEG, borders, missing lights.
 
 A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from reference.handins.formulas import Array
-from reference.handins.mistakes import parse_formulas, sample_position_formulas
+from reference.handins.mistakes import make_sample_formulas, parse_formulas
 from reference.handins.search import MAX_PIXELS, Submission
 from reference.pictures import Codes, level_difference, to_picture
 
@@ -37,8 +37,8 @@ _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
     """Find the lights that are missing, or wrongly present, at each wrong pixel of a submission.
 
-    Each wrong pixel is rendered with every set of lights.  Among the sets that give the submitted
-    codes within one level, the set closest to that of the reference picture is used.
+    Each wrong pixel is rendered with every set of lights, to find the sets that give the submitted
+    codes.  Of these sets, the one most similar to the right set is used.
 
     Parameters
     ----------
@@ -60,34 +60,32 @@ def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
     renderer, pixels = submission.renderer, np.flatnonzero(submission.is_wrong)
     if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
         return None
-    is_lit = renderer.evaluate([renderer.base_formulas], pixels, formula="lit")[0]
-    light_count = len(is_lit)
+    should_reach = renderer.evaluate([renderer.base_formulas], pixels, formula="lit")[0]
+    light_count = len(should_reach)
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
     light_sets = [*product((False, True), repeat=light_count)]
     formula_sets = [
-        parse_formulas(f"lit = array({[*lights]})[:, None] & (distance > 0)")
-        for lights in light_sets
+        parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
+        for light_set in light_sets
     ]
     codes = renderer.evaluate(formula_sets, pixels, submission.codes)
-    # For each set and pixel, the number of lights that differ from the right ones; more than the
-    # number of all lights if the set does not give the submitted codes.
-    set_has_light = np.array(light_sets)
-    change_count = (is_lit != set_has_light[:, :, None]).sum(axis=1)
+    # For each set and pixel, the number of lights in which the set differs from the right set.
+    is_in_set = np.array(light_sets)
+    change_count = (should_reach != is_in_set[:, :, None]).sum(axis=1)
+    # A number larger than any other, if the set does not give the submitted codes.
     change_count[level_difference(codes, submission.codes[:, pixels]) > 1] = light_count + 1
-    has_light = set_has_light[change_count.argmin(axis=0)].T
-    has_light = np.where(change_count.min(axis=0) <= light_count, has_light, is_lit)
+    reaches = is_in_set[change_count.argmin(axis=0)].T
+    reaches = np.where(change_count.min(axis=0) <= light_count, reaches, should_reach)
     is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
-    is_lost[:, pixels], is_extra[:, pixels] = is_lit & ~has_light, has_light & ~is_lit
+    is_lost[:, pixels], is_extra[:, pixels] = should_reach & ~reaches, reaches & ~should_reach
     return is_lost, is_extra
 
 
 def is_speckled(submission: Submission) -> bool:
-    """Test whether rounding causes shadow acne: random dark dots where surfaces shadow themselves.
+    """Test for shadow acne: random dark dots where rounding makes surfaces shadow themselves.
 
-    Surfaces have such dots if (1) nearly all wrong pixels lack light; and (2) along rows and along
-    columns, neighbouring pixels of a surface differ nearly as often as if each pixel were dark by
-    chance.
+    With shadow acne, nearly all wrong pixels are too dark, and they are scattered at random.
 
     Parameters
     ----------
@@ -107,14 +105,15 @@ def is_speckled(submission: Submission) -> bool:
     is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, formula="lit")[0].any(axis=0)
     is_lit &= np.isin(surface, surface[is_dark])
     dark_share = dark_count / is_lit.sum()
-    maps = (pixels.reshape(-1, renderer.width) for pixels in (is_lit, is_dark, surface))
-    is_lit, is_dark, surface = maps
+    # Now as pictures (h, w).
+    is_lit, is_dark, surface = (array.reshape(-1, renderer.width)
+                                for array in (is_lit, is_dark, surface))  # fmt: skip
     for axis in (0, 1):
-        has_same_surface = surface == np.roll(surface, 1, axis)
-        are_both_lit = is_lit & np.roll(is_lit, 1, axis) & has_same_surface
-        differing_count = (are_both_lit & (is_dark != np.roll(is_dark, 1, axis))).sum()
-        independent_count = 2 * dark_share * (1 - dark_share) * are_both_lit.sum()
-        if differing_count <= _MIN_RANDOMNESS * independent_count:
+        # Pairs of neighbours on the same surface.  In random dots, many of them differ.
+        is_pair = is_lit & np.roll(is_lit, 1, axis) & (surface == np.roll(surface, 1, axis))
+        differing_count = (is_pair & (is_dark != np.roll(is_dark, 1, axis))).sum()
+        random_count = 2 * dark_share * (1 - dark_share) * is_pair.sum()
+        if differing_count <= _MIN_RANDOMNESS * random_count:
             return False
     return True
 
@@ -122,9 +121,8 @@ def is_speckled(submission: Submission) -> bool:
 def is_decided_by_rounding(submission: Submission) -> bool:
     """Test whether rounding explains all pixels that differ by more than one level.
 
-    Rounding explains these pixels if (1) they are few; and (2) the codes of each lie between those
-    that a correct tracer gives when the sample in the pixel, or the origin of its shadow rays, is
-    moved slightly.
+    There may be only a few such pixels.  They are rendered again with slightly moved samples and
+    shadow rays.  The submitted codes must lie between the smallest and the largest rendered codes.
 
     Parameters
     ----------
@@ -135,29 +133,27 @@ def is_decided_by_rounding(submission: Submission) -> bool:
     pixels = np.flatnonzero(level_difference(renderer.reference_codes, submission.codes) > 1)
     if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
         return False
-    offsets = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
+    positions = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
     formula_sets = [
-        sample_position_formulas(x, y)
-        | parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
-        for x, y, lift in product(offsets, offsets, _TIE_LIFTS)
+        make_sample_formulas(x, y) | parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
+        for x, y, lift in product(positions, positions, _TIE_LIFTS)
     ]
     codes = renderer.evaluate(formula_sets, pixels).astype(np.int16)
-    low, high = codes.min(axis=0) - 1, codes.max(axis=0) + 1
+    min_codes, max_codes = codes.min(axis=0) - 1, codes.max(axis=0) + 1
     submitted_codes = submission.codes[:, pixels]
-    return bool(((submitted_codes >= low) & (submitted_codes <= high)).all())
+    return bool(((submitted_codes >= min_codes) & (submitted_codes <= max_codes)).all())
 
 
 def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool:
     """Test whether a submitted picture is the reference picture after JPEG compression.
 
     The reference picture is compressed with several qualities.  One of the results must agree with
-    the submitted picture within one level, both in most of all pixels and in most of those in which
-    the submitted picture differs from the original reference picture.
+    the submitted picture.
 
     Parameters
     ----------
     submitted_codes, reference_codes : (h, w, 3) uint8 arrays
-        Codes of both pictures.
+        8-bit codes of both pictures.
 
     Returns
     -------
@@ -172,20 +168,21 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
         jpeg_file = io.BytesIO()
         image.save(jpeg_file, "JPEG", quality=quality, subsampling=subsampling)
         agrees = level_difference(np.asarray(Image.open(jpeg_file)), submitted_codes, 2) <= 1
+        # Most pixels must agree, also of those that differ from the uncompressed picture.
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
     return False
 
 
-def _nearly_agree(first: Codes, second: Codes) -> bool:
-    """Test whether two pictures differ by more than one level in at most one pixel in 200.
+def _are_similar(first_codes: Codes, second_codes: Codes) -> bool:
+    """Test whether two pictures agree within one level in nearly all pixels.
 
     Parameters
     ----------
-    first, second : (h, w, 3) uint8 arrays
-        Codes of two pictures of equal size.
+    first_codes, second_codes : (h, w, 3) uint8 arrays
+        8-bit codes of two pictures of equal size.
     """
-    return bool((level_difference(first, second, 2) > 1).mean() <= _MAX_DIFFERENT)
+    return bool((level_difference(first_codes, second_codes, 2) > 1).mean() <= _MAX_DIFFERENT)
 
 
 def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
@@ -194,9 +191,9 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     Parameters
     ----------
     submitted_codes : (h, w, 3) uint8 array
-        Codes of the submitted picture.
+        8-bit codes of the submitted picture.
     reference_codes : (h', w', 3) uint8 array
-        Codes of the reference picture, which has another size.
+        8-bit codes of the reference picture, which has another size.
 
     Returns
     -------
@@ -207,7 +204,7 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     height, width = reference_codes.shape[:2]
     factor = len(submitted_codes) // height
     # Compare the sizes first, because an enlarged picture might not fit in memory.
-    if submitted_codes.shape[:2] == (factor * height, factor * width) and _nearly_agree(
+    if submitted_codes.shape[:2] == (factor * height, factor * width) and _are_similar(
         submitted_codes, reference_codes.repeat(factor, axis=0).repeat(factor, axis=1)
     ):
         return "enlarged", f"It is the right picture, enlarged {factor} times."
@@ -215,20 +212,20 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     column_count = submitted_codes.shape[1] - width + 1
     if row_count <= 0 or column_count <= 0:
         return None
-    # Find the places of the upper left corner where a random selection of pixels agrees.
-    agrees = np.ones((row_count, column_count), dtype=np.bool_)
+    # Find the places of the upper left corner at which some random pixels agree.
+    may_be_corner = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
         window = submitted_codes[row : row + row_count, column : column + column_count]
-        agrees &= level_difference(window, reference_codes[row, column], 2) <= 1
-    for row, column in np.argwhere(agrees)[:_MAX_PLACES]:
+        may_be_corner &= level_difference(window, reference_codes[row, column], 2) <= 1
+    for row, column in np.argwhere(may_be_corner)[:_MAX_PLACES]:
         crop = submitted_codes[row : row + height, column : column + width]
-        if _nearly_agree(crop, reference_codes):
+        if _are_similar(crop, reference_codes):
             return "border", "It is the right picture, with a border."
     return None
 
 
-def find_edge_with_all_wrong(is_wrong: Array) -> str:
-    """Name the outermost row or column of a picture that contains all wrong pixels.
+def find_wrong_edge(is_wrong: Array) -> str:
+    """Find the outermost row or column of a picture that contains all wrong pixels.
 
     Parameters
     ----------
@@ -247,7 +244,7 @@ def find_edge_with_all_wrong(is_wrong: Array) -> str:
 
 
 def find_symptom(submission: Submission) -> tuple[str, str] | None:
-    """Recognise a difference that no wrong formula causes, such as rounding or JPEG compression.
+    """Recognise a picture altered by rounding, shadow acne, JPEG compression or one wrong edge.
 
     Parameters
     ----------
@@ -257,26 +254,26 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
     Returns
     -------
     tuple of 2 str, or None
-        A keyword, such as "single-precision", and a sentence for the report.  None if no such
-        difference is recognised.
+        A keyword, such as "single-precision", and a sentence for the report.  None if the picture
+        has none of these symptoms.
     """
     renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
     width, both_codes = renderer.width, (submission.codes, renderer.reference_codes)
     if wrong_count and is_decided_by_rounding(submission):
-        sentence = f"{count_pixels(wrong_count)} where rounding decides, as in single precision."
+        sentence = f"{format_count(wrong_count)} where rounding decides, as in single precision."
         return "single-precision", sentence
     if is_speckled(submission):
         sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
         return "shadow-speckles", sentence
     if is_jpeg_of_reference(*(to_picture(codes, width) for codes in both_codes)):
         return "format", "It is the right picture, after JPEG, which changes levels."
-    if edge := find_edge_with_all_wrong((level_difference(*both_codes) > 1).reshape(-1, width)):
+    if edge := find_wrong_edge((level_difference(*both_codes) > 1).reshape(-1, width)):
         return "edge", f"It is the right picture, except in the {edge}."
     return None
 
 
-def count_pixels(count: int, singular: str = "differs", plural: str = "differ") -> str:
-    """Put a number of pixels and a verb into words, as in "12 pixels differ".
+def format_count(count: int, singular: str = "differs", plural: str = "differ") -> str:
+    """Format a number of pixels with a verb, as in "12 pixels differ".
 
     Parameters
     ----------

@@ -24,24 +24,22 @@ _MAX_DEATHS = 2
 
 
 def map_in_workers(
-    work: Callable[[Job], Result], jobs: Sequence[Job], result_if_lost: Callable[[Job], Result]
+    compute: Callable[[Job], Result], jobs: Sequence[Job], make_lost_result: Callable[[Job], Result]
 ) -> Iterator[Result]:
     """Compute the results of jobs in two worker processes.
 
-    One worker starts from the first job, the other from the last, because neighbouring jobs may use
-    the same cached data.  If a worker dies, its job is started once more; if that worker dies, too,
-    the job is abandoned.  The calling process does the work itself if there are few jobs, or if no
-    process can be started.  At the end, the calling process kills all its child processes that
-    `multiprocessing` has started.
+    If a worker dies, its job is started once more; if that worker dies, too, the job is abandoned.
+    If there are few jobs, or if no process can be started, the calling process computes the
+    results.  At the end, it kills all its child processes that `multiprocessing` has started.
 
     Parameters
     ----------
-    work : callable
+    compute : callable
         Computes the result of a job.  The function, the jobs and the results must be picklable.
     jobs : sequence
-        The arguments of `work`.
-    result_if_lost : callable
-        Returns the result for an abandoned job.
+        The arguments of `compute`.
+    make_lost_result : callable
+        Makes the result of an abandoned job.
 
     Yields
     ------
@@ -49,36 +47,37 @@ def map_in_workers(
         The result of each job, in order of completion.
     """
     # Each job with the number of workers that it has killed.
-    pending = deque((job, 0) for job in jobs)
+    pending_jobs = deque((job, 0) for job in jobs)
     # For each future: the job, that number, the worker, and the function that takes the next job.
-    running: dict[Future[Result], tuple[Job, int, WorkerPool, Callable[[], Any]]] = {}
+    running_jobs: dict[Future[Result], tuple[Job, int, WorkerPool, Callable[[], Any]]] = {}
 
     def start_next_job(worker: WorkerPool, take_job: Callable[[], tuple[Job, int]]) -> None:
-        """Start the next job on a worker, if there is a job and the worker can be started."""
-        if pending:
+        """Take a pending job and start it on a worker; put the job back if this fails."""
+        if pending_jobs:
             job, death_count = take_job()
             try:
-                running[worker.submit(work, job)] = job, death_count, worker, take_job
+                running_jobs[worker.submit(compute, job)] = job, death_count, worker, take_job
             except Exception:  # no process can be started
-                pending.appendleft((job, death_count))
+                pending_jobs.appendleft((job, death_count))
 
     try:
-        for take_job in (pending.popleft, pending.pop) if len(jobs) >= _MIN_JOBS else ():
+        # Neighbouring jobs may use the same cached data, so the workers start from opposite ends.
+        for take_job in (pending_jobs.popleft, pending_jobs.pop) if len(jobs) >= _MIN_JOBS else ():
             start_next_job(WorkerPool(1), take_job)
-        while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                job, death_count, worker, take_job = running.pop(future)
+        while running_jobs:
+            for future in wait(running_jobs, return_when=FIRST_COMPLETED).done:
+                job, death_count, worker, take_job = running_jobs.pop(future)
                 if future.exception():
                     worker, death_count = WorkerPool(1), death_count + 1
                     if death_count < _MAX_DEATHS:
-                        pending.append((job, death_count))
+                        pending_jobs.append((job, death_count))
                     else:
-                        yield result_if_lost(job)
+                        yield make_lost_result(job)
                 else:
                     yield future.result()
                 start_next_job(worker, take_job)
     finally:
         for process in active_children():
             process.kill()
-    for job, _ in pending:
-        yield work(job)
+    for job, _ in pending_jobs:
+        yield compute(job)

@@ -27,7 +27,7 @@ from skimage.metrics import structural_similarity
 from reference.command import SCENES
 from reference.compare import compare_hand_in, main
 from reference.figures import measure_differences, select_largest_channel, write_comparison
-from reference.handins.diagnosis import Solution
+from reference.handins.diagnosis import Reference
 from reference.handins.formulas import Array
 from reference.handins.search import MistakeRenderer
 from reference.handins.workers import map_in_workers
@@ -212,7 +212,7 @@ def test_a_large_jpeg_is_searched_in_a_sample(
 
     monkeypatch.setattr("reference.handins.search.MAX_PIXELS", max_pixels)
     monkeypatch.setattr(MistakeRenderer, "evaluate", count_and_evaluate)
-    diagnosis = Solution(load_scene(SCENE)).diagnose(picture._replace(save=count_and_save))
+    diagnosis = Reference(load_scene(SCENE)).diagnose(picture._replace(save=count_and_save))
     assert diagnosis.kind == "unknown"
     assert (complete["compressed"] <= 2, complete["rendered"] <= 1) == (True, True)
 

@@ -16,11 +16,11 @@ from known_mistakes import render_with_mistakes
 from PIL import Image
 
 from reference.command import SCENES
-from reference.handins.diagnosis import Diagnosis, Solution
+from reference.handins.diagnosis import Diagnosis, Reference
 from reference.handins.folders import list_hand_ins, match_hand_ins
 from reference.handins.formulas import used_names
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
-from reference.handins.results import Result, with_common_causes_first
+from reference.handins.results import Result, sort_causes
 from reference.judges import plain
 from reference.pictures import Codes, Picture, read_picture
 from tracer import (
@@ -49,8 +49,8 @@ def scene(name: str) -> Scene:
 
 
 @cache
-def solution(name: str) -> Solution:
-    return Solution(scene(name), f"{name}.xml")
+def solution(name: str) -> Reference:
+    return Reference(scene(name), f"{name}.xml")
 
 
 def verdict(name: str, made: tuple[str, ...]) -> str | None:
@@ -137,7 +137,7 @@ def test_a_surface_of_many_is_found() -> None:
         surfaces=[*(Sphere(center=place, radius=0.3) for place in places), wall],
     )
     for kind in ("missing-surface-1", "shadow-none-surface-0"):
-        diagnosis = Solution(crowd).diagnose(Picture(student.render_mistakes(crowd, kind)))
+        diagnosis = Reference(crowd).diagnose(Picture(student.render_mistakes(crowd, kind)))
         assert diagnosis.kind == kind
 
 
@@ -220,7 +220,7 @@ def test_speckles_and_single_precision() -> None:
 
 def test_single_levels() -> None:
     """Differences of one level are rounding in few pixels, have a known cause, or are unknown."""
-    small = Solution(replace(scene("room"), width=10, height=10))
+    small = Reference(replace(scene("room"), width=10, height=10))
     for count, kind in ((2, "rounding"), (40, "unknown")):
         codes = small.codes.copy()
         codes.reshape(-1, 3)[:count, 0] ^= 1
@@ -264,7 +264,7 @@ def test_a_mistake_in_few_pixels_is_found_beside_cut_levels() -> None:
 
 
 def test_a_picture_of_another_size_than_a_picture() -> None:
-    alone = Solution(Picture(solution("room").codes))
+    alone = Reference(Picture(solution("room").codes))
     diagnosis = alone.diagnose(Picture(np.arange(36, dtype=np.uint8).reshape(3, 4, 3)))
     assert diagnosis.kind == "size"
     assert str(diagnosis) == "The picture has 4x3 pixels in place of 240x135."
@@ -298,7 +298,7 @@ def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
 
 def test_few_sizes_are_kept() -> None:
     """A class of screenshots, each of another size, fills no memory."""
-    own = Solution(replace(scene("two-boxes"), width=40, height=40))
+    own = Reference(replace(scene("two-boxes"), width=40, height=40))
     for width in (50, 60, 70):
         codes = to_codes(render(replace(scene("two-boxes"), width=width, height=40)))
         assert own.diagnose(Picture(codes)).kind == "size"
@@ -313,7 +313,7 @@ def test_causes_of_all_scenes_come_first() -> None:
         )
         for name, kinds in pictures
     ]
-    kinds = [result.diagnosis.kind for result in with_common_causes_first(results)]
+    kinds = [result.diagnosis.kind for result in sort_causes(results)]
     assert kinds == ["b|a", "b|c", "b|c"]
 
 
@@ -327,7 +327,7 @@ def test_a_jpeg_hides_nothing(tmp_path: Path, made: str) -> None:
         assert (made if kinds else "format") in kind.split("|")
     right = Picture(solution("four-spheres").codes)
     Image.fromarray(right.codes).save(path, quality=85)
-    assert Solution(read_picture(path)).diagnose(right).kind == "format"
+    assert Reference(read_picture(path)).diagnose(right).kind == "format"
 
 
 def test_a_jpeg_that_became_another_file_is_recognised() -> None:
@@ -364,7 +364,7 @@ ALONE += ["background", "mirrored+gamma-none"]
 
 @pytest.mark.parametrize("kinds", [*ALONE, "shadow-none", "light-first", "pixel-upper-left"])
 def test_geometry_and_encoding_are_named_without_a_scene(kinds: str) -> None:
-    alone = Solution(Picture(solution("four-spheres").codes))
+    alone = Reference(Picture(solution("four-spheres").codes))
     codes = student.render_mistakes(scene("four-spheres"), *kinds.split("+"))
     diagnosis = alone.diagnose(Picture(codes))
     assert diagnosis.kind == (kinds if kinds in ALONE else "unknown")
