@@ -31,16 +31,15 @@ from tracer import Scene
 # A cause is reported if it leaves at most this share of the wrong pixels unexplained, or at most
 # this number of pixels.
 _MAX_UNEXPLAINED_SHARE, _MAX_UNEXPLAINED = 0.03, 10
-# Only the better of two causes is reported if the other leaves at least this many times as many
-# pixels unexplained.  Each mistake of a pair must explain at least this many times as many pixels
-# as the pair leaves unexplained.
+# One cause is far better than another if the other leaves this many times as many pixels
+# unexplained.
 _MIN_RATIO = 5
 # Number of pixels at which the pictures with different mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
 # Maximum number of pixels in the first round, and of causes after it.  Each further round
 # has four times the pixels and a quarter of the causes, but no fewer than the last number.
 _FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES = 240, 256, 16
-# A cause that is not the best may leave this many more pixels of a round unexplained by chance.
+# By chance, the right cause may leave this many more pixels of a round unexplained than the best.
 # The search ends if the best cause leaves more than this share of the wrong pixels unexplained.
 _MAX_CHANCE_PIXELS, _MAX_HOPELESS_SHARE = 4, 0.75
 # Maximum number of pixels, and of pixels times surfaces, at which many causes are rendered.  A
@@ -280,7 +279,7 @@ class MistakeRenderer:
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
         pixels = self.sample[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.formulas_for(cause) for cause in causes], pixels)
-        # Mistakes that show only where another mistake raises the radiance above 1 form own groups.
+        # Mistakes that show only with another mistake, which raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
             for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes

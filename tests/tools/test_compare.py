@@ -1,4 +1,4 @@
-"""The picture comparison: its figures, what it reads, and its command."""
+"""The comparison of pictures: its metrics, the formats that it reads, and its command."""
 
 import csv
 import errno
@@ -49,7 +49,7 @@ def save(path: Path, image: Codes, **options: object) -> Path:
 
 @pytest.fixture
 def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
-    """The command in this process: its status, the lines of its output, its errors."""
+    """Run the command in this process; return its exit status, lines of output, and errors."""
 
     def call(*arguments: str | Path) -> tuple[int, list[str], str]:
         try:
@@ -65,7 +65,7 @@ def compare(capsys: pytest.CaptureFixture[str]) -> Compare:
     return call
 
 
-def test_figures_by_hand() -> None:
+def test_metrics_agree_with_other_computations() -> None:
     """Four of 100 pixels differ, by 0.5 in one channel; two of them are excluded."""
     a, b = np.full((10, 10, 3), 0.25), np.full((10, 10, 3), 0.25)
     a[0, :4, 1] += 0.5
@@ -87,9 +87,9 @@ def test_figures_by_hand() -> None:
 
 @pytest.mark.parametrize("width", [300, 400])
 def test_comparison_shows_sign_and_size(width: int, tmp_path: Path) -> None:
-    """The picture is not enlarged.  It is brighter by 0.04 at left, and darker by 0.02 at right.
+    """The first picture is brighter by 0.04 on the left, and darker by 0.02 on the right.
 
-    One pixel that differs more does not fade the others.
+    A single pixel that differs more does not fade the others.  The pictures are not enlarged.
     """
     a, b = np.full((20, width, 3), 0.5), np.full((20, width, 3), 0.5)
     a[:, :100] += 0.04
@@ -108,7 +108,7 @@ def test_comparison_shows_sign_and_size(width: int, tmp_path: Path) -> None:
         np.testing.assert_allclose(color, light, atol=1 / 255)
 
 
-# A PNG of one pixel, of the levels 1, 2 and 3 of 65535.
+# A PNG of one pixel, with the levels 1, 2 and 3 of 65535.
 DEEP_PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d4948445200000001000000011002000000c0e78f9d000000"
     "0f49444154789c636060646062600600001500073c77f4280000000049454e44ae426082"
@@ -181,7 +181,7 @@ def test_one_picture(tmp_path: Path, compare: Compare) -> None:
 
 @pytest.mark.slow
 def test_a_large_picture_is_compared_in_limited_memory(tmp_path: Path) -> None:
-    """An unknown mistake in a JPEG picture of the largest size; all that can be is written."""
+    """A JPEG of 9 million pixels, the most allowed, is compared and shown: its mistake is unknown."""
     scene, size = tmp_path / "large.xml", "<image>3000 3000</image>"
     scene.write_text(SCENE.read_text().replace("<image>300 300</image>", size))
     codes = to_codes(render(load_scene(scene)))
@@ -229,7 +229,7 @@ def test_few_pixels_may_be_one_level_off(
 
 @pytest.fixture
 def hand_ins(tmp_path: Path) -> Path:
-    """A class; one picture is right, one of a level's difference, the others are not."""
+    """The folder of a class with right, wrong and unreadable pictures, and with missing ones."""
     folder, level = tmp_path / "class", CODES.copy()
     level[140, 140:160] += 1
     save(folder / "ada" / "one-sphere.xml.png", CODES)
@@ -294,8 +294,8 @@ def test_the_page_and_the_tables_of_a_class(hand_ins: Path, compare: Compare) ->
     assert [row["kind"] for row in rows] == [one["kind"] or "" for one in results]
 
 
-def test_names_and_sizes_that_do_harm(tmp_path: Path, compare: Compare) -> None:
-    """Names that are not UTF-8, or that a spreadsheet runs; a picture larger than memory."""
+def test_harmful_names_and_sizes(tmp_path: Path, compare: Compare) -> None:
+    """Names that are not UTF-8, or that a spreadsheet would run; a picture larger than memory."""
     for name in (b"one-sphere-\xff", b"=cmd|one-sphere", b"one-sphere-\x1b[2J"):
         save(tmp_path / "class" / f"{os.fsdecode(name)}.png", CODES)
     Image.new("1", (13000, 13000)).save(tmp_path / "class" / "huge_one-sphere.png")
@@ -316,7 +316,7 @@ def test_names_and_sizes_that_do_harm(tmp_path: Path, compare: Compare) -> None:
         (ZeroDivisionError("1 / 0"), "ZeroDivisionError: 1 / 0; this is a bug, please report it"),
     ],
 )
-def test_bugs_are_told_from_lack_of_memory(
+def test_bugs_and_lack_of_memory_have_different_messages(
     error: Exception, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compare: Compare
 ) -> None:
     monkeypatch.setattr("reference.figures.measure_differences", Mock(side_effect=error))
@@ -324,8 +324,8 @@ def test_bugs_are_told_from_lack_of_memory(
     assert compare(right, SCENE) == (3, [], f"{right}: cannot be compared: {reason}\n")
 
 
-def deadly(folder: Path, job: int) -> int:
-    """End the worker always with job 5, and with job 7 the first time."""
+def kill_worker(folder: Path, job: int) -> int:
+    """Kill the worker process: always for job 5, and the first time for job 7."""
     is_first_time = not (folder / str(job)).exists()
     (folder / str(job)).touch()
     if job == 5 or (job == 7 and is_first_time):
@@ -337,8 +337,8 @@ def test_only_a_job_that_ends_two_workers_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results = [-5 if job == 5 else 10 * job for job in range(10)]
-    work = partial(deadly, tmp_path)
-    assert sorted(map_in_workers(work, range(10), lambda job: -job)) == sorted(results)
+    compute = partial(kill_worker, tmp_path)
+    assert sorted(map_in_workers(compute, range(10), lambda job: -job)) == sorted(results)
 
     no_process = Mock(side_effect=OSError(errno.EAGAIN, "no process"))
     monkeypatch.setattr("reference.handins.workers.WorkerPool.submit", no_process)

@@ -1,4 +1,4 @@
-"""Mistakes in another tracer are found, and none is named that was not made."""
+"""Mistakes in another tracer are found, and no other mistakes are reported."""
 
 import random
 from collections import Counter
@@ -53,44 +53,48 @@ def solution(name: str) -> Reference:
     return Reference(scene(name), f"{name}.xml")
 
 
-def verdict(name: str, made: tuple[str, ...]) -> str | None:
-    """Render a scene with mistakes, and return how right the diagnosis is.
+def rate_diagnosis(name: str, mistakes: tuple[str, ...]) -> str | None:
+    """Render a scene with mistakes, and rate the diagnosis of the picture.
 
-    It is "right" if it reports the mistakes, or a part of them with the same picture; "part" if it
-    reports one of them; "vague" if it reports none; and else "wrong".  None: nothing shows.
+    Returns "right" if the diagnosis contains all mistakes, or enough of them to give the same
+    picture; "part" if it contains one of them; "vague" if it contains none; otherwise "wrong".
+    None if the mistakes do not show.
     """
-    codes = student.render_mistakes(scene(name), *made)
+    codes = student.render_mistakes(scene(name), *mistakes)
     if codes is None or (codes == solution(name).codes).all() or not np.ptp(codes, (0, 1)).any():
         return None
-    kind_found = solution(name).diagnose(Picture(codes)).kind
-    causes = [cause.split("+") for cause in kind_found.split("|")]
-    if kind_found == "unknown":
+    kind = solution(name).diagnose(Picture(codes)).kind
+    causes = [cause.split("+") for cause in kind.split("|")]
+    if kind == "unknown":
         return "vague"
-    if {*made} in map(set, causes):
+    if {*mistakes} in map(set, causes):
         return "right"
     for cause in causes:
-        if {*made} > {*cause} and (render_with_mistakes(scene(name), *cause) != codes).any(
+        if {*mistakes} > {*cause} and (render_with_mistakes(scene(name), *cause) != codes).any(
             axis=2
         ).sum() <= 10:
             return "right"
-    return "part" if any({*made} & {*cause} for cause in causes) else "wrong"
+    return "part" if any({*mistakes} & {*cause} for cause in causes) else "wrong"
 
 
-def verdicts(name: str, count: int, seed: int) -> Counter[str]:
-    """Count the verdicts on this many pictures: first shifts, then other mistakes, then pairs."""
-    chance, counts = random.Random(f"{name} {seed}"), Counter[str]()
-    singles = [(kind,) for kind in chance.sample([*student.MISTAKES], len(student.MISTAKES))]
-    shifts = [kinds for kinds in singles if kinds[0] in SHIFTS]
-    for kinds in shifts:
-        assert verdict(name, kinds) in ("right", None), kinds
-    others = [kinds for kinds in singles if kinds not in shifts]
+def rate_diagnoses(name: str, count: int, seed: int) -> Counter[str]:
+    """Count the ratings of this many diagnoses, of single mistakes and of pairs of mistakes.
+
+    The diagnoses of all shifts must be right; they are not counted.
+    """
+    rng, counts = random.Random(f"{name} {seed}"), Counter[str]()
+    singles = [(keyword,) for keyword in rng.sample([*student.MISTAKES], len(student.MISTAKES))]
+    shifts = [mistakes for mistakes in singles if mistakes[0] in SHIFTS]
+    for shift in shifts:
+        assert rate_diagnosis(name, shift) in ("right", None), shift
+    others = [mistakes for mistakes in singles if mistakes not in shifts]
     while counts.total() < count:
-        half = others and counts.total() < count // 2
-        made = others.pop() if half else tuple(chance.sample([*student.MISTAKES], 2))
-        if word := verdict(name, made):
-            counts[word] += 1
-            if word in ("wrong", "vague"):
-                print(name, made, word)
+        is_single = others and counts.total() < count // 2
+        mistakes = others.pop() if is_single else tuple(rng.sample([*student.MISTAKES], 2))
+        if rating := rate_diagnosis(name, mistakes):
+            counts[rating] += 1
+            if rating in ("wrong", "vague"):
+                print(name, mistakes, rating)
     return counts
 
 
@@ -100,36 +104,36 @@ def test_the_student_renders_what_the_tracer_does() -> None:
         assert (render_with_mistakes(scene(name)) == to_codes(render(scene(name)))).all()
 
 
-def test_few_mistakes_are_found() -> None:
-    counts = verdicts("non-square-pixels", 12, 1)
+def test_some_mistakes_are_found() -> None:
+    counts = rate_diagnoses("non-square-pixels", 12, 1)
     assert counts["wrong"] == 0
     assert counts["right"] + counts["part"] >= 11
 
 
-def test_what_shows_only_beside_another_mistake_is_found() -> None:
-    """Light beyond 1 wraps, and without the other mistake none is."""
-    assert verdict("two-boxes", ("wrapped",)) is None
-    assert verdict("two-boxes", ("wrapped", "intensity-ignored")) == "right"
+def test_a_mistake_that_shows_only_with_another_mistake_is_found() -> None:
+    """Light above 1 wraps around, and only the other mistake gives light above 1."""
+    assert rate_diagnosis("two-boxes", ("wrapped",)) is None
+    assert rate_diagnosis("two-boxes", ("wrapped", "intensity-ignored")) == "right"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_mistakes_are_found(name: str) -> None:
-    """No diagnosis of 25 pictures is wrong, and at least 24 are right or right in part.
+    """No diagnosis of 25 pictures is wrong, and at least 24 are right or partly right.
 
     Known exception: in sticks-perspective, h-difference is not found, alone or with shadow-resets.
     """
-    counts = verdicts(name, 25, 2)
+    counts = rate_diagnoses(name, 25, 2)
     print(counts)
     assert counts["wrong"] == 0
     assert counts["right"] + counts["part"] >= 24 - (name == "sticks-perspective")
 
 
-def test_a_surface_of_many_is_found() -> None:
-    """One of 49 is missing, or casts no shadow: no other mistake is named."""
+def test_a_mistake_in_one_of_many_surfaces_is_found() -> None:
+    """One of 50 surfaces is missing, or casts no shadow."""
     places = [(x, y, 0.25 * x) for x in range(-3, 4) for y in range(-3, 4)]
     wall = Box(min_pt=(-9, -9, -2), max_pt=(9, 9, -1))
-    crowd = Scene(
+    many = Scene(
         camera=Camera(view_point=(0, 0, 9), view_width=0.9, view_height=0.9),
         width=120,
         height=120,
@@ -137,12 +141,12 @@ def test_a_surface_of_many_is_found() -> None:
         surfaces=[*(Sphere(center=place, radius=0.3) for place in places), wall],
     )
     for kind in ("missing-surface-1", "shadow-none-surface-0"):
-        diagnosis = Reference(crowd).diagnose(Picture(student.render_mistakes(crowd, kind)))
+        diagnosis = Reference(many).diagnose(Picture(student.render_mistakes(many, kind)))
         assert diagnosis.kind == kind
 
 
 def test_every_mistake_of_the_table_can_be_rendered_and_most_show() -> None:
-    """Mistakes replace formulas that exist, and use values that exist."""
+    """All formulas that mistakes replace, and all values that they use, exist."""
     table = list_mistakes(scene("room"))
     assert {name for one in table.values() for name in one.formulas} <= {*REFERENCE_FORMULAS}
     small = replace(scene("room"), width=40, height=30)
@@ -159,15 +163,15 @@ def test_every_mistake_of_the_table_can_be_rendered_and_most_show() -> None:
 
 
 def where_they_differ(codes: Codes, right: Codes) -> tuple[int, str]:
-    """Return the number of pixels that differ by more than one level, and a text on the worst."""
+    """Count the pixels that differ by more than one level, and describe the worst pixel."""
     levels = abs(codes.astype(int) - right).max(axis=2)
     y, x = np.unravel_index(levels.argmax(), levels.shape)
     code, right_code = (" ".join(map(str, picture[y, x])) for picture in (codes, right))
     return (levels > 1).sum(), f"The worst is {x},{y}: {code} in place of {right_code}"
 
 
-def test_what_no_mistake_explains_is_described() -> None:
-    """Half as bright in a rectangle: surfaces, the worst pixel, and the command, but no cause."""
+def test_a_picture_that_no_mistake_explains_is_described() -> None:
+    """The report names surfaces, the worst pixel and a command; a rectangle is half as bright."""
     right, room = solution("room").codes, scene("room")
     codes = right.copy()
     codes[60:90, 100:140] //= 2
@@ -189,7 +193,7 @@ def test_what_no_mistake_explains_is_described() -> None:
     )
 
 
-def test_lights_that_are_lacking_are_named() -> None:
+def test_missing_lights_are_named() -> None:
     right, first = solution("room").codes, student.render_mistakes(scene("room"), "light-first")
     codes = np.where(np.indices(right.shape)[1] < 120, first, right)
     diagnosis = solution("room").diagnose(Picture(codes))
@@ -200,7 +204,7 @@ def test_lights_that_are_lacking_are_named() -> None:
 
 
 def test_speckles_and_single_precision() -> None:
-    """Shadow rays without an epsilon give dots; rows that are not written are no dots."""
+    """Shadow rays without an epsilon give dark dots; missing rows or columns are no dots."""
     for arithmetic in ("float64", "float32"):
         speckled = to_codes(plain.render(scene("room"), shadow_method="t>0", arithmetic=arithmetic))
         assert solution("room").diagnose(Picture(speckled)).kind == "shadow-speckles"
@@ -219,7 +223,7 @@ def test_speckles_and_single_precision() -> None:
 
 
 def test_single_levels() -> None:
-    """Differences of one level are rounding in few pixels, have a known cause, or are unknown."""
+    """Differences of one level are rounding, if they are few, or have a known or unknown cause."""
     small = Reference(replace(scene("room"), width=10, height=10))
     for count, kind in ((2, "rounding"), (40, "unknown")):
         codes = small.codes.copy()
@@ -232,8 +236,8 @@ def test_single_levels() -> None:
     assert solution("room").diagnose(Picture(codes)).kind == "levels-up"
 
 
-def test_half_a_truth_is_a_hint() -> None:
-    """A shift, levels that are cut off, and a third mistake that the table lacks."""
+def test_an_incomplete_explanation_is_a_hint() -> None:
+    """A shift, truncated levels, and a third mistake that is not in the table."""
     source = student.source_with("shift-right", "levels-truncated")
     source = source.replace("EXPONENT", "(sh.exponent * (1 + 0.3 * (k == 3)))")
     codes = student.render_with_source(source, scene("four-spheres"))
@@ -251,8 +255,8 @@ def test_half_a_truth_is_a_hint() -> None:
     assert "--pixel" not in str(diagnosis)
 
 
-def test_a_mistake_in_few_pixels_is_found_beside_cut_levels() -> None:
-    """Missing highlights show in few pixels; some levels are cut off by one more."""
+def test_a_mistake_in_few_pixels_is_found_with_truncated_levels() -> None:
+    """Missing highlights show in few pixels; some levels are lower by one more."""
     source = student.source_with("specular-none", "levels-truncated")
     source = source.replace("(i + 0.5)", "i").replace("(j + 0.5)", "(j + 1)")
     name = "sticks-axonometric"
@@ -271,7 +275,7 @@ def test_a_picture_of_another_size_than_a_picture() -> None:
 
 
 def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
-    """The longest scene in the name counts; the student is the rest of the name, or the folder."""
+    """The longest scene in a file name counts; the rest, or the folder, is the student's name."""
     for name in ("room.xml", "box.xml", "two_box.xml"):
         (tmp_path / name).touch()
     students_and_scenes = {
@@ -296,8 +300,8 @@ def test_file_names_are_matched_with_scenes(tmp_path: Path) -> None:
     assert [one.scene for one in match_hand_ins(pictures[:1], pictures[0], tmp_path)] == ["box"]
 
 
-def test_few_sizes_are_kept() -> None:
-    """A class of screenshots, each of another size, fills no memory."""
+def test_few_renderers_are_cached() -> None:
+    """A class of screenshots of many sizes does not fill the memory."""
     own = Reference(replace(scene("two-boxes"), width=40, height=40))
     for width in (50, 60, 70):
         codes = to_codes(render(replace(scene("two-boxes"), width=width, height=40)))
@@ -305,7 +309,7 @@ def test_few_sizes_are_kept() -> None:
     assert own._renderer_for_size.cache_info().currsize == 2
 
 
-def test_causes_of_all_scenes_come_first() -> None:
+def test_common_causes_come_first() -> None:
     pictures = (("room", "a|b"), ("box", "b|c"), ("wall", "c|b"))
     results = [
         Result(
@@ -318,7 +322,7 @@ def test_causes_of_all_scenes_come_first() -> None:
 
 
 @pytest.mark.parametrize("made", ["shadow-none", "gamma-none", "missing-surface-1", "mirrored"])
-def test_a_jpeg_hides_nothing(tmp_path: Path, made: str) -> None:
+def test_mistakes_are_found_after_jpeg_compression(tmp_path: Path, made: str) -> None:
     for kinds in ((), (made,)):
         path = tmp_path / "a.jpg"
         codes = student.render_mistakes(scene("four-spheres"), *kinds)
@@ -330,7 +334,7 @@ def test_a_jpeg_hides_nothing(tmp_path: Path, made: str) -> None:
     assert Reference(read_picture(path)).diagnose(right).kind == "format"
 
 
-def test_a_jpeg_that_became_another_file_is_recognised() -> None:
+def test_jpeg_compression_is_recognised_in_other_formats() -> None:
     right = solution("one-sphere").codes
     Image.fromarray(right).save(file := BytesIO(), "JPEG", quality=90)
     assert solution("one-sphere").diagnose(Picture(np.asarray(Image.open(file)))).kind == "format"
@@ -345,7 +349,7 @@ CHANGES: dict[str, Callable[[Codes], Codes]] = {
     "rounding": lambda a: a + (np.indices(a.shape).sum(axis=0) == 90).astype(np.uint8),
     "size": lambda _: to_codes(render(replace(scene("room"), width=120, height=80))),
     "negative": lambda a: 255 - a,
-    # Inside a larger picture; enlarged; and wrong at one border only.
+    # Inside a larger picture; enlarged; and wrong only at one edge.
     "border": lambda a: np.pad(a, ((20, 4), (3, 5), (0, 0)), constant_values=200),
     "enlarged": lambda a: a.repeat(2, axis=0).repeat(2, axis=1),
     "edge": lambda a: np.hstack([a[:, :-1], a[:, -1:] // 2]),
