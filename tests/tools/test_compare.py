@@ -181,7 +181,7 @@ def test_one_picture(tmp_path: Path, compare: Compare) -> None:
 
 @pytest.mark.slow
 def test_a_large_picture_is_compared_in_limited_memory(tmp_path: Path) -> None:
-    """A JPEG of 9 million pixels, the most allowed, is compared and shown: its mistake is unknown."""
+    """A JPEG of the maximum size is compared and shown; its mistake is unknown."""
     scene, size = tmp_path / "large.xml", "<image>3000 3000</image>"
     scene.write_text(SCENE.read_text().replace("<image>300 300</image>", size))
     codes = to_codes(render(load_scene(scene)))
