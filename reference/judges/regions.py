@@ -112,6 +112,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     """
     coef = functions.coef
     constant, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
+    # The value and the gradient (a, b) at a point (x, y) near the zero.
     x, y = _take_newton_step(coef)
     value = constant + coef[X] * x + coef[Y] * y
     value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
@@ -136,6 +137,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     # |value + slope n| is at most the deviation plus the following bound on |slope n e|.
     max_change = (np.abs(value) + deviation) * max_e / (1 - max_e)
     half_width = np.where(max_e < 1, deviation + max_change, np.inf)
+    # The coefficients of the centre line are scaled so that |a| + |b| = 1.
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
     line = np.array([a, b, value - a * x - b * y]) * scale
     # If there is no gradient, the strip is the whole cell.
