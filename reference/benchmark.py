@@ -36,7 +36,7 @@ from reference.measured.measurements import (
     Timing,
     describe_origin,
     make_command_task,
-    time_interleaved,
+    time_alternately,
 )
 from reference.measured.workloads import build_field, resize_picture
 from tracer import Scene, load_scene, render, save_scene
@@ -134,7 +134,7 @@ def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Ti
     loaded_scene = mi.load_string(mitsuba_xml)
     tasks: dict[str, Task] = {"tracer": partial(render, scene)}
     tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
-    timings = time_interleaved(tasks, ROUNDS)
+    timings = time_alternately(tasks, ROUNDS)
     return timings["tracer"], timings["Mitsuba"]
 
 
@@ -171,7 +171,7 @@ def benchmark_whole_process(quick: bool) -> str:
         if povray.is_installed():
             commands["POV-Ray"] = povray.prepare_command(scene, Path(png_path))
         tasks = {name: make_command_task(command) for name, command in commands.items()}
-        timings = time_interleaved(tasks, ROUNDS, min_seconds=2.0)
+        timings = time_alternately(tasks, ROUNDS, min_seconds=2.0)
         fastest_stock = min(timings["Mitsuba stock"], timings["the same, scalar"])
         baselines = timings["Mitsuba exact"], fastest_stock
         speedups = [compute_speedup(timings["tracer"], baseline) for baseline in baselines]
@@ -253,7 +253,7 @@ def benchmark_objects(quick: bool) -> str:
         # Exempt Mitsuba's many objects from garbage collection, which would distort the timings.
         gc.collect()
         gc.freeze()
-        timings = time_interleaved(tasks, ROUNDS)
+        timings = time_alternately(tasks, ROUNDS)
         gc.unfreeze()
         rows.append((f"{object_count:,}", *timings.values(), *_time_mitsuba_once(mitsuba_xml)))
     return format_section(
@@ -363,7 +363,7 @@ def benchmark_frames(quick: bool) -> str:
     frame_count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     renderer_commands = prepare_animation_commands(frame_count, size)
     tasks = {name: partial(run_commands, commands) for name, commands in renderer_commands.items()}
-    total_timings = time_interleaved(tasks, ROUNDS)
+    total_timings = time_alternately(tasks, ROUNDS)
     timings = {name: timing.divided_by(frame_count) for name, timing in total_timings.items()}
     baseline = timings["tracer, 1 process"]
     return format_section(

@@ -7,9 +7,9 @@ and Mitsuba uses this project's small plugins; with --flavour stock, only diffus
 and Mitsuba uses its built-in plugins.
 
 The verdict is one of three:
-  agrees     The pictures are equal, apart from excluded pixels: some at edges, where Mitsuba's
-             float32 may fall on the other side, and ties, where two surfaces coincide and Mitsuba
-             may show the other one.
+  agrees     The pictures are equal, apart from excluded pixels.  These lie on edges, where float32
+             may show the other side, or are ties, where two surfaces coincide and Mitsuba may show
+             the other one.
   DIFFERS    Exact arithmetic contradicts the tracer, or the pictures differ too much as a whole.
   undecided  Exact arithmetic confirms the tracer: Mitsuba or the converter is wrong.
 

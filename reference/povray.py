@@ -185,7 +185,7 @@ def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
     return codes.reshape(int(header[2]), int(header[1]), 3) * (WHITE / 65535)
 
 
-def run_and_time(command: Sequence[str]) -> float:
+def render_and_time(command: Sequence[str]) -> float:
     """Run a POV-Ray command, and return the rendering time that POV-Ray reports.
 
     Parameters

@@ -33,7 +33,7 @@ from reference.judges.arrays import Floats
 from reference.judges.certificate import certify
 from reference.judges.sampling import render_supersampled, root_mean_square_error
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
-from reference.measured.measurements import time_interleaved
+from reference.measured.measurements import time_alternately
 from reference.measured.workloads import build_crowd, resize_picture
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
@@ -148,9 +148,9 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
         options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
         command = povray.prepare_linear_command(scene, povray_picture, *options)
         # The time that POV-Ray reports does not include its start.
-        tasks[_POVRAY, 1] = partial(povray.run_and_time, command)
+        tasks[_POVRAY, 1] = partial(povray.render_and_time, command)
         tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
-        for (method, factor), timing in time_interleaved(tasks, _ROUNDS).items():
+        for (method, factor), timing in time_alternately(tasks, _ROUNDS).items():
             result = tasks[method, factor]()
             image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
             error = root_mean_square_error(image, reference_image)

@@ -60,7 +60,7 @@ class Timing(NamedTuple):
         return Timing(*(seconds / item_count for seconds in self))
 
 
-def time_interleaved(
+def time_alternately(
     tasks: Mapping[_Name, Task], rounds: int, *, min_seconds: float = _MIN_TOTAL_SECONDS
 ) -> dict[_Name, Timing]:
     """Time tasks alternately, so that a slow period of the machine affects all tasks alike.

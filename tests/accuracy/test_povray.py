@@ -24,7 +24,7 @@ TOLERANCE = 1.01 * povray.WHITE / 65535 / 2
 def test_povray_renders_the_same_picture(name, tmp_path):
     find_program("povray")
     scene, path = load_scene(SCENES / f"{name}.xml"), tmp_path / "picture.ppm"
-    povray.run_and_time(povray.prepare_linear_command(scene, path))
+    povray.render_and_time(povray.prepare_linear_command(scene, path))
     image = render(scene)
     differs = np.abs(povray.read_linear_picture(path) - image).max(axis=2) > TOLERANCE
     assert name == "touching" or not differs.any()
@@ -47,7 +47,7 @@ def test_the_reported_time_is_read_and_failures_are_raised():
     for reported, seconds in (("0.000", 0.0005), ("1.250", 1.25)):
         line = f"Trace Time: 0 hours 0 minutes ({reported} seconds)"
         script = f"import sys; sys.stderr.write('{line}')"
-        assert povray.run_and_time([sys.executable, "-c", script]) == seconds
+        assert povray.render_and_time([sys.executable, "-c", script]) == seconds
     script = "import sys; sys.stderr.write('Parse Error: x'); sys.exit(1)"
     with pytest.raises(RuntimeError, match="POV-Ray failed:\nParse Error: x"):
-        povray.run_and_time([sys.executable, "-c", script])
+        povray.render_and_time([sys.executable, "-c", script])

@@ -24,7 +24,7 @@ def test_tasks_alternate_and_only_short_ones_get_more_rounds_and_warm_up():
         return lambda: (order.append(name), sleep(seconds))[1]
 
     tasks = {"a": make_task("a", 0.2), "b": make_task("b", 0)}
-    timings = measurements.time_interleaved(tasks, 2, min_seconds=0.3)
+    timings = measurements.time_alternately(tasks, 2, min_seconds=0.3)
     assert order[:8] == ["a", "b", *["a", "b", "b"] * 2]  # the first two runs are not timed
     assert set(order[8:]) == {"b"}
     assert all(0 < t.low <= t.median <= t.high for t in timings.values())
@@ -63,7 +63,7 @@ def test_speedups_are_above_1_where_the_tracer_is_faster(section, ratios, monkey
         return {name: Timing(*[SECONDS.get(name, 1.0)] * 3) for name in tasks}
 
     monkeypatch.setattr(command, "BUILD", tmp_path)
-    monkeypatch.setattr(benchmark, "time_interleaved", prescribe_times)
+    monkeypatch.setattr(benchmark, "time_alternately", prescribe_times)
     rows = [line[2:-2].split(" | ") for line in section(True).splitlines() if line[:2] == "| "]
     shown = {row[0]: [cell for cell in row[1:] if "×" in cell] for row in rows}
     assert {name: shown[name] for name in ratios} == ratios
