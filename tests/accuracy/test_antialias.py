@@ -126,7 +126,7 @@ def test_split_pixels_are_no_worse_than_the_uniform_grid(name):
 
 def test_pictures_full_of_silhouettes_are_lattices():
     scene = build_crowd(3000, width=96, height=54)
-    points = Lattice.at_least(4).points()
+    points = Lattice.choose(4).points()
     image = render(scene, samples=16)
     # Every other row of pixels has the mirror image.
     for first_row, sign in ((0, 1), (1, -1)):

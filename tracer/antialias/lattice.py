@@ -59,7 +59,7 @@ class Lattice(NamedTuple):
     rows: int
 
     @classmethod
-    def at_least(cls, grid_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
+    def choose(cls, grid_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
         """Choose the smallest rotated lattice that can replace an upright grid of points.
 
         Parameters
@@ -78,8 +78,8 @@ class Lattice(NamedTuple):
         """
         repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
         candidates = *(cls(1, count) for count in (13, 25, 65)), *repeated_lattices
-        sufficient = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
-        return min(sufficient, key=lambda lattice: lattice.size)
+        large_lattices = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
+        return min(large_lattices, key=lambda lattice: lattice.size)
 
     @property
     def size(self) -> int:

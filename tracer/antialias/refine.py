@@ -105,10 +105,10 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     if cells.samples_per_side > _MAX_SAMPLED_SIDE:
         return Lattice(1, 25), False, None  # without the first step: 1.1 times the time
     if cells.width == 1:  # without the first step: up to 1.7 times the error
-        return Lattice(1, 5), False, Lattice.at_least(cells.samples_per_side)
+        return Lattice(1, 5), False, Lattice.choose(cells.samples_per_side)
     # Without the first step, such cells take 1.6 to 2.2 times as long.  Without the second step,
     # they have up to 1.5 times the error.
-    return Lattice(1, 13), True, Lattice.at_least(5)
+    return Lattice(1, 13), True, Lattice.choose(5)
 
 
 def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
@@ -147,7 +147,7 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     is_refinable = is_inner & ~classes.is_crowded
     pixel_mean = _compute_cell_means(scene, classes, estimate, is_refinable)
     crowded_index = indices(is_inner & classes.is_crowded)
-    lattice = Lattice.at_least(grid_side, ratio=1)
+    lattice = Lattice.choose(grid_side, ratio=1)
     pixel_mean[:, crowded_index], _ = _sample_cells(scene, classes, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
@@ -301,7 +301,7 @@ def _refine_quarters(
     is_unresolved = quarter_classes.is_unresolved.reshape(cell_count, 4).all(axis=1)
     line_count = np.bincount(quarter_classes.lines.cell // 4, minlength=cell_count)
     tested_index = indices(is_unresolved & (line_count == 0))
-    lattice = Lattice.at_least(classes.cells.samples_per_side, ratio=1)
+    lattice = Lattice.choose(classes.cells.samples_per_side, ratio=1)
     sampled_mean, misses_edge = _sample_cells(scene, classes, cell_index[tested_index], lattice)
     quarter_radiance = estimate.radiance.reshape(3, cell_count, 4)
     expected_mean = quarter_radiance.take(tested_index, axis=1).mean(axis=2)
