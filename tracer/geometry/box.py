@@ -474,7 +474,7 @@ def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) 
     """
 
     def snap_coordinate(x: Floats, low_x: Floats, high_x: Floats) -> Floats:
-        """Replace each coordinate by `low_x` or `high_x` if it is within the tolerance of it."""
+        """Replace each x that is within the tolerance of `low_x` or `high_x` by this bound."""
         is_on_low, is_on_high = np.abs(x - low_x) <= tolerance, np.abs(x - high_x) <= tolerance
         return np.where(is_on_low, low_x, np.where(is_on_high, high_x, x))
 

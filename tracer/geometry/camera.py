@@ -381,7 +381,7 @@ class ScreenBounds(NamedTuple):
             """Return the slice of pixels along one axis of the picture that covers all intervals.
 
             Interval i leads from starts[i] to stops[i], in pixels.  A margin of one pixel at each
-            end allows for rounding errors.
+            end allows for rounding errors.  The axis has `pixel_count` pixels.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))

@@ -291,7 +291,7 @@ class Spheres:
     # Tests of shadow segments: segments from hits to lights.
 
     def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Test whether a light is outside, on or inside each of n spheres.
+        """Determine whether a light is outside, on or inside each of n spheres.
 
         Parameters
         ----------
