@@ -184,7 +184,8 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
             curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
             axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
             for error, (seconds, samples) in curve.items():
-                if method == _TRACER:
+                # 9, 36, ... samples often give the same picture as 16, 64, ...: omit their labels.
+                if method == _TRACER and int(samples).bit_count() == 1:
                     axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
         rounding_label = "error of rounding to 8 bits"
         axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
