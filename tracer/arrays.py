@@ -30,22 +30,22 @@ CACHE_SIZE = 1 << 15
 BATCH_SIZE = 1 << 16
 
 
-def map3(function: Callable[..., Floats], *vectors: Triple) -> Triple:
-    """Apply a function to the x, the y and the z components of vectors.
+def map_xyz(function: Callable[..., Floats], *vectors: Triple) -> Triple:
+    """Apply a function to each component (x, y and z) of vectors.
 
-    For example, ``map3(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
+    For example, ``map_xyz(np.maximum, a, b)`` computes the componentwise maximum of `a` and `b`.
 
     Parameters
     ----------
     function : callable
-        Takes one array from each tuple in `vectors`, and returns an array.
+        Takes one component of each argument in `vectors`, and returns an array.
     *vectors : tuples of three arrays
-        Each tuple contains the x, y and z components of vectors.
+        The x, y and z components of vectors.
 
     Returns
     -------
     results : tuple of three arrays
-        The results of the function for the x, the y and the z components.
+        The results for x, y and z.
     """
     x, y, z = map(function, *vectors)
     return x, y, z
@@ -59,7 +59,7 @@ def dot(a: Triple, b: Triple | Vector) -> Floats:
     a : tuple of three arrays
         The x, y and z components of the first vector of each pair.
     b : tuple of three arrays or of three floats
-        The components of the second vectors; three floats are one vector for all pairs.
+        The components of the second vector of each pair, or of one vector for all pairs.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def dot(a: Triple, b: Triple | Vector) -> Floats:
         The dot products.
     """
     products: Floats = a[0] * b[0]
-    # Add in place: this array is already in the CPU cache.
+    # Adding in place allocates fewer arrays.
     products += a[1] * b[1]
     products += a[2] * b[2]
     return products
@@ -89,7 +89,7 @@ def cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def scale3(vectors: Triple, factors: Floats) -> Triple:
+def scale(vectors: Triple, factors: Floats) -> Triple:
     """Multiply each vector by its own factor.
 
     Parameters
@@ -107,7 +107,7 @@ def scale3(vectors: Triple, factors: Floats) -> Triple:
     return vectors[0] * factors, vectors[1] * factors, vectors[2] * factors
 
 
-def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
+def take(vectors: Triple | Floats, index: Ints | slice) -> Triple:
     """Select vectors by index.
 
     Parameters
@@ -128,7 +128,7 @@ def take3(vectors: Triple | Floats, index: Ints | slice) -> Triple:
 
 
 def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
-    """Expand one value per run to one value per element.
+    """Repeat the value of each run for every element of the run.
 
     A run consists of consecutive elements that share a value.
 
@@ -142,14 +142,14 @@ def repeat_runs(values: NDArray[Any], counts: Ints | None) -> NDArray[Any]:
     Returns
     -------
     element_values : (n,) array
-        The value of each of the n elements.  If `counts` is None, this is `values` itself.
+        The value of each element.  If `counts` is None, this is `values` itself.
     """
     # `repeat` is four times as fast as looking up the value of each element's run.
     return values if counts is None else values.repeat(counts)
 
 
-def indices(mask: NDArray[Any]) -> Ints:
-    """Return the indices of all elements that are True or nonzero.
+def find(mask: NDArray[Any]) -> Ints:
+    """Find the indices of all elements that are True or nonzero.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def indices(mask: NDArray[Any]) -> Ints:
     nonzero_index : (k,) int array
         Indices into the flattened array, in ascending order.
     """
-    # np.flatnonzero does the same, but takes five times as long for arrays with few elements.
+    # For small arrays, np.flatnonzero takes five times as long.
     nonzero_index: Ints = mask.ravel().nonzero()[0]
     return nonzero_index
 
@@ -206,7 +206,7 @@ def join_ranges(starts: Ints | int, counts: Ints) -> Ints:
     integers : (n,) int array
         The integers, range by range.
     """
-    # Within a range, every integer differs from its position in the result by the same offset.
+    # Within a range, integer minus position in the result is constant.
     offsets = counts - counts.cumsum()
     offsets += starts
     integers: Ints = offsets.repeat(counts)
@@ -217,7 +217,7 @@ def join_ranges(starts: Ints | int, counts: Ints) -> Ints:
 def mark_run_starts(*arrays: NDArray[Any]) -> Bools:
     """Mark the positions where runs start.
 
-    A run is a sequence of consecutive positions where each array is constant.
+    A run is a sequence of consecutive positions at which no array changes.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def mark_run_starts(*arrays: NDArray[Any]) -> Bools:
     Returns
     -------
     is_start : (n,) bool array
-        True at the first position of each run.
+        Whether a run starts at each position.
     """
     is_start = np.ones(arrays[0].size, dtype=np.bool_)
     has_changed = np.not_equal(arrays[0][1:], arrays[0][:-1], out=is_start[1:])
@@ -239,7 +239,7 @@ def mark_run_starts(*arrays: NDArray[Any]) -> Bools:
 def find_runs(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
     """Find the start and the length of each run.
 
-    A run is a sequence of consecutive positions where each array is constant.
+    A run is a sequence of consecutive positions at which no array changes.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def find_runs(*arrays: NDArray[Any]) -> tuple[Ints, Ints]:
     lengths : (runs,) int array
         Number of positions in each run.
     """
-    starts = indices(mark_run_starts(*arrays))
+    starts = find(mark_run_starts(*arrays))
     return starts, np.append(starts[1:], arrays[0].size) - starts
 
 
@@ -272,7 +272,7 @@ def split_by_size(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
     batch : slice
         Consecutive items; the first follows the last item of the previous batch.
     """
-    total_sizes = sizes.cumsum()  # of each item and all items before it
+    total_sizes = sizes.cumsum()  # of the items up to and including each item
     start = 0
     while start < sizes.size:
         max_total_size = total_sizes[start] - sizes[start] + max_size
@@ -281,12 +281,12 @@ def split_by_size(sizes: Ints, max_size: int = CACHE_SIZE) -> Iterator[slice]:
         start = stop
 
 
-def split_indices(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
+def split_indices(indices: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
     """Divide an array of indices into batches.
 
     Parameters
     ----------
-    index : (n,) int array
+    indices : (n,) int array
         The indices.
     max_count : int
         Maximum number of indices in a batch.
@@ -296,41 +296,41 @@ def split_indices(index: Ints, max_count: int = BATCH_SIZE) -> Iterator[Ints]:
     batch : (k,) int array
         The next `max_count` indices; the last batch may have fewer.
     """
-    for start in range(0, index.size, max_count):
-        yield index[start : start + max_count]
+    for start in range(0, indices.size, max_count):
+        yield indices[start : start + max_count]
 
 
-def take_2d(table: NDArray[Any], row: Ints | int, column: Ints) -> NDArray[Any]:
+def take_2d(table: NDArray[Any], rows: Ints | int, columns: Ints) -> NDArray[Any]:
     """Return the elements of a table at the given rows and columns.
 
     Parameters
     ----------
     table : (m, n) array
         The table.
-    row : (k,) int array or int
+    rows : (k,) int array or int
         Row of each element; an int applies to all elements.
-    column : (k,) int array
+    columns : (k,) int array
         Column of each element.
 
     Returns
     -------
     elements : (k,) array
-        table[row[i], column[i]] for each i.
+        table[rows[i], columns[i]] for each i.
     """
-    elements: NDArray[Any] = table.reshape(-1).take(row * table.shape[1] + column)
+    elements: NDArray[Any] = table.reshape(-1).take(rows * table.shape[1] + columns)
     return elements
 
 
-def put_2d(table: NDArray[Any], row: Ints, column: Ints, value: bool) -> None:
+def put_2d(table: NDArray[Any], rows: Ints, columns: Ints, value: bool) -> None:
     """Set the elements of a table at the given rows and columns to one value.
 
     Parameters
     ----------
     table : (m, n) bool array
         The table, which is changed in place.  It must be contiguous in memory (C order).
-    row, column : (k,) int arrays
+    rows, columns : (k,) int arrays
         Row and column of each element to set.
     value : bool
         The new value of the elements.
     """
-    table.reshape(-1)[row * table.shape[1] + column] = value
+    table.reshape(-1)[rows * table.shape[1] + columns] = value

@@ -147,7 +147,7 @@ class Faces:
         # of a box counts as outside.  But if the eye is in the box, the light reaches other objects
         # in the box.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
-        box_index = boxes.objects.indices()
+        box_index = boxes.objects.list_indices()
         side[:, box_index] *= boxes.signed_distance(box_index, (x, y, z)) != 0
         is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # The light does not reach the sides of this box, which are seen from within.

@@ -66,7 +66,7 @@ def _test_all_occluders(hits: Hits, lights: Lights, faces_light: Bools) -> Bools
     is_blocked, own_object = np.zeros_like(faces_light), hits.hit_object
     for light, is_facing, blocked in zip(lights.position, faces_light, is_blocked, strict=True):
         for shape in hits.scene.shapes:
-            for index in shape.objects.indices():
+            for index in shape.objects.list_indices():
                 hit = np.flatnonzero(is_facing & ~blocked & (own_object != index))
                 x, y, z = np.full((3, hit.size), light[:, None])
                 same_object = np.full(hit.size, index)

@@ -35,7 +35,7 @@ from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, cel
 from tracer.antialias.edges import CellSurfaces, compute_footprints, evaluate_silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
-from tracer.arrays import Bools, Floats, Ints, indices, split_indices
+from tracer.arrays import Bools, Floats, Ints, find, split_indices
 from tracer.trace.lighting import Shading, compute_light_geometry, find_narrow_highlights
 from tracer.trace.occlusion import find_shadow_edges
 from tracer.trace.samples import Samples
@@ -123,7 +123,7 @@ class Cells(NamedTuple):
         position = np.full(self.center_x.size, -1)  # of each cell in `cell_index`
         position[cell_index] = np.arange(cell_count)
         pair_position = position[self.pair_cell]
-        kept_pair = indices(pair_position >= 0)
+        kept_pair = find(pair_position >= 0)
         pair_quarter = (4 * pair_position[kept_pair, None] + np.arange(4)).ravel()
         pairs = pair_quarter, self.pair_object[kept_pair].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)

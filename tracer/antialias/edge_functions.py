@@ -32,7 +32,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, indices, map3, mark_run_starts, scale3, take3
+from tracer.arrays import Floats, Ints, Triple, dot, find, map_xyz, mark_run_starts, scale, take
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
@@ -114,7 +114,7 @@ class Lines(NamedTuple):
             The sorted lines without duplicates.
         """
         sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
-        return sorted_lines.take(indices(mark_run_starts(*sorted_lines)))
+        return sorted_lines.take(find(mark_run_starts(*sorted_lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
         """Keep at most `max_lines` lines of each cell.
@@ -132,7 +132,7 @@ class Lines(NamedTuple):
             The first `max_lines` lines of each cell, in the same order.
         """
         position_in_cell = np.arange(self.cell.size) - self.cell.searchsorted(self.cell)
-        return self.take(indices(position_in_cell < max_lines))
+        return self.take(find(position_in_cell < max_lines))
 
 
 def cell_rays(
@@ -273,7 +273,7 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     h_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / gradient2
     max_slope_term = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale3((a, b, c + h_along / 24), sign / max_slope_term))
+    lines = Lines(cell, *scale((a, b, c + h_along / 24), sign / max_slope_term))
     # Over a length of 1, the edge turns by |t . H t| / |g| radians.  If the gradient changes much
     # across the edge, the cell may contain both sides of a small object.
     turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(gradient2)
@@ -281,7 +281,7 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
     # A curved edge may cross a cell that its tangent misses.  The comparison is True for NaN.
     may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))
     is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
-    return lines.take(indices(has_line & crosses)), cell[indices(is_curved)]
+    return lines.take(find(has_line & crosses)), cell[find(is_curved)]
 
 
 class InverseDepth(NamedTuple):
@@ -331,7 +331,7 @@ class InverseDepth(NamedTuple):
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
                 power = spheres.power[sphere_index]
-                center = np.array(take3(spheres.from_eye, sphere_index))
+                center = np.array(take(spheres.from_eye, sphere_index))
                 w[batch] = np.where(power != 0, 1 / power, 0)
                 k[:, batch] = np.where(power != 0, center / power, k[:, batch])
         return cls((k[0], k[1], k[2]), w)
@@ -349,7 +349,7 @@ class InverseDepth(NamedTuple):
         selected : InverseDepth
             The m selected surfaces, in the order of `surface_index`.
         """
-        return InverseDepth(take3(self.k, surface_index), self.w[surface_index])
+        return InverseDepth(take(self.k, surface_index), self.w[surface_index])
 
     def compute_inverse_t(self, ray: Triple) -> Floats:
         """Compute 1 / t for six rays per surface, where the point t * ray lies on the surface.
@@ -370,9 +370,9 @@ class InverseDepth(NamedTuple):
             1 / t of each ray.
         """
         inverse_t = dot(self.k, ray)
-        sphere_index = indices(self.w)
+        sphere_index = find(self.w)
         if sphere_index.size:
-            d = map3(lambda component: component[:, sphere_index], ray)
+            d = map_xyz(lambda component: component[:, sphere_index], ray)
             radicand = inverse_t[:, sphere_index] ** 2 - self.w[sphere_index] * dot(d, d)
             inverse_t[:, sphere_index] += np.sqrt(np.maximum(radicand, 0))
         return inverse_t

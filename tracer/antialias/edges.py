@@ -28,11 +28,11 @@ from tracer.arrays import (
     Triple,
     dot,
     enumerate_ranges,
-    indices,
-    map3,
-    scale3,
+    find,
+    map_xyz,
+    scale,
     split_indices,
-    take3,
+    take,
 )
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import evaluate_box_edges, evaluate_sphere_edges, silhouette_planes
@@ -207,15 +207,15 @@ def evaluate_silhouettes(
     """
     frame, spheres, boxes = scene.frame, scene.spheres, scene.boxes
     apex_index, cell_index, object_index = triples
-    sphere_triple = indices(spheres.objects.contains(object_index))
+    sphere_triple = find(spheres.objects.contains(object_index))
     if sphere_triple.size:
         sphere_index = spheres.objects.to_local(object_index[sphere_triple])
-        sphere_ray = map3(lambda component: component[:, sphere_triple], ray)
-        sphere_apex = take3(frame.points_to_camera(apex_position), apex_index[sphere_triple])
-        center = map3(np.subtract, take3(spheres.from_eye, sphere_index), sphere_apex)
+        sphere_ray = map_xyz(lambda component: component[:, sphere_triple], ray)
+        sphere_apex = take(frame.points_to_camera(apex_position), apex_index[sphere_triple])
+        center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), sphere_apex)
         values = evaluate_sphere_edges(sphere_ray, center, spheres.radius[sphere_index])
         yield cell_index[sphere_triple], values
-    box_triple = indices(boxes.objects.contains(object_index))
+    box_triple = find(boxes.objects.contains(object_index))
     if box_triple.size:
         # Compute the planes once for each (apex, box) pair.
         box_index, box_count = boxes.objects.to_local(object_index[box_triple]), boxes.objects.size
@@ -225,8 +225,8 @@ def evaluate_silhouettes(
         apex = apex_position.T[:, pair_apex]
         low, high = boxes.min_pt[:, pair_box] - apex, boxes.max_pt[:, pair_box] - apex
         normals = frame.vector_to_camera(silhouette_planes(low, high))
-        box_ray = map3(lambda component: component[:, box_triple], ray)
-        values = evaluate_box_edges(map3(lambda part: part[:, pair_index], normals), box_ray)
+        box_ray = map_xyz(lambda component: component[:, box_triple], ray)
+        values = evaluate_box_edges(map_xyz(lambda part: part[:, pair_index], normals), box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the outline ends where the planes through its neighbours become negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
@@ -281,9 +281,9 @@ class CellSurfaces(NamedTuple):
         inverse_t : (6, k) float array
             1 / t for each ray, where t * ray is the vector from the eye to the surface.
         """
-        frame, (x, y, z) = self.hits.scene.frame, take3(self.hits.from_eye, hit_index)
-        scale = frame.depth / z
-        ray = cell_rays(frame, x * scale, y * scale, self.cell_width)
+        frame, (x, y, z) = self.hits.scene.frame, take(self.hits.from_eye, hit_index)
+        depth_ratio = frame.depth / z
+        ray = cell_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
@@ -313,7 +313,7 @@ class CellSurfaces(NamedTuple):
         max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
         hidden_depth = InverseDepth.from_hits(hidden_hits)
-        for hidden_index in split_indices(indices(is_close)):
+        for hidden_index in split_indices(find(is_close)):
             ray, inverse_t = self.trace_rays(visible_index[hidden_index])
             hidden_inverse_t = hidden_depth.take(hidden_index).compute_inverse_t(ray)
             yield self.cell[visible_index[hidden_index]], inverse_t - hidden_inverse_t
@@ -352,9 +352,9 @@ class CellSurfaces(NamedTuple):
         frame, boxes = scene.frame, scene.boxes
         cell_angle = _compute_cell_angle(frame, self.cell_width)
         is_candidate = is_close | scene.is_eye_inside[hit_object]
-        box_hit = indices(is_candidate & boxes.objects.contains(hit_object))
+        box_hit = find(is_candidate & boxes.objects.contains(hit_object))
         hit_object, front_hit = hit_object[box_hit], visible_index[box_hit]
-        from_eye, distance = take3(hidden_hits.from_eye, box_hit), hidden_hits.distance[box_hit]
+        from_eye, distance = take(hidden_hits.from_eye, box_hit), hidden_hits.distance[box_hit]
         visible_distance, footprint = self.hits.distance[front_hit], self.footprint[front_hit]
         box_index = boxes.objects.to_local(hit_object)
         is_eye_inside = scene.is_eye_inside[hit_object]
@@ -391,7 +391,7 @@ class CellSurfaces(NamedTuple):
             if not group.shape.is_planar or not np.any(is_other_face):
                 continue
             hit_index = np.arange(group.interval.start, group.interval.stop)
-            hit_offset = frame.scene_component(take3(self.hits.from_eye, group.interval), axis)
+            hit_offset = frame.scene_component(take(self.hits.from_eye, group.interval), axis)
             box_index = scene.boxes.objects.to_local(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
                 run_offset = corner[axis, box_index] - frame.eye[axis]
@@ -429,7 +429,7 @@ class CellSurfaces(NamedTuple):
             of the cell, in the order of `cell_rays`.  The function is 1 / t1 - 1 / t2, where the
             ray meets the visible surface at t1 * ray and the plane at t2 * ray.
         """
-        for batch in split_indices(indices(may_meet)):
+        for batch in split_indices(find(may_meet)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
             face_component = self.hits.scene.frame.scene_component(ray, axis)
             yield self.cell[hit_index[batch]], inverse_t - face_component / plane_offset[batch]
@@ -463,8 +463,8 @@ class CellSurfaces(NamedTuple):
             light_index, hit_index, occluder_index = edge_triples[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
             # The vector from the light to the surface is t * ray - light.  Divide it by t.
-            scaled_light = scale3(take3(light_from_eye, light_index), inverse_t)
-            light_ray = map3(np.subtract, ray, scaled_light)
+            scaled_light = scale(take(light_from_eye, light_index), inverse_t)
+            light_ray = map_xyz(np.subtract, ray, scaled_light)
             triples = np.array([light_index, self.cell[hit_index], occluder_index])
             yield from evaluate_silhouettes(scene, light_position, triples, light_ray)
 
@@ -499,14 +499,14 @@ class CellSurfaces(NamedTuple):
         light_from_eye = scene.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.
         max_turn = self.footprint * scene.curvature[hit_object]
-        for pair_index in split_indices(indices(n_dot_l**2 < max_turn * max_turn * length2)):
+        for pair_index in split_indices(find(n_dot_l**2 < max_turn * max_turn * length2)):
             light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
             # The ray meets the sphere at ray / inverse_t.  Multiply all vectors by inverse_t.
             sphere_index = spheres.objects.to_local(hit_object[hit_index])
-            center = take3(spheres.from_eye, sphere_index)
-            normal = map3(np.subtract, ray, scale3(center, inverse_t))
-            light = scale3(take3(light_from_eye, light_index), inverse_t)
-            to_light = map3(np.subtract, light, ray)
+            center = take(spheres.from_eye, sphere_index)
+            normal = map_xyz(np.subtract, ray, scale(center, inverse_t))
+            light = scale(take(light_from_eye, light_index), inverse_t)
+            to_light = map_xyz(np.subtract, light, ray)
             length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
             yield self.cell[hit_index], dot(normal, to_light) / length_product

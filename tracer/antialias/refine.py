@@ -32,7 +32,7 @@ from tracer.antialias.edges import find_silhouette_pixels
 from tracer.antialias.lattice import CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
 from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
-from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, indices, split_indices
+from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, find, split_indices
 from tracer.trace.radiance import compute_radiance_and_ids
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
@@ -146,7 +146,7 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
     is_refinable = is_inner & ~classes.is_crowded
     pixel_mean = _compute_cell_means(scene, classes, estimate, is_refinable)
-    crowded_index = indices(is_inner & classes.is_crowded)
+    crowded_index = find(is_inner & classes.is_crowded)
     lattice = Lattice.choose(grid_side, ratio=1)
     pixel_mean[:, crowded_index], _ = _sample_cells(scene, classes, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
@@ -187,12 +187,12 @@ def _compute_cell_means(
     is_pending = is_refinable & (has_lines | classes.is_unresolved | ~is_accurate)
     if first_lattice is not None:
         has_only_lines = is_pending & has_lines & ~(classes.is_unresolved | is_inaccurate)
-        sampled_index = indices(is_pending if includes_unresolved else has_only_lines)
+        sampled_index = find(is_pending if includes_unresolved else has_only_lines)
         sampled_mean, misses_edge = _sample_cells(scene, classes, sampled_index, first_lattice)
         finished_index = sampled_index[~misses_edge]
         cell_mean[:, finished_index] = sampled_mean[:, ~misses_edge]
         is_pending[finished_index] = False
-    pending_index = indices(is_pending)
+    pending_index = find(is_pending)
     if second_lattice is not None:
         cell_mean[:, pending_index], _ = _sample_cells(
             scene, classes, pending_index, second_lattice
@@ -253,7 +253,7 @@ def _sample_cells(
     for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
-        batch_lines = lines.take(indices(index_in_batch[lines.cell] >= 0))
+        batch_lines = lines.take(find(index_in_batch[lines.cell] >= 0))
         batch_lines = batch_lines._replace(cell=index_in_batch[batch_lines.cell])
         points = place_weighted_points(batch_lines, batch.size, lattice.points())
         x, y = cells.to_picture(cell_index[batch][points.cell], points.position)
@@ -300,7 +300,7 @@ def _refine_quarters(
     estimate = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
     is_unresolved = quarter_classes.is_unresolved.reshape(cell_count, 4).all(axis=1)
     line_count = np.bincount(quarter_classes.lines.cell // 4, minlength=cell_count)
-    tested_index = indices(is_unresolved & (line_count == 0))
+    tested_index = find(is_unresolved & (line_count == 0))
     lattice = Lattice.choose(classes.cells.samples_per_side, ratio=1)
     sampled_mean, misses_edge = _sample_cells(scene, classes, cell_index[tested_index], lattice)
     quarter_radiance = estimate.radiance.reshape(3, cell_count, 4)

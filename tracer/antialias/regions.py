@@ -17,7 +17,7 @@ import numpy as np
 
 from tracer.antialias.edge_functions import Lines
 from tracer.antialias.lattice import Points2D
-from tracer.arrays import Bools, Floats, Ints, indices
+from tracer.arrays import Bools, Floats, Ints, find
 
 # Regions of at most this fraction of the cell's area are ignored if they contain too few points.
 # Each changes the mean radiance of a cell by at most this fraction of the largest radiance.
@@ -88,7 +88,7 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     position, region = position.T.ravel(), region.T.ravel()
     triangles = _divide_into_triangles(lines, line_start, max_lines)
     weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
-    added_index = indices(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
+    added_index = find(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
     placed_points = WeightedPoints(cells.repeat(points.size), position, weight, region)
     pairs = zip(placed_points, triangles, strict=True)
     return WeightedPoints(*(np.append(field, added[added_index]) for field, added in pairs))
@@ -115,7 +115,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     """
     reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region] = sample_id  # the id of an arbitrary sample in the region
-    return indices(reference_id[region] != sample_id)
+    return find(reference_id[region] != sample_id)
 
 
 def _evaluate_lines(
@@ -146,7 +146,7 @@ def _evaluate_lines(
         Value c + a x + b y of the line at each point in these cells.
     """
     line_index = line_start[cell_index] + line_number
-    element_index = indices(line_index < line_start[cell_index + 1])
+    element_index = find(line_index < line_start[cell_index + 1])
     line, point = lines.take(line_index[element_index]), position[:, element_index]
     return element_index, line.a * point.real + line.b * point.imag + line.c
 
@@ -182,7 +182,7 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
         region[triangle[positive_count == 3]] |= 1 << line_number
-        crossed = indices((positive_count == 1) | (positive_count == 2))
+        crossed = find((positive_count == 1) | (positive_count == 2))
         # Rotate the corners so that the first corner, a, is the one that is alone on its side.
         is_first_positive, parent = positive_count[crossed] == 1, triangle[crossed]
         first_corner = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)

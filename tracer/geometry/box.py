@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, map3, repeat_runs, take3, take_2d
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, map_xyz, repeat_runs, take, take_2d
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.numbering import ObjectRange, box_range
 from tracer.geometry.rounding import (
@@ -260,7 +260,7 @@ class Boxes:
             Smallest and largest coordinates x, y and z of each box, in scene axes.
         """
         box_index = self.objects.to_local(object_index)
-        return take3(self.min_pt, box_index), take3(self.max_pt, box_index)
+        return take(self.min_pt, box_index), take(self.max_pt, box_index)
 
     def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
         """Test whether a light is inside each of n boxes.
@@ -301,7 +301,7 @@ class Boxes:
             shape of (n,) and the points.
         """
         low, high = self.get_corners(object_index)
-        plane_distances = *map3(np.subtract, low, point), *map3(np.subtract, point, high)
+        plane_distances = *map_xyz(np.subtract, low, point), *map_xyz(np.subtract, point, high)
         return np.asarray(np.max(plane_distances, axis=0))
 
     def occludes(
@@ -337,7 +337,7 @@ class Boxes:
         """
         low, high = self.get_corners(object_index)
         if growth is not None:
-            low, high = map3(lambda x: x - growth, low), map3(lambda x: x + growth, high)
+            low, high = map_xyz(lambda x: x - growth, low), map_xyz(lambda x: x + growth, high)
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
         tolerance = compute_hit_tolerance(coordinate_bound, hit, self.frame.eye)
         snapped_hit = _snap_to_faces(hit, low, high, tolerance)
@@ -478,7 +478,7 @@ def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) 
         is_on_low, is_on_high = np.abs(x - low_x) <= tolerance, np.abs(x - high_x) <= tolerance
         return np.where(is_on_low, low_x, np.where(is_on_high, high_x, x))
 
-    return map3(snap_coordinate, point, low, high)
+    return map_xyz(snap_coordinate, point, low, high)
 
 
 def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:

@@ -33,7 +33,7 @@ class ObjectRange(NamedTuple):
         """The slice that selects the objects of the shape from an array of all objects."""
         return slice(self.start, self.start + self.size)
 
-    def indices(self) -> Ints:
+    def list_indices(self) -> Ints:
         """List the indices of all objects of the shape.
 
         Returns

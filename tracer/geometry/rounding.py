@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Triple, dot, map3
+from tracer.arrays import Floats, Triple, dot, map_xyz
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
@@ -121,5 +121,5 @@ def compute_hit_tolerance(coordinate_bound: Floats, hit: Triple, eye: Floats) ->
     tolerance : (n,) float array
         Maximum distance from the surface, in the scene's unit of length.
     """
-    eye_to_hit = map3(np.subtract, hit, (eye[0], eye[1], eye[2]))
+    eye_to_hit = map_xyz(np.subtract, hit, (eye[0], eye[1], eye[2]))
     return SURFACE_TOLERANCE * (np.sqrt(dot(eye_to_hit, eye_to_hit)) + coordinate_bound)

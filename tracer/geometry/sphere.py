@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, indices, map3, repeat_runs, take3
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, find, map_xyz, repeat_runs, take
 from tracer.geometry.camera import CameraFrame, ScreenBounds
 from tracer.geometry.numbering import ObjectRange, sphere_range
 from tracer.geometry.rounding import (
@@ -186,7 +186,7 @@ class Spheres:
         disc_radius2 : (n,) float array
             Squared radius of the disc; negative if the plane misses the sphere.
         """
-        (center_right, down, forward), depth = take3(self.from_eye, sphere_index), self.frame.depth
+        (center_right, down, forward), depth = take(self.from_eye, sphere_index), self.frame.depth
         ray_ahead = np.sqrt(ray_down * ray_down + depth * depth)
         plane_distance = (down * depth - forward * ray_down) / ray_ahead
         center_ahead = (down * ray_down + forward * depth) / ray_ahead
@@ -327,7 +327,7 @@ class Spheres:
             and the points.
         """
         sphere_index = self.objects.to_local(object_index)
-        to_center = map3(np.subtract, take3(self.center, sphere_index), point)
+        to_center = map_xyz(np.subtract, take(self.center, sphere_index), point)
         return np.sqrt(dot(to_center, to_center)) - self.radius[sphere_index]
 
     def occludes(
@@ -362,8 +362,8 @@ class Spheres:
             Whether the sphere blocks the segment.
         """
         sphere_index = self.objects.to_local(object_index)
-        to_light = map3(np.subtract, light, hit)
-        to_center = map3(np.subtract, take3(self.center, sphere_index), hit)
+        to_light = map_xyz(np.subtract, light, hit)
+        to_center = map_xyz(np.subtract, take(self.center, sphere_index), hit)
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
@@ -371,14 +371,14 @@ class Spheres:
         # to the centre lies inside the sphere and between the ends.
         projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
         closest_t = projection / length2
-        perpendicular = map3(lambda center, step: center - closest_t * step, to_center, to_light)
+        perpendicular = map_xyz(lambda center, step: center - closest_t * step, to_center, to_light)
         is_line_cut = dot(perpendicular, perpendicular) < radius * radius
         blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
         tolerance = compute_hit_tolerance(self.coordinate_bound[sphere_index], hit, self.frame.eye)
         hit_side = determine_side(hit_height, tolerance)
         # If an end is on the surface or inside the sphere, the sides of both ends decide.
-        special_index = indices((hit_side != OUTSIDE) | (light_side != OUTSIDE))
+        special_index = find((hit_side != OUTSIDE) | (light_side != OUTSIDE))
         if special_index.size:
             hit_side, light_side = hit_side[special_index], light_side[special_index]
             projection, length2 = projection[special_index], length2[special_index]
@@ -416,9 +416,9 @@ class Spheres:
             True only if the sphere certainly blocks all segments.
         """
         sphere_index = self.objects.to_local(object_index)
-        center, radius = take3(self.center, sphere_index), self.radius[sphere_index]
-        axis = map3(np.subtract, end, start)
-        to_center = map3(np.subtract, center, start)
+        center, radius = take(self.center, sphere_index), self.radius[sphere_index]
+        axis = map_xyz(np.subtract, end, start)
+        to_center = map_xyz(np.subtract, center, start)
         projection, length2 = dot(to_center, axis), dot(axis, axis)
         start_distance2 = dot(to_center, to_center)
         end_distance2 = start_distance2 - 2 * projection + length2

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tracer.antialias.lattice import CENTERS
-from tracer.arrays import Ints, Vector, take3
+from tracer.arrays import Ints, Vector, take
 from tracer.picture.lint import name_element
 from tracer.picture.png import to_codes
 from tracer.scene.model import Lambertian, Scene, normalize
@@ -340,10 +340,10 @@ def _find_occluders(hit: Hits, light: Lights) -> Ints:
     """
     occluder_groups = []
     for shape in hit.scene.shapes:
-        other_objects = np.setdiff1d(shape.objects.indices(), hit.hit_object)
+        other_objects = np.setdiff1d(shape.objects.list_indices(), hit.hit_object)
         # Repeat the hit and the light for each object.
         hit_position = hit.get_points(np.zeros_like(other_objects))
-        light_position = take3(light.position.T, np.zeros_like(other_objects))
+        light_position = take(light.position.T, np.zeros_like(other_objects))
         light_side = light.side[0, other_objects]
         is_blocking = shape.occludes(other_objects, hit_position, light_position, light_side)
         occluder_groups.append(other_objects[is_blocking])

@@ -152,7 +152,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     is_enclosed = np.concatenate(
         [
             # A light that is inside by less than the tolerance counts as on the surface.
-            shape.signed_distance(shape.objects.indices(), (x, y, z))
+            shape.signed_distance(shape.objects.list_indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_bound
             for shape in prepared_scene.shapes
         ],

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Floats, Ints, Triple, dot, map3, repeat_runs, take3
+from tracer.arrays import Floats, Ints, Triple, dot, map_xyz, repeat_runs, take
 from tracer.trace.samples import Samples
 from tracer.world.prepared_scene import PreparedScene, Shape
 
@@ -161,7 +161,7 @@ class Hits(NamedTuple):
     @property
     def normal(self) -> Triple:
         """Components (n,) of the unit normals that face the eye, in camera axes."""
-        group_normals = [map3(group.expand, group.normal) for group in self.groups]
+        group_normals = [map_xyz(group.expand, group.normal) for group in self.groups]
         x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
         return x, y, z
 
@@ -199,4 +199,4 @@ class Hits(NamedTuple):
         position : tuple of three (k,) float arrays
             Coordinates x, y and z of the hits.
         """
-        return self.scene.frame.point_to_scene(take3(self.from_eye, hit_index))
+        return self.scene.frame.point_to_scene(take(self.from_eye, hit_index))

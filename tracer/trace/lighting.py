@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Triple, dot, indices, map3, scale3, take3
+from tracer.arrays import Bools, Floats, Ints, Triple, dot, find, map_xyz, scale, take
 from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_LENGTH2, MIN_HALF_SQUARE
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import Lights
@@ -77,7 +77,7 @@ class LightGeometry(NamedTuple):
             The strength at each selected hit, from 0 to 1.
         """
         hits = self.hits
-        from_eye = take3(hits.from_eye, hit_index)
+        from_eye = take(hits.from_eye, hit_index)
         x, y, z = self.lights.from_eye[light_index].tolist()
         to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
         light_distance = np.sqrt(self.length2[light_index][hit_index])
@@ -93,11 +93,11 @@ class LightGeometry(NamedTuple):
         strength: Floats = np.exp(0.5 * exponent * np.log(cosine_squared))
         # The rounding error is large if l and v almost cancel, or the exponent amplifies the error.
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
-        redo_index = indices(is_inaccurate)
+        redo_index = find(is_inaccurate)
         if redo_index.size:
-            light_direction = scale3(take3(to_light, redo_index), 1 / light_distance[redo_index])
-            eye_direction = scale3(take3(from_eye, redo_index), -1 / eye_distance[redo_index])
-            unit_vectors = take3(hits.normal, hit_index[redo_index]), light_direction, eye_direction
+            light_direction = scale(take(to_light, redo_index), 1 / light_distance[redo_index])
+            eye_direction = scale(take(from_eye, redo_index), -1 / eye_distance[redo_index])
+            unit_vectors = take(hits.normal, hit_index[redo_index]), light_direction, eye_direction
             strength[redo_index] = _compute_accurate_strength(*unit_vectors, exponent[redo_index])
         return strength
 
@@ -123,10 +123,10 @@ def _compute_accurate_strength(
     strength : (n,) float array
         Strength at each of n points; 0 if the light and the eye are in opposite directions.
     """
-    direction_sum = map3(np.add, light_direction, eye_direction)
+    direction_sum = map_xyz(np.add, light_direction, eye_direction)
     length2 = dot(direction_sum, direction_sum)
     # With e = n - h, the cosine n.h is 1 - e.e / 2.  log1p keeps the digits that n.h would lose.
-    e = map3(np.subtract, normal, scale3(direction_sum, 1 / np.sqrt(length2)))
+    e = map_xyz(np.subtract, normal, scale(direction_sum, 1 / np.sqrt(length2)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
     # If the directions are opposite, both lie in the tangent plane, and their sum is only rounding
@@ -187,7 +187,7 @@ class Shading:
             cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.length2[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
-            lit_index = indices(is_hit_lit[self._glossy_slice] & self._is_glossy)
+            lit_index = find(is_hit_lit[self._glossy_slice] & self._is_glossy)
             if lit_index.size:
                 strength = np.zeros(self._is_glossy.size)
                 hit_index = self._glossy_slice.start + lit_index
@@ -343,7 +343,7 @@ def find_narrow_highlights(
     for light_index, hit_faces_light in enumerate(faces_light):
         max_turn_rate = turn_rate + 1 / np.sqrt(geometry.length2[light_index])
         max_step = radius * max_turn_rate * x_per_angle  # maximum change of x over the footprint
-        hit_index = indices((max_step > _MAX_LOBE_STEP) & hit_faces_light)
+        hit_index = find((max_step > _MAX_LOBE_STEP) & hit_faces_light)
         if hit_index.size:
             strength = geometry.compute_highlight_strength(light_index, hit_index)
             x = np.minimum(np.sqrt(-np.log(strength)), _LOBE_UNDERFLOW)

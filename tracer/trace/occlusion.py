@@ -44,11 +44,11 @@ from tracer.arrays import (
     Floats,
     Ints,
     enumerate_ranges,
+    find,
     find_runs,
-    indices,
     put_2d,
     split_by_size,
-    take3,
+    take,
     take_2d,
 )
 from tracer.geometry.rounding import ON
@@ -197,7 +197,7 @@ def _query_grid(
         for candidates in grid.query(center, radius, own_object, is_lit):
             candidates[1] += start
             for shape in shapes:
-                group = candidates.take(indices(shape.objects.contains(candidates[2])), axis=1)
+                group = candidates.take(find(shape.objects.contains(candidates[2])), axis=1)
                 for batch in split_by_size(packets.child_count[group[1]]):
                     yield shape, group[:, batch]
 
@@ -232,16 +232,16 @@ def _test_packets(
         Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
     """
     # An object in an earlier batch may shade the whole packet.
-    candidates = candidates.take(indices(take_2d(packets.is_lit, *candidates[:2])), axis=1)
+    candidates = candidates.take(find(take_2d(packets.is_lit, *candidates[:2])), axis=1)
     light_index, packet_index, object_index = candidates
-    center, radius = take3(packets.center, packet_index), packets.radius[packet_index]
-    light_position = take3(lights.position.T, light_index)
+    center, radius = take(packets.center, packet_index), packets.radius[packet_index]
+    light_position = take(lights.position.T, light_index)
     may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
-    shaded_packets = candidates[:2].take(indices(blocks_all), axis=1)
+    shaded_packets = candidates[:2].take(find(blocks_all), axis=1)
     put_2d(packets.is_lit, shaded_packets[0], shaded_packets[1], False)
     # Another object in this batch may shade the whole packet.
     is_undecided = may_block & take_2d(packets.is_lit, light_index, packet_index)
-    return candidates.take(indices(is_undecided), axis=1), shaded_packets
+    return candidates.take(find(is_undecided), axis=1), shaded_packets
 
 
 class _EdgeSet:
@@ -423,8 +423,8 @@ def _test_footprints(
     grown_blocks = _test_segments(hits, lights, shape, candidates, growth)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
-    light_distance = shape.signed_distance(candidates[2], take3(lights.position.T, candidates[0]))
-    near_index = indices(grown_blocks | (light_distance <= growth))
+    light_distance = shape.signed_distance(candidates[2], take(lights.position.T, candidates[0]))
+    near_index = find(grown_blocks | (light_distance <= growth))
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]
     blocks = _test_segments(hits, lights, shape, near_candidates)
@@ -460,7 +460,7 @@ def _test_segments(
         Whether the object blocks the segment from the hit to the light.
     """
     light_index, hit_index, object_index = candidates
-    light_position = take3(lights.position.T, light_index)
+    light_position = take(lights.position.T, light_index)
     light_side = take_2d(lights.side, light_index, object_index)
     hit_position = hits.get_points(hit_index)
     return shape.occludes(object_index, hit_position, light_position, light_side, growth)
@@ -602,7 +602,7 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
         corner = hits.from_eye.take(first_hit, axis=1)
         opposite_corner = hits.from_eye.take(last_hit, axis=1)
     half_diagonal = 0.5 * (opposite_corner - corner)
-    center = hits.scene.frame.point_to_scene(take3(corner + half_diagonal, slice(None)))
+    center = hits.scene.frame.point_to_scene(take(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))
 
 

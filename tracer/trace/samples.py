@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, enumerate_ranges, indices, mark_run_starts
+from tracer.arrays import Floats, Ints, enumerate_ranges, find, mark_run_starts
 from tracer.geometry.camera import CameraFrame
 from tracer.world.prepared_scene import PreparedScene, Shape
 
@@ -67,7 +67,7 @@ def find_object_spans(
         Ends of each span, in pixels from the left edge of the picture; left <= right.
     """
     bounds = scene.bounds.take(shape.objects.slice)
-    candidate = indices((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
+    candidate = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
     first_row = row_top.searchsorted(bounds.top[candidate] - pad - height)
     stop_row = row_top.searchsorted(bounds.bottom[candidate] + pad, side="right")
     span_candidate, row = enumerate_ranges(np.maximum(stop_row - first_row, 0), first_row)
@@ -75,7 +75,7 @@ def find_object_spans(
     object_index = position + shape.objects.start
     left, right = shape.find_columns(object_index, row_top[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
-    kept_span = indices(left <= right)
+    kept_span = find(left <= right)
     return object_index[kept_span], row[kept_span], left[kept_span] - pad, right[kept_span] + pad
 
 
@@ -228,7 +228,7 @@ class Scattered(NamedTuple):
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
         is_row_start = mark_run_starts(np.floor(y))
-        return cls(y, x, indices(is_row_start), _encode_position(is_row_start.cumsum(), x)), order
+        return cls(y, x, find(is_row_start), _encode_position(is_row_start.cumsum(), x)), order
 
     @property
     def size(self) -> int:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.arrays import Bools, Floats, Ints, indices, join_ranges, mark_run_starts, repeat_runs
+from tracer.arrays import Bools, Floats, Ints, find, join_ranges, mark_run_starts, repeat_runs
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
@@ -128,7 +128,7 @@ class _Intersections(NamedTuple):
         selection : _Intersections
             The selected pairs in the same order; this object itself if all pairs are selected.
         """
-        selected_pair = indices(is_selected)
+        selected_pair = find(is_selected)
         if selected_pair.size == is_selected.size:
             return self
         shape, sample_count, object_index, ray_down, *pair_fields = self
@@ -169,7 +169,7 @@ class _Intersections(NamedTuple):
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
             is_start[1:] |= np.diff(self.sample) > 1  # a nearer object interrupts the run
-        return indices(is_start)
+        return find(is_start)
 
 
 def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersections]:

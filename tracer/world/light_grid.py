@@ -55,8 +55,8 @@ from tracer.arrays import (
     Floats,
     Ints,
     enumerate_ranges,
+    find,
     find_runs,
-    indices,
     join_ranges,
     split_by_size,
 )
@@ -207,11 +207,11 @@ class LightGrid(NamedTuple):
                 pair_entry = self.listed_entry.take(join_ranges(starts[batch], lengths[batch]))
                 is_within = self.entry_bounds.take(pair_entry, axis=0) >= bounds.take(pair_part, 0)
                 # The same as is_within.all(axis=1), but much faster.
-                match_index = indices(is_within.view(np.uint64) == _EIGHT_TRUE)
+                match_index = find(is_within.view(np.uint64) == _EIGHT_TRUE)
                 occluder = self.entry_object.take(pair_entry.take(match_index))
                 match_box = box_index.take(pair_part.take(match_index))
                 light_index, ball_index = np.divmod(match_box, ball_count)
-                kept = indices(occluder != own_object_index.take(ball_index))
+                kept = find(occluder != own_object_index.take(ball_index))
                 yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
 
     def _find_ranges(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
@@ -241,7 +241,7 @@ class LightGrid(NamedTuple):
                 self.list_start.take(4 * cell_index + list_limit.take(place)).astype(np.intp)
                 for list_limit in _LIST_LIMITS
             )
-            nonempty_index = indices(stops > starts)
+            nonempty_index = find(stops > starts)
             starts, stops = starts.take(nonempty_index), stops.take(nonempty_index)
             yield rectangle_index.take(nonempty_index), starts, stops - starts
 
@@ -289,11 +289,11 @@ def build_light_grid(
     parts = _split_by_octant(vector_min, vector_max, every_octant, every_box)
     octant_index, box_index, rectangles, bounds = parts
     object_index = box_index % object_count
-    visible_part = indices(is_visible[object_index])
+    visible_part = find(is_visible[object_index])
     patches = _choose_patches(octant_index[visible_part], rectangles[:, visible_part], octant_count)
     patch_of_octant, patch_origin, patch_size = patches
     patch_index = patch_of_octant[octant_index]
-    entry_part = indices((patch_index >= 0) & is_occluder[object_index])
+    entry_part = find((patch_index >= 0) & is_occluder[object_index])
     # Rounding to float32 is monotonic: if a >= b, the same holds for the rounded numbers.
     dtype = np.float32 if patch_size.min() > _MIN_FLOAT32_WIDTH else np.float64
     # Swap and negate each pair of rows, so that each minimum of a ball is compared with the
@@ -417,7 +417,7 @@ def _split_by_octant(
     signs = product(z_signs, y_signs, x_signs)
     has_part = [has_z & has_y & has_x & is_active for has_z, has_y, has_x in signs]
     is_wanted = (patch_of_octant >= 0).reshape(8, -1, 1)
-    part_index = indices(np.array(has_part) & is_wanted)
+    part_index = find(np.array(has_part) & is_wanted)
     # Bit 0 of `sign_bits` is set if x is negative, bit 1 if y is, and bit 2 if z is.
     octant_index, sign_bits = part_index // vector_min.shape[2], part_index // vector_min[0].size
     box_index = part_index - sign_bits * vector_min[0].size

@@ -224,7 +224,7 @@ class PreparedScene:
         position = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = position.T[:, :, None]
         shapes = self._all_shapes
-        sides = [shape.find_light_side(shape.objects.indices(), (x, y, z)) for shape in shapes]
+        sides = [shape.find_light_side(shape.objects.list_indices(), (x, y, z)) for shape in shapes]
         boxes = [shape.compute_bounding_boxes() for shape in shapes]
         box_min, box_max = (np.concatenate(points, axis=1) for points in zip(*boxes, strict=True))
         is_visible = self.bounds.in_picture(self.frame)
