@@ -13,12 +13,25 @@ These decide how the mean radiance of the cell is computed:
    and the cell is divided after all.
 3. All other cells are divided into quarters, down to a smallest size.  Cells of this size are
    sampled, a second time on a finer lattice if the first one shows that an edge was missed.
-   `_choose_lattices` lists the lattices.  If all quarters of a cell are *unresolved* (they may
+   The table below lists the lattices.  If all quarters of a cell are *unresolved* (they may
    contain something other than straight edges), then a lattice of samples tests whether the cell
    is smooth nevertheless.
 4. *Crowded* pixels, in which finding all edges would cost more than a lattice of samples, are
    sampled immediately.  So are all pixels of a picture that is full of edges: see
    `is_supersampling_cheaper`.
+
+How a cell that edges cross is refined depends on the number n of samples that are requested along
+each of its sides, and on whether it is a pixel or a part of one (`_choose_lattices`).  A cell goes
+on to the second step unless the samples of the first step show that no edge was missed:
+
+==============  =======================================  ===========================
+cells           first step                               second step
+==============  =======================================  ===========================
+n > 6           none                                     division into quarters
+3 < n <= 6      25 samples in cells with straight edges  division into quarters
+n <= 3, pixels  5 samples in cells with straight edges   lattice for a grid of n x n
+n <= 3, parts   13 samples in all cells                  lattice for a grid of 5 x 5
+==============  =======================================  ===========================
 
 Whitted, An improved illumination model for shaded display, Communications of the ACM 23, 1980.
 """

@@ -29,6 +29,20 @@ remove objects level by level, and an exact test decides each remaining pair of 
 All steps before the exact test are conservative.  They remove a pair of a packet and an object only
 if (1) the object certainly blocks no shadow segment of the packet, or (2) a single object certainly
 shades the whole packet.  So the result equals that of testing all pairs.
+
+For antialiasing, each object is tested three times with a shadow segment: unchanged, grown by the
+radius of the footprint, and shrunk by it.  The first row that applies tells how the shadow of the
+object meets the footprint (`_test_footprints`):
+
+==================  ===========================================================================
+shadow              condition
+==================  ===========================================================================
+covers it           The unchanged and the shrunk object block the segment, and the light is not on
+                    the surface of the object.
+may have an edge    The grown object blocks the segment, or the light is at most the radius of the
+                    footprint away from the surface of the object.
+does not reach it   otherwise
+==================  ===========================================================================
 """
 
 from __future__ import annotations
