@@ -352,7 +352,7 @@ def _compare_files(
     diagnosis = reference.diagnose(picture)
     notes = ("It", picture.note), (reference_path.name, reference.picture.note)
     sentences = [f"{name} {note}" for name, note in notes if note and diagnosis.kind != "identical"]
-    result = result._replace(diagnosis=diagnosis.preceded_by(" ".join(sentences)))
+    result = result._replace(diagnosis=diagnosis.prepend_text(" ".join(sentences)))
     if picture.codes.shape != reference.codes.shape:
         return result, None
     ssim, rmse, max_difference, difference = compare_codes(picture.codes, reference.codes)

@@ -48,7 +48,7 @@ class Picture(NamedTuple):
         …".  Empty if it did not.
     lossy_levels : int
         Number of levels by which the file format may have altered the codes.
-    save : callable, optional
+    reencode : callable, optional
         Saves codes (h, w, 3) in the format of the file, and returns the codes (h, w, 3) that are
         read back.
     """
@@ -56,7 +56,7 @@ class Picture(NamedTuple):
     codes: Codes
     note: str = ""
     lossy_levels: int = 0
-    save: Callable[[Codes], Codes] | None = None
+    reencode: Callable[[Codes], Codes] | None = None
 
 
 def read_picture(path: Path) -> Picture:
@@ -127,8 +127,8 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
     black_image = Image.new("RGBA", rgba_image.size, (0, 0, 0, 255))
     codes = np.asarray(Image.alpha_composite(black_image, rgba_image).convert("RGB"))
     if image.format == "JPEG":
-        note, round_trip = _NOTE_OF_FORMAT.format("JPEG"), _make_jpeg_round_trip(image)
-        return Picture(codes, note, lossy_levels=3, save=round_trip)
+        note, reencode = _NOTE_OF_FORMAT.format("JPEG"), _make_jpeg_encoder(image)
+        return Picture(codes, note, lossy_levels=3, reencode=reencode)
     # A lossless WEBP contains a chunk named VP8L.
     if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
         return Picture(codes, _NOTE_OF_FORMAT.format("WEBP"), lossy_levels=12)
@@ -157,8 +157,8 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
     return False
 
 
-def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Create a function that saves and reloads pictures with the compression of a given JPEG.
+def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
+    """Make a function that compresses pictures as a given JPEG is compressed.
 
     Parameters
     ----------
@@ -167,14 +167,15 @@ def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
 
     Returns
     -------
-    round_trip : callable
-        Takes the codes (h, w, 3) of a picture, and returns those of the reloaded picture.
+    reencode : callable
+        Takes the 8-bit codes (h, w, 3) of a picture.  Returns the codes that are read back after
+        the picture is saved as a JPEG.
     """
     quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
 
-    def round_trip(codes: Codes) -> Codes:
-        """Return the codes of a picture after it is saved as a JPEG in memory and reloaded."""
+    def reencode(codes: Codes) -> Codes:
+        """Save a picture as a JPEG in memory, and return the codes that are read back."""
         reloaded = np.empty_like(codes)
         band_height = JPEG_BLOCK * max(1, _PIXELS_PER_BAND // (JPEG_BLOCK * codes.shape[1]))
         for start in range(0, len(codes), band_height):
@@ -186,7 +187,7 @@ def _make_jpeg_round_trip(image: Image.Image) -> Callable[[Codes], Codes]:
             reloaded[start : start + band_height] = np.asarray(Image.open(jpeg_file))[rows]
         return reloaded
 
-    return round_trip
+    return reencode
 
 
 def to_columns(codes: Codes) -> Codes:
@@ -199,7 +200,7 @@ def to_picture(columns: Codes, width: int) -> Codes:
     return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
-def level_difference(first_codes: Codes, second_codes: Codes, channel_axis: int = -2) -> Codes:
+def compare_levels(first_codes: Codes, second_codes: Codes, channel_axis: int = -2) -> Codes:
     """Compute the difference of two pictures at each pixel: the largest of its three channels.
 
     Parameters

@@ -21,7 +21,7 @@ from reference.handins import symptoms
 from reference.handins.formulas import Array
 from reference.handins.mistakes import PICTURE_FORMULAS
 from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Submission
-from reference.pictures import Codes, Picture, level_difference, to_columns
+from reference.pictures import Codes, Picture, compare_levels, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
 AGREEING = ("identical", "rounding", "format")
@@ -88,11 +88,11 @@ class Diagnosis:
         texts = self.text_before, self.first_cause_text, note, self.text_after
         return " ".join(filter(None, texts))
 
-    def preceded_by(self, sentence: str) -> Diagnosis:
+    def prepend_text(self, sentence: str) -> Diagnosis:
         """Return a copy whose report begins with the given sentence, which may be empty."""
         return replace(self, text_before=f"{sentence} {self.text_before}".strip())
 
-    def with_mistake(self, keyword: str, sentence: str) -> Diagnosis:
+    def add_mistake(self, keyword: str, sentence: str) -> Diagnosis:
         """Return a copy with one more mistake at the beginning of each cause.
 
         If the diagnosis was that the picture is right, the mistake becomes the only cause.
@@ -147,7 +147,7 @@ class Reference:
         self.picture = Picture(_render_codes(scene)) if isinstance(scene, Scene) else scene
         self.codes: Codes = self.picture.codes
         # Cache only two renderers: those for all picture sizes in a class would fill the memory.
-        self._renderer_for_size = lru_cache(maxsize=2)(self._make_renderer)
+        self._get_renderer = lru_cache(maxsize=2)(self._make_renderer)
 
     def _make_renderer(self, height: int, width: int) -> MistakeRenderer:
         """Create the renderer that simulates mistakes in pictures of one size.
@@ -177,8 +177,8 @@ class Reference:
         Parameters
         ----------
         picture : Picture
-            The submitted picture.  A wrong size is reported as a mistake.  A turned picture is
-            turned back and then diagnosed.
+            The submitted picture.  A wrong size is reported as a mistake.  A picture turned by 90
+            degrees is turned back and then diagnosed.
 
         Returns
         -------
@@ -187,58 +187,57 @@ class Reference:
         """
         (height, width), reference_size = picture.codes.shape[:2], self.codes.shape[:2]
         if (height, width) == reference_size:
-            return self._diagnose_at_equal_size(picture)
+            return self._diagnose_pixels(picture)
         expected_size = f"{reference_size[1]}x{reference_size[0]}"
         size_sentence = f"The picture has {width}x{height} pixels in place of {expected_size}."
         if diagnosis := diagnose_single_color(picture.codes):
             return diagnosis
         if symptom := symptoms.find_reference_within(picture.codes, self.codes):
-            return _make_verdict(*symptom).preceded_by(size_sentence)
+            return _make_verdict(*symptom).prepend_text(size_sentence)
         if (width, height) == reference_size:
-            upright = {
-                keyword: turn_back(picture.codes) for keyword, turn_back in _TURN_BACK.items()
-            }
-            difference = {k: level_difference(upright[k], self.codes, 2).sum() for k in upright}
-            keyword = min(upright, key=difference.__getitem__)
-            upright_codes = np.ascontiguousarray(upright[keyword])
-            diagnosis = self._diagnose_at_equal_size(picture._replace(codes=upright_codes))
+            upright_codes = {keyword: turn_back(picture.codes)
+                             for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
+            differences = {keyword: compare_levels(codes, self.codes, 2).sum()
+                           for keyword, codes in upright_codes.items()}  # fmt: skip
+            keyword = min(differences, key=differences.__getitem__)
+            codes = np.ascontiguousarray(upright_codes[keyword])
+            diagnosis = self._diagnose_pixels(picture._replace(codes=codes))
             if diagnosis.kind != UNKNOWN:
-                sentence = self._renderer_for_size(*reference_size).mistakes[keyword].sentence
-                return diagnosis.with_mistake(keyword, sentence).preceded_by(size_sentence)
+                sentence = self._get_renderer(*reference_size).mistakes[keyword].sentence
+                return diagnosis.add_mistake(keyword, sentence).prepend_text(size_sentence)
         if not self.scene:
             return _make_verdict("size", size_sentence)
-        return self._diagnose_at_equal_size(picture).with_mistake("size", size_sentence)
+        return self._diagnose_pixels(picture).add_mistake("size", size_sentence)
 
-    def _diagnose_at_equal_size(self, picture: Picture) -> Diagnosis:
+    def _diagnose_pixels(self, picture: Picture) -> Diagnosis:
         """Diagnose a submitted picture by comparing it with a reference picture of the same size.
 
         Parameters
         ----------
         picture : Picture
-            The submitted picture.  If the reference is a picture, not a scene, both must have the
-            same size.
+            The submitted picture.  Without a scene, it must have the size of the reference picture.
 
         Returns
         -------
         Diagnosis
             The mistakes; or the verdict that the picture is right, or "unknown".
         """
-        codes, renderer = picture.codes, self._renderer_for_size(*picture.codes.shape[:2])
+        codes, renderer = picture.codes, self._get_renderer(*picture.codes.shape[:2])
         agreement = diagnose_agreement(to_columns(codes), renderer.reference_codes)
         if diagnosis := agreement or diagnose_single_color(codes):
             return diagnosis
-        codes = self.picture.save(codes) if self.picture.save else codes
+        codes = self.picture.reencode(codes) if self.picture.reencode else codes
         lossy_levels = max(picture.lossy_levels, self.picture.lossy_levels)
         imprecision = lossy_levels or _PICTURE_LEVELS * (self.scene is None)
-        submission = Submission(to_columns(codes), renderer, imprecision, picture.save)
+        submission = Submission(to_columns(codes), renderer, imprecision, picture.reencode)
         if lossy_levels and submission.is_wrong.mean() < 0.01:
             return _make_verdict("format", "It is the right picture.")
         finding = submission.find_mistakes()
         if finding.causes:
-            numbers = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
-            remainder = f"That leaves {numbers} pixels that differ."
+            counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
+            sentence = f"That leaves {counts} pixels that differ."
             causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
-            return Diagnosis(tuple(causes), "", remainder if finding.unexplained_count else "")
+            return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
         if not submission.lossy_levels and (symptom := symptoms.find_symptom(submission)):
             return _make_verdict(*symptom)
         return self._diagnose_unknown(submission, finding)
@@ -293,7 +292,7 @@ class Reference:
         renderer = submission.renderer
         both_codes = submission.codes, renderer.reference_codes
         width, height = renderer.width, renderer.pixel_count // renderer.width
-        levels = level_difference(*both_codes)
+        levels = compare_levels(*both_codes)
         is_wrong = levels > 1
         y, x = divmod(int(levels.argmax()), width)
         submitted_text, reference_text = (" ".join(map(str, codes[:, levels.argmax()]))
@@ -412,7 +411,7 @@ def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]
     -------
     column, row : int
     """
-    levels = level_difference(first_codes, second_codes, 2)
+    levels = compare_levels(first_codes, second_codes, 2)
     row, column = np.unravel_index(levels.argmax(), levels.shape)
     return int(column), int(row)
 
@@ -432,7 +431,7 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
     Diagnosis or None
         A diagnosis of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
-    levels = level_difference(submitted_codes, reference_codes)
+    levels = compare_levels(submitted_codes, reference_codes)
     count = int(np.count_nonzero(levels))
     if not count:
         return _make_verdict("identical", "The pictures are identical.")
@@ -478,7 +477,7 @@ def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
         The sentences by keyword.  Placeholders such as ``{fitted_gamma}`` are replaced with numbers
         estimated from the submitted picture.
     """
-    formulas = submission.renderer.formulas_for(cause)
+    formulas = submission.renderer.get_formulas(cause)
 
     def format_number(placeholder: re.Match[str]) -> str:
         return f"{submission.fitting_cache.get_value(placeholder[1], formulas):.3g}"

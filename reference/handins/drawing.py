@@ -15,7 +15,7 @@ import numpy as np
 
 from reference.figures import decode_to_linear
 from reference.handins import mistakes
-from reference.handins.formulas import Array, Formulas, list_parameters, used_names
+from reference.handins.formulas import Array, Formulas, collect_names, list_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
@@ -189,7 +189,7 @@ class FormulaCache:
             If the formula cannot be computed from the inputs of this cache.
         """
         if self._fitting_cache:
-            for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & used_names(replacements):
+            for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & collect_names(replacements):
                 fitted_value = self._fitting_cache.get_value(fitted_name, replacements)
                 replacements = replacements | {fitted_name: _make_constant_function(fitted_value)}
         if "samples" in replacements:  # average the clipped radiance over the samples of a pixel

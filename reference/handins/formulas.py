@@ -490,7 +490,7 @@ def list_parameters(function: Callable[..., Any]) -> tuple[str, ...]:
     return code.co_varnames[: code.co_argcount]
 
 
-def used_names(formulas: Formulas) -> set[str]:
+def collect_names(formulas: Formulas) -> set[str]:
     """Collect the names of all values that formulas use.
 
     Parameters

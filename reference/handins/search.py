@@ -24,8 +24,8 @@ import numpy as np
 
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
-from reference.handins.formulas import Array, Formulas, used_names
-from reference.pictures import JPEG_BLOCK, Codes, level_difference, to_columns, to_picture
+from reference.handins.formulas import Array, Formulas, collect_names
+from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_picture
 from tracer import Scene
 
 # A cause is reported if it leaves at most this share of the wrong pixels unexplained, or at most
@@ -38,7 +38,7 @@ _MIN_RATIO = 5
 _GROUPING_PIXELS = 2400
 # Maximum number of pixels in the first round, and of causes after it.  Each further round
 # has four times the pixels and a quarter of the causes, but no fewer than the last number.
-_FIRST_PIXELS, _MAX_CAUSES, _MIN_CAUSES = 240, 256, 16
+_FIRST_PIXELS, _MAX_CAUSES, _FINAL_CAUSES = 240, 256, 16
 # By chance, the right cause may leave this many more pixels of a round unexplained than the best.
 # The search ends if the best cause leaves more than this share of the wrong pixels unexplained.
 _MAX_CHANCE_PIXELS, _MAX_HOPELESS_SHARE = 4, 0.75
@@ -75,7 +75,7 @@ class Finding(NamedTuple):
         Number of pixels in which the submitted picture differs from the picture with the first
         cause; if there is no cause, from the picture with the hint.
     hint : tuple of str
-        If `causes` is empty, the cause with the most similar picture.  Empty if that picture
+        If `causes` is empty, the cause with the most similar picture.  Empty if even that picture
         explains less than half of the wrong pixels.
     """
 
@@ -84,12 +84,12 @@ class Finding(NamedTuple):
     hint: Cause = ()
 
 
-def choose_stratified(stratum: Array, max_count: int) -> Array:
+def choose_stratified(strata: Array, max_count: int) -> Array:
     """Choose items at random, about the same number from each stratum.
 
     Parameters
     ----------
-    stratum : (n,) int array
+    strata : (n,) int array
         The stratum of each of the n items.
     max_count : int
         Maximum number of items to choose, at most `_MAX_CANDIDATES`.
@@ -97,13 +97,12 @@ def choose_stratified(stratum: Array, max_count: int) -> Array:
     Returns
     -------
     item_index : (k,) int array
-        Indices of the chosen items; k is the smaller of n and `max_count`.  A smaller `max_count`
-        gives the first items of the same array.
+        Indices of the chosen items; k is the smaller of n and `max_count`.
     """
-    shuffled_items = shuffle(len(stratum))[:_MAX_CANDIDATES]
-    order = np.argsort(stratum[shuffled_items], kind="stable")
-    count = np.unique(stratum[shuffled_items], return_counts=True)[1]
-    place_in_stratum = np.arange(len(order)) - np.repeat(count.cumsum() - count, count)
+    shuffled_items = shuffle(len(strata))[:_MAX_CANDIDATES]
+    order = np.argsort(strata[shuffled_items], kind="stable")
+    counts = np.unique(strata[shuffled_items], return_counts=True)[1]
+    place_in_stratum = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)
     return shuffled_items[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
 
 
@@ -157,23 +156,23 @@ class MistakeRenderer:
         self._inputs = make_formula_inputs(scene) | size
         table_scene = scene if isinstance(scene, Scene) else Scene(**size)
         self.surface_count = len(table_scene.surfaces)
-        share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
-        self.first_round_size = max(40, int(share * _FIRST_PIXELS))
+        pixel_share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
+        self.first_round_size = max(40, int(pixel_share * _FIRST_PIXELS))
         self.mistakes = mistakes.list_mistakes(table_scene)
         first_pixel = self.make_cache(np.array([0]), self._blank_codes)
         self.mistakes = {
             keyword: mistake for keyword, mistake in self.mistakes.items()
-            if (changes := self.formulas_for((keyword,))) and first_pixel.can_compute_codes(changes)
+            if (changes := self.get_formulas((keyword,))) and first_pixel.can_compute_codes(changes)
         }  # fmt: skip
         subset = choose_stratified(surface_index, MAX_PIXELS // 32)
-        stratum = surface_index[subset]
+        strata = surface_index[subset]
         if isinstance(scene, Scene):
             for is_lit in self.evaluate([base_formulas], subset, formula="lit")[0][:4]:
-                stratum = 2 * stratum + is_lit
+                strata = 2 * strata + is_lit
         sample_size = max(500, _MAX_INTERSECTIONS // max(20, 20 * self.surface_count))
-        self.sample = subset[choose_stratified(stratum, sample_size)]
+        self.sample = subset[choose_stratified(strata, sample_size)]
 
-    def formulas_for(self, cause: Cause) -> Formulas:
+    def get_formulas(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate a cause.
 
         Parameters
@@ -184,22 +183,22 @@ class MistakeRenderer:
         Returns
         -------
         dict of str to callable
-            The formulas, by name, that replace those of the reference picture.  Empty if two of the
-            mistakes replace the same formula and so exclude each other.
+            The formulas, by name, that replace those of the reference picture.  Empty if two
+            mistakes replace the same formula, and so exclude each other.
         """
         return join_formulas([self.base_formulas, *(self.mistakes[key].formulas for key in cause)])
 
     def needs_fitting(self, keyword: str) -> bool:
         """Test whether a mistake depends on a number estimated from the submitted picture.
 
-        An example is a wrong gamma of unknown value, which the formula `fitted_gamma` estimates.
+        An example is a wrong gamma, which the formula `fitted_gamma` estimates.
 
         Parameters
         ----------
         keyword : str
             Keyword of the mistake, such as "gamma".
         """
-        names = used_names(self.mistakes[keyword].formulas)
+        names = collect_names(self.mistakes[keyword].formulas)
         return any(name.startswith("fitted_") for name in names)
 
     def make_cache(
@@ -274,11 +273,11 @@ class MistakeRenderer:
             cause for keyword, mistake in self.mistakes.items() for variant in variants
             if keyword not in mistakes.VARIANTS and not self.needs_fitting(keyword)
             and not (has_many_surfaces and mistake.concerns_one_object)
-            and self.formulas_for(cause := (keyword, *variant))
+            and self.get_formulas(cause := (keyword, *variant))
         ]  # fmt: skip
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
         pixels = self.sample[:_GROUPING_PIXELS]
-        pictures = self.evaluate([self.formulas_for(cause) for cause in causes], pixels)
+        pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixels)
         # Mistakes that show only with another mistake, which raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
@@ -313,7 +312,7 @@ class MistakeRenderer:
                  if (cause := self.join_causes(first, second))}  # fmt: skip
         if not pairs:
             return pairs, np.zeros((0, 3, len(pixels)), dtype=np.uint8), pixels
-        return pairs, self.evaluate([self.formulas_for(cause) for cause in pairs], pixels), pixels
+        return pairs, self.evaluate([self.get_formulas(cause) for cause in pairs], pixels), pixels
 
     def join_causes(self, first: Cause, second: Cause) -> Cause:
         """Join two causes into one.
@@ -332,7 +331,7 @@ class MistakeRenderer:
         """
         variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
         cause = (*remove_variants((*first, *second)), *variants)
-        return cause if len(variants) < 2 and self.formulas_for(cause) else ()
+        return cause if len(variants) < 2 and self.get_formulas(cause) else ()
 
 
 class Submission:
@@ -345,13 +344,13 @@ class Submission:
     Parameters
     ----------
     codes : (3, n) uint8 array
-        Codes of the n pixels of the submitted picture.
+        8-bit codes of the n pixels of the submitted picture.
     renderer : MistakeRenderer
         Renders the scene with mistakes, at the size of the submitted picture.
     lossy_levels : int
         Number of levels by which the file format of the submitted picture, or of the reference
         picture, may have changed codes.
-    save : callable, optional
+    reencode : callable, optional
         Takes the codes (h, w, 3) of a picture, and returns them as this file format alters them.
 
     Attributes
@@ -369,11 +368,11 @@ class Submission:
 
     def __init__(
         self, codes: Array, renderer: MistakeRenderer, lossy_levels: int = 0,
-        save: Callable[[Codes], Codes] | None = None,
+        reencode: Callable[[Codes], Codes] | None = None,
     ) -> None:  # fmt: skip
         self.codes, self.renderer, self.lossy_levels = codes, renderer, lossy_levels
-        self._save, reference_codes = save, renderer.reference_codes
-        levels = level_difference(self._saved(reference_codes, renderer.width), codes)
+        self._reencode, reference_codes = reencode, renderer.reference_codes
+        levels = compare_levels(self._compress(reference_codes, renderer.width), codes)
         self.clearly_wrong_count = int((levels > 1).sum())
         # If at most two pixels differ by more than one level, differences of one level count, too.
         self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
@@ -388,7 +387,7 @@ class Submission:
         is_wrong = self.is_wrong[order]
         self._wrong_and_right = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
         max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
-        final = self._choose_blocks() if save else (*self._choose_pixels(max_pixels), 0)
+        final = self._choose_blocks() if reencode else (*self._choose_pixels(max_pixels), 0)
         self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
@@ -396,10 +395,9 @@ class Submission:
         self.fitting_cache = renderer.make_cache(np.append(renderer.sample, brightest), codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
-        """Choose random pixels: half of them wrong, and half of them right.
+        """Choose random pixels: half of them wrong, half of them right, if there are enough.
 
-        Wrong pixels differ from the reference picture.  If there are too few wrong or too few right
-        pixels, more of the others are chosen.
+        Wrong pixels differ from the reference picture.
 
         Parameters
         ----------
@@ -424,9 +422,9 @@ class Submission:
     def _choose_blocks(self) -> tuple[Array, Array, int]:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
 
-        JPEG compresses each block separately.  The chosen blocks, put together into a smaller
-        picture, therefore change by compression as they do in the whole picture.  Only the
-        outermost pixels of blocks may change differently.
+        The chosen blocks form a smaller picture.  JPEG compresses each block separately, so
+        compression changes the blocks as it does in the whole picture, except for their outermost
+        pixels.
 
         Returns
         -------
@@ -438,7 +436,7 @@ class Submission:
             Number of pixels of the whole picture that each chosen pixel represents; 0 for the
             outermost pixels of blocks.
         width : int
-            Width of the smaller picture: that of a block, or of the whole picture.
+            Width of the smaller picture: the width of a block, or of the whole picture.
         """
         pixel_count, width, side = self.renderer.pixel_count, self.renderer.width, JPEG_BLOCK
         every_pixel = np.arange(pixel_count, dtype=np.int32)
@@ -449,18 +447,26 @@ class Submission:
         blocks: Array = picture[:rows, :columns].reshape(-1, side, columns // side, side)
         blocks = blocks.swapaxes(1, 2).reshape(-1, side, side)
         is_wrong = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)
-        chosen = choose_stratified(is_wrong, MAX_PIXELS // side**2)
-        represented_blocks = np.bincount(is_wrong) / np.bincount(is_wrong[chosen])
-        weights = np.zeros((len(chosen), side, side))
-        weights[:, 1:-1, 1:-1] = represented_blocks[is_wrong[chosen], None, None]
+        block_index = choose_stratified(is_wrong, MAX_PIXELS // side**2)
+        block_weights = np.bincount(is_wrong) / np.bincount(is_wrong[block_index])
+        weights = np.zeros((len(block_index), side, side))
+        weights[:, 1:-1, 1:-1] = block_weights[is_wrong[block_index], None, None]
         weights *= side**2 / (side - 2) ** 2
-        return blocks[chosen].ravel(), weights.ravel(), side
+        return blocks[block_index].ravel(), weights.ravel(), side
 
-    def _saved(self, columns: Codes, width: int) -> Codes:
-        """Return the codes (3, n) of a picture of a given width as the file format alters them."""
-        return to_columns(self._save(to_picture(columns, width))) if self._save else columns
+    def _compress(self, columns: Codes, width: int) -> Codes:
+        """Return the 8-bit codes (3, n) of a picture as the format of the submission alters them.
 
-    def _level_differences(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
+        Parameters
+        ----------
+        columns : (3, n) uint8 array
+            The codes of the picture.
+        width : int
+            Width of the picture in pixels.
+        """
+        return to_columns(self._reencode(to_picture(columns, width))) if self._reencode else columns
+
+    def _compare_levels(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
         """Compute how much the submitted picture differs from the picture of each cause.
 
         Parameters
@@ -470,39 +476,36 @@ class Submission:
         pixels : (k,) int array
             Indices of the pixels to compare.
         width : int
-            Width of the picture that these pixels form, which is compressed like the submitted one;
-            0 if they form none.
+            If these pixels form a picture, its width; the picture is then compressed like the
+            submitted picture.  Otherwise 0.
 
         Returns
         -------
         levels : (causes, k) array
             For each cause and pixel, the largest difference between the channels, in levels.
         """
-        formula_sets = [self.renderer.formulas_for(cause) for cause in causes]
+        formula_sets = [self.renderer.get_formulas(cause) for cause in causes]
         pictures = self.renderer.evaluate(formula_sets, pixels, self.codes, self.fitting_cache)
-        if width and self._save:
-            pictures = np.array([self._saved(picture, width) for picture in pictures])
-        return level_difference(pictures, self.codes[:, pixels])
+        if width and self._reencode:
+            pictures = np.array([self._compress(picture, width) for picture in pictures])
+        return compare_levels(pictures, self.codes[:, pixels])
 
-    def _measure(self, causes: Sequence[Cause]) -> None:
-        """Count and cache the pixels that each cause leaves unexplained, and those left inexact.
+    def _cache_counts(self, causes: Sequence[Cause]) -> None:
+        """Count the pixels in which the submitted picture differs from causes; cache the counts.
 
-        A pixel is unexplained if it differs from the picture of the cause by more than the
-        tolerance.  It is inexact if it differs at all, or by more than lossy compression changes.
-        In a large picture, the counts are estimated from a subset of the pixels.
+        The results are returned by `_count_unexplained` and `_count_inexact`.
 
         Parameters
         ----------
         causes : sequence of tuples of str
             For each cause, the keywords of mistakes that are made together.
         """
-        cached = self._counts_by_cause
-        if unmeasured := [cause for cause in dict.fromkeys(causes) if cause not in cached]:
-            all_levels = self._level_differences(unmeasured, self._final_pixels, self._final_width)
-            limits = self.tolerance, self.lossy_levels
-            for cause, levels in zip(unmeasured, all_levels, strict=True):
+        cached_counts, limits = self._counts_by_cause, (self.tolerance, self.lossy_levels)
+        if new_causes := [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]:
+            all_levels = self._compare_levels(new_causes, self._final_pixels, self._final_width)
+            for cause, levels in zip(new_causes, all_levels, strict=True):
                 counts = ((levels > limit) @ self._final_weights for limit in limits)
-                cached[cause] = [*map(round, counts)]
+                cached_counts[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
         """Count the pixels in which the submitted picture differs from the picture of a cause.
@@ -515,9 +518,9 @@ class Submission:
         Returns
         -------
         int
-            Number of pixels; in a large picture, it is estimated from a subset of the pixels.
+            Number of pixels; an estimate if the picture is large.
         """
-        self._measure([cause])
+        self._cache_counts([cause])
         return self._counts_by_cause[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
@@ -533,17 +536,16 @@ class Submission:
         Returns
         -------
         int
-            Number of pixels; in a large picture, it is estimated from a subset of the pixels.
+            Number of pixels; an estimate if the picture is large.
         """
-        self._measure([cause])
+        self._cache_counts([cause])
         return self._counts_by_cause[cause][1]
 
     def _select_best(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes that leave the fewest pixels unexplained, by successive halving.
+        """Select the causes whose pictures differ from the submitted picture in the fewest pixels.
 
         Successive halving compares all causes at few pixels, then the best of them at more pixels,
-        and so on.  A cause leaves a pixel unexplained if the submitted picture differs there from
-        the picture that is rendered with the cause.
+        and so on.
 
         Parameters
         ----------
@@ -553,21 +555,20 @@ class Submission:
         Returns
         -------
         list of tuples of str
-            At most `_MIN_CAUSES` causes, the best first.  Empty if no cause explains a quarter of
+            At most `_FINAL_CAUSES` causes, the best first.  Empty if no cause explains a quarter of
             the wrong pixels.
         """
         pixel_count, max_causes = self.renderer.first_round_size, _MAX_CAUSES
-        while len(causes) > _MIN_CAUSES and pixel_count < len(self._final_pixels):
-            causes = self._run_round(causes, pixel_count, max(_MIN_CAUSES, max_causes))
+        while len(causes) > _FINAL_CAUSES and pixel_count < len(self._final_pixels):
+            causes = self._run_round(causes, pixel_count, max(_FINAL_CAUSES, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
-        self._measure(causes[:_MIN_CAUSES])
-        return sorted(causes[:_MIN_CAUSES], key=self._count_unexplained)
+        self._cache_counts(causes[:_FINAL_CAUSES])
+        return sorted(causes[:_FINAL_CAUSES], key=self._count_unexplained)
 
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
         """Run one round of successive halving: render causes at some pixels and keep the best.
 
-        The best causes leave the fewest pixels unexplained.  After lossy compression, where nearly
-        all pixels differ, they are the causes with the smallest sum of differences.
+        The best causes leave the fewest pixels unexplained.
 
         Parameters
         ----------
@@ -585,8 +586,8 @@ class Submission:
             of the wrong pixels unexplained.
         """
         pixels, weights = self._choose_pixels(pixel_count)
-        levels = self._level_differences(causes, pixels)
-        if self.lossy_levels:
+        levels = self._compare_levels(causes, pixels)
+        if self.lossy_levels:  # nearly all pixels differ: select the smallest sums of differences
             order = np.argsort(np.minimum(levels, _MAX_LEVELS) @ weights, kind="stable")
             return [causes[k] for k in order[:max_causes]]
         is_unexplained = levels > self.tolerance
@@ -631,7 +632,7 @@ class Submission:
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count exactly how many pixels of the full picture a cause leaves unexplained."""
         every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
-        levels = self._level_differences([cause], every_pixel, self.renderer.width)
+        levels = self._compare_levels([cause], every_pixel, self.renderer.width)
         return int((levels > self.tolerance).sum())
 
     def _select_best_pairs(self) -> list[Cause]:
@@ -643,12 +644,12 @@ class Submission:
         Returns
         -------
         list of tuples of str
-            At most `_MIN_CAUSES` causes, the best first; each contains the keywords of two
+            At most `_FINAL_CAUSES` causes, the best first.  Each contains the keywords of two
             mistakes.
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         groups, (all_pairs, codes, pixels) = renderer.cause_groups, renderer.rendered_pairs
-        is_unexplained = level_difference(codes, self.codes[:, pixels]) > self.tolerance
+        is_unexplained = compare_levels(codes, self.codes[:, pixels]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
         pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSES]}
         if self.codes[:, renderer.surface_index < 0].any():
@@ -680,7 +681,7 @@ class Submission:
             rest = tuple(other for other in cause if other != keyword)
             if self._count_unexplained(rest) - count_of_pair < max(_MIN_RATIO * count_of_pair, 1):
                 return False
-        renderer, formulas = self.renderer, self.renderer.formulas_for(cause)
+        renderer, formulas = self.renderer, self.renderer.get_formulas(cause)
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
         surface_index = renderer.evaluate([formulas], renderer.sample, formula="shown_surface")[0]
@@ -738,7 +739,7 @@ class Submission:
         join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
         option_lists = [[cause, *filter(None, (join(cause, (rounding,)) for rounding in roundings))]
                         for cause in causes]  # fmt: skip
-        self._measure([option for options in option_lists for option in options])
+        self._cache_counts([option for options in option_lists for option in options])
         chosen_causes = list[Cause]()
         for cause, options in zip(causes, option_lists, strict=True):
             most_exact = min(options, key=self._count_inexact)

@@ -14,7 +14,7 @@ from PIL import Image
 from reference.handins.formulas import Array
 from reference.handins.mistakes import make_sample_formulas, parse_formulas
 from reference.handins.search import MAX_PIXELS, Submission
-from reference.pictures import Codes, level_difference, to_picture
+from reference.pictures import Codes, compare_levels, to_picture
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
 _MAX_LIGHTS = 4
@@ -74,7 +74,7 @@ def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
     is_in_set = np.array(light_sets)
     change_count = (should_reach != is_in_set[:, :, None]).sum(axis=1)
     # A number larger than any other, if the set does not give the submitted codes.
-    change_count[level_difference(codes, submission.codes[:, pixels]) > 1] = light_count + 1
+    change_count[compare_levels(codes, submission.codes[:, pixels]) > 1] = light_count + 1
     reaches = is_in_set[change_count.argmin(axis=0)].T
     reaches = np.where(change_count.min(axis=0) <= light_count, reaches, should_reach)
     is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
@@ -130,7 +130,7 @@ def is_decided_by_rounding(submission: Submission) -> bool:
         The picture that a student submitted, and the renderer of its scene.
     """
     renderer = submission.renderer
-    pixels = np.flatnonzero(level_difference(renderer.reference_codes, submission.codes) > 1)
+    pixels = np.flatnonzero(compare_levels(renderer.reference_codes, submission.codes) > 1)
     if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
         return False
     positions = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
@@ -160,14 +160,14 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
     bool
         False if the pictures are too large to try, or if they agree within one level.
     """
-    is_wrong = level_difference(submitted_codes, reference_codes, 2) > 1
+    is_wrong = compare_levels(submitted_codes, reference_codes, 2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
         return False
     image = Image.fromarray(reference_codes)
     for quality, subsampling in product(_QUALITIES, (0, 2)):
         jpeg_file = io.BytesIO()
         image.save(jpeg_file, "JPEG", quality=quality, subsampling=subsampling)
-        agrees = level_difference(np.asarray(Image.open(jpeg_file)), submitted_codes, 2) <= 1
+        agrees = compare_levels(np.asarray(Image.open(jpeg_file)), submitted_codes, 2) <= 1
         # Most pixels must agree, also of those that differ from the uncompressed picture.
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
@@ -182,7 +182,7 @@ def _are_similar(first_codes: Codes, second_codes: Codes) -> bool:
     first_codes, second_codes : (h, w, 3) uint8 arrays
         8-bit codes of two pictures of equal size.
     """
-    return bool((level_difference(first_codes, second_codes, 2) > 1).mean() <= _MAX_DIFFERENT)
+    return bool((compare_levels(first_codes, second_codes, 2) > 1).mean() <= _MAX_DIFFERENT)
 
 
 def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
@@ -216,7 +216,7 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     may_be_corner = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
         window = submitted_codes[row : row + row_count, column : column + column_count]
-        may_be_corner &= level_difference(window, reference_codes[row, column], 2) <= 1
+        may_be_corner &= compare_levels(window, reference_codes[row, column], 2) <= 1
     for row, column in np.argwhere(may_be_corner)[:_MAX_PLACES]:
         crop = submitted_codes[row : row + height, column : column + width]
         if _are_similar(crop, reference_codes):
@@ -267,7 +267,7 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
         return "shadow-speckles", sentence
     if is_jpeg_of_reference(*(to_picture(codes, width) for codes in both_codes)):
         return "format", "It is the right picture, after JPEG, which changes levels."
-    if edge := find_wrong_edge((level_difference(*both_codes) > 1).reshape(-1, width)):
+    if edge := find_wrong_edge((compare_levels(*both_codes) > 1).reshape(-1, width)):
         return "edge", f"It is the right picture, except in the {edge}."
     return None
 

@@ -201,9 +201,9 @@ def test_a_large_jpeg_is_searched_in_a_sample(
     codes[110:140, 120:150] //= 2
     picture = read_picture(save(tmp_path / "a.jpg", codes, quality=90))
 
-    def count_and_save(codes: Codes) -> Codes:
+    def count_and_reencode(codes: Codes) -> Codes:
         complete["compressed"] += codes[:, :, 0].size > max_pixels
-        return picture.save(codes)
+        return picture.reencode(codes)
 
     def count_and_evaluate(*arguments: Any, **options: Any) -> Array:
         _, formula_sets, pixels, *_ = arguments
@@ -212,7 +212,7 @@ def test_a_large_jpeg_is_searched_in_a_sample(
 
     monkeypatch.setattr("reference.handins.search.MAX_PIXELS", max_pixels)
     monkeypatch.setattr(MistakeRenderer, "evaluate", count_and_evaluate)
-    diagnosis = Reference(load_scene(SCENE)).diagnose(picture._replace(save=count_and_save))
+    diagnosis = Reference(load_scene(SCENE)).diagnose(picture._replace(reencode=count_and_reencode))
     assert diagnosis.kind == "unknown"
     assert (complete["compressed"] <= 2, complete["rendered"] <= 1) == (True, True)
 
