@@ -242,14 +242,14 @@ def _add_lights(
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are divided in any case, so their shadow edges are not needed.
-    has_wide_footprint = np.any(geometry.length2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
+    has_wide_footprint = np.any(geometry.distance2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(has_wide_footprint, 0, footprint)
     is_blocked, edge_triples, is_crowded = find_shadow_edges(
         hits, lights, faces_light, search_radius
     )
     shading.add(geometry, faces_light & ~is_blocked)
     terminators = surfaces.find_terminators(
-        lights.near_position, geometry.n_dot_l, geometry.length2
+        lights.near_position, geometry.n_dot_l, geometry.distance2
     )
     edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, edge_triples), terminators)
     light_lines, curved_index = fit_lines(edges, tolerance)

@@ -327,7 +327,7 @@ class InverseDepth(NamedTuple):
         for group in hits.groups:
             batch = group.interval
             # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
-            k[:, batch] = [group.expand(part / -group.eye_height) for part in group.normal]
+            k[:, batch] = [group.expand_to_hits(part / -group.eye_height) for part in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
                 power = spheres.power[sphere_index]

@@ -68,7 +68,7 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
     footprint = np.empty(distance.size)
     for group in hits.groups:
         cell_radius = all_radii[group.interval]
-        cosine = group.expand(group.eye_height) / distance[group.interval]
+        cosine = group.expand_to_hits(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
             footprint[group.interval] = _compute_footprint_on_face(cell_radius, cosine, angle)
             continue

@@ -42,7 +42,7 @@ class FirstHits:
 
     @classmethod
     def from_hits(cls, hits: Hits) -> FirstHits:
-        """Arrange the hits of n samples in arrays with one element for each sample.
+        """Arrange hits in arrays with one element for each of n samples.
 
         Parameters
         ----------
@@ -52,12 +52,12 @@ class FirstHits:
         Returns
         -------
         first_hits : FirstHits
-            Surface, distance, normal and position for each sample, in the order of the samples.
-            The arrays are (n,) or (n, 3).
+            Surface, distance, normal and position at each sample, in the order of the samples.
+            Without a hit, they are -1, infinity, NaN and NaN.
         """
-        ray_count, frame = hits.samples.size, hits.scene.frame
-        surface, distance = np.full(ray_count, -1), np.full(ray_count, np.inf)
-        normal, point = np.full((2, ray_count, 3), np.nan)
+        sample_count, frame = hits.samples.size, hits.scene.frame
+        surface, distance = np.full(sample_count, -1), np.full(sample_count, np.inf)
+        normal, point = np.full((2, sample_count, 3), np.nan)
         surface[hits.sample] = hits.scene.surfaces.file_index[hits.hit_object]
         distance[hits.sample] = hits.distance
         point[hits.sample] = np.transpose(hits.get_points(slice(None)))
@@ -110,10 +110,10 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
     if not (np.isfinite(position_x).all() and np.isfinite(position_y).all()):
         raise ValueError("x and y must be finite")
     prepared_scene = PreparedScene(scene)
-    arrays = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
+    results = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
     for batch in split_indices(np.arange(ray_count), prepared_scene.limit_batch(_RAYS_PER_BATCH)):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
-        for array, values in zip(arrays, vars(batch_hits).values(), strict=True):
-            array[batch[order]] = values
-    return FirstHits(*(array.reshape(shape + array.shape[1:]) for array in arrays))
+        for result, batch_result in zip(results, vars(batch_hits).values(), strict=True):
+            result[batch[order]] = batch_result
+    return FirstHits(*(result.reshape(shape + result.shape[1:]) for result in results))

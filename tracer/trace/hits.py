@@ -41,7 +41,7 @@ class ShapeHits(NamedTuple):
         of the face along this axis; meaningless for spheres.
     normal : tuple of three float arrays
         Unit normals that face the eye, in camera axes: (runs,) for planar shapes, otherwise
-        (n,).  `expand` converts either to (n,).
+        (n,).  `expand_to_hits` converts either to (n,).
     eye_height : float array
         Distance of the eye from the tangent plane: (runs,) for planar shapes, otherwise (n,).
     """
@@ -74,13 +74,14 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(run_values, self.run_length)
 
-    def expand(self, values: Floats) -> Floats:
-        """Convert values of tangent planes to one value for each of n hits.
+    def expand_to_hits(self, values: Floats) -> Floats:
+        """Look up the values of tangent planes for each of n hits.
 
         Parameters
         ----------
         values : (runs,) or (n,) float array
-            The value of each tangent plane.  For planar shapes, all hits of a run share one plane.
+            One value for each tangent plane.  There is one plane per run of hits if the shape is
+            planar, otherwise one per hit.
 
         Returns
         -------
@@ -106,7 +107,7 @@ class ShapeHits(NamedTuple):
         """
         if self.shape.is_planar:
             # In scene axes, a point in the plane of a face has a height of exactly 0.
-            return self.expand(self.sign * (point[self.face] - self.level))
+            return self.expand_to_hits(self.sign * (point[self.face] - self.level))
         return dot(self.normal, to_point)
 
 
@@ -156,12 +157,12 @@ class Hits(NamedTuple):
     @property
     def eye_height(self) -> Floats:
         """Distance (n,) of the eye from the tangent plane of the surface at each hit."""
-        return np.concatenate([group.expand(group.eye_height) for group in self.groups])
+        return np.concatenate([group.expand_to_hits(group.eye_height) for group in self.groups])
 
     @property
     def normal(self) -> Triple:
         """Components (n,) of the unit normals that face the eye, in camera axes."""
-        group_normals = [map_xyz(group.expand, group.normal) for group in self.groups]
+        group_normals = [map_xyz(group.expand_to_hits, group.normal) for group in self.groups]
         x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
         return x, y, z
 
@@ -172,7 +173,7 @@ class Hits(NamedTuple):
         return np.sqrt(dot((x, y, z), (x, y, z)))
 
     def get_object_values(self, values: NDArray[Any]) -> Any:
-        """Look up a value for each of n hits: that of the object on which the hit lies.
+        """Look up a value of the object on which each of n hits lies.
 
         Parameters
         ----------

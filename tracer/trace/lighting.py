@@ -46,23 +46,20 @@ class LightGeometry(NamedTuple):
     n_dot_l : (lights, n) float array
         n . l for each pair; -inf if the eye is inside the hit's object and the light is outside,
         because no light enters the object.
-    length2 : (lights, n) float array
+    distance2 : (lights, n) float array
         l . l for each pair: the squared distance of the light.
     """
 
     hits: Hits
     lights: Lights
     n_dot_l: Floats
-    length2: Floats
+    distance2: Floats
 
     def compute_highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
-        """Compute the strength (n.h)^p of the highlight of one light at selected hits.
+        """Compute the strength of one light's highlight at selected hits.
 
-        Here n is the unit normal, h the unit half vector between the directions l to the light and
-        v to the eye, and p the exponent of the surface.
-
-        For exponents up to 1e6, the error is at most 1e-12 if |l + v| > 0.3, and at most 1e-10 if
-        |l + v| > 0.002.
+        The strength is (n.h)^p, where n is the unit normal, h the unit half vector between the
+        directions to the light and to the eye, and p the exponent of the surface.
 
         Parameters
         ----------
@@ -80,11 +77,13 @@ class LightGeometry(NamedTuple):
         from_eye = take(hits.from_eye, hit_index)
         x, y, z = self.lights.from_eye[light_index].tolist()
         to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
-        light_distance = np.sqrt(self.length2[light_index][hit_index])
+        light_distance = np.sqrt(self.distance2[light_index][hit_index])
         eye_distance = np.sqrt(dot(from_eye, from_eye))
         n_dot_l = self.n_dot_l[light_index][hit_index] / light_distance
         n_dot_v = hits.eye_height[hit_index] / eye_distance
-        # For most hits, three cosines suffice: n.h = (n.l + n.v) / |l + v|, |l + v|^2 = 2 + 2 l.v.
+        # For most hits, three cosines suffice: n.h = (n.l + n.v) / |l + v|, |l + v|^2 = 2 + 2 l.v,
+        # where l and v are the directions to the light and to the eye.  Exponents up to 1e6 cause
+        # errors of at most 1e-12 if |l + v| > 0.3, and of at most 1e-10 if |l + v| > 0.002.
         half_square = 1 + dot(to_light, from_eye) / (-eye_distance * light_distance)  # |l + v|^2/2
         cosine_squared = n_dot_l + n_dot_v
         cosine_squared *= cosine_squared
@@ -105,10 +104,10 @@ class LightGeometry(NamedTuple):
 def _compute_accurate_strength(
     normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
 ) -> Floats:
-    """Compute the strength (n.h)^p of highlights accurately from unit vectors.
+    """Compute the strength of highlights accurately from unit vectors.
 
-    Here n is the normal, h the unit half vector between the directions to the light and to the eye,
-    and p the exponent.
+    The strength is (n.h)^p, where n is the normal, h the unit half vector between the directions to
+    the light and to the eye, and p the exponent.
 
     Parameters
     ----------
@@ -124,14 +123,14 @@ def _compute_accurate_strength(
         Strength at each of n points; 0 if the light and the eye are in opposite directions.
     """
     direction_sum = map_xyz(np.add, light_direction, eye_direction)
-    length2 = dot(direction_sum, direction_sum)
+    squared_length = dot(direction_sum, direction_sum)
     # With e = n - h, the cosine n.h is 1 - e.e / 2.  log1p keeps the digits that n.h would lose.
-    e = map_xyz(np.subtract, normal, scale(direction_sum, 1 / np.sqrt(length2)))
+    e = map_xyz(np.subtract, normal, scale(direction_sum, 1 / np.sqrt(squared_length)))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
     # If the directions are opposite, both lie in the tangent plane, and their sum is only rounding
     # error.
-    return np.where(length2 > MIN_HALF_LENGTH2, strength, 0.0)
+    return np.where(squared_length > MIN_HALF_LENGTH2, strength, 0.0)
 
 
 class Shading:
@@ -167,7 +166,7 @@ class Shading:
         self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the reflection of a batch of lights, and encode in `ids` which of them are visible.
+        """Add the light that hits reflect from one batch of lights, and update `ids`.
 
         Parameters
         ----------
@@ -184,7 +183,7 @@ class Shading:
             if not is_hit_lit.any():
                 continue
             intensity = geometry.lights.intensity[light_index]
-            cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.length2[light_index])
+            cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.distance2[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
             lit_index = find(is_hit_lit[self._glossy_slice] & self._is_glossy)
@@ -204,14 +203,11 @@ class Shading:
         channel : int
             0 for red, 1 for green, 2 for blue.
         diffuse : (n,) float array
-            Sum over visible lights of I kd n.l, where I is the light's intensity, kd the object's
-            diffuse colour, n the unit normal, and l the direction to the light.
+            Radiance of each hit without highlights, from all lights that are visible there.
         glossy_slice : slice
             Slice of k hits.  All hits with highlights are in this slice, which may be empty.
         specular : (k,) float array
-            For each hit in the slice, the sum over visible lights of I ks (n.h)^p.  Here ks is the
-            object's specular colour, h the unit half vector between the directions to the light and
-            to the eye, and p the object's exponent.
+            Radiance of the highlights at each hit in the slice.
         """
         if self._diffuse_sum is None:
             return
@@ -241,7 +237,7 @@ class Shading:
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
         for channel, radiance, glossy_slice, specular in self.compute_terms():
-            radiance[glossy_slice] += specular  # until here, `radiance` was only the diffuse term
+            radiance[glossy_slice] += specular  # before this, `radiance` is only the diffuse term
             out[channel][self._hits.sample] = radiance
         return out
 
@@ -273,9 +269,7 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute n . l and l . l for all (light, hit) pairs, regardless of occluders.
-
-    Here n is the unit normal at the hit, and l the vector from the hit to the light.
+    """Compute the dot products that shading needs for each light and hit, ignoring occluders.
 
     Parameters
     ----------
@@ -287,8 +281,9 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     Returns
     -------
     geometry : LightGeometry
-        The dot products as arrays `n_dot_l` and `length2`, both (lights, n).  If the eye is inside
-        the hit's object and the light is outside, `n_dot_l` is -inf.
+        The (lights, n) arrays `n_dot_l` and `distance2` contain n . l and l . l, where n is
+        the unit normal at the hit, and l the vector from the hit to the light.  `n_dot_l` is -inf
+        if the eye is inside the hit's object and the light is outside.
     """
     shape = len(lights.from_eye), hits.from_eye.shape[1]
     geometry = LightGeometry(hits, lights, np.empty(shape), np.empty(shape))
@@ -303,16 +298,16 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
                 # Not 0, which would mean that the light is exactly on the hit's horizon.
                 n_dot_l[group.repeat_runs(blocks_light[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
-            geometry.length2[light_index, group.interval] = dot(to_light, to_light)
+            geometry.distance2[light_index, group.interval] = dot(to_light, to_light)
     return geometry
 
 
 def find_narrow_highlights(
     geometry: LightGeometry, faces_light: Bools, radius: Floats
 ) -> Iterator[Ints]:
-    """Find hits whose footprint may contain a highlight too narrow for a single sample.
+    """Find hits near which a highlight may be too narrow for a single sample.
 
-    The footprint is the part of the surface, around the hit, that is visible in a cell of the
+    The footprint of a hit is the part of the surface around it that is visible in one cell of the
     picture (a pixel or a part of it).
 
     Parameters
@@ -320,16 +315,15 @@ def find_narrow_highlights(
     geometry : LightGeometry
         The n hits and the lights.
     faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Occluders are ignored: a light that is not
-        visible from the hit may still be visible from other points of the footprint.
+        Whether the surface at the hit faces the light.  Occluders are ignored, because the light
+        may be visible from other points of the footprint.
     radius : (n,) float array
         Radius of each footprint, in the scene's unit of length.
 
     Yields
     ------
     hit_index : (k,) int array
-        Indices of the hits with such a highlight, for one light.  Several lights may yield the same
-        hit.
+        For one light, indices of the hits whose footprint may contain a narrow highlight.
     """
     hits, scene = geometry.hits, geometry.hits.scene
     is_glossy = hits.get_object_values(scene.is_glossy)
@@ -341,7 +335,7 @@ def find_narrow_highlights(
     turn_rate = 1 / hits.distance + hits.get_object_values(scene.curvature)
     x_per_angle = np.where(is_glossy, np.sqrt(hits.get_object_values(scene.exponent) / 2), 0)
     for light_index, hit_faces_light in enumerate(faces_light):
-        max_turn_rate = turn_rate + 1 / np.sqrt(geometry.length2[light_index])
+        max_turn_rate = turn_rate + 1 / np.sqrt(geometry.distance2[light_index])
         max_step = radius * max_turn_rate * x_per_angle  # maximum change of x over the footprint
         hit_index = find((max_step > _MAX_LOBE_STEP) & hit_faces_light)
         if hit_index.size:

@@ -62,7 +62,7 @@ def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Fl
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Compute the light that hits reflect towards the eye, with shadows.
+    """Compute the light that hits reflect towards the eye, taking shadows into account.
 
     Parameters
     ----------
@@ -71,8 +71,7 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
     light_batches : iterable of Lights
         The lights, in batches.
     with_ids : bool
-        Whether to compute `Shading.ids`, which encode the face of each hit and the lights visible
-        from the hit.
+        Whether to compute `Shading.ids`: one id for each hit.
 
     Returns
     -------

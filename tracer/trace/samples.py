@@ -67,11 +67,11 @@ def find_object_spans(
         Ends of each span, in pixels from the left edge of the picture; left <= right.
     """
     bounds = scene.bounds.take(shape.objects.slice)
-    candidate = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
-    first_row = row_top.searchsorted(bounds.top[candidate] - pad - height)
-    stop_row = row_top.searchsorted(bounds.bottom[candidate] + pad, side="right")
-    span_candidate, row = enumerate_ranges(np.maximum(stop_row - first_row, 0), first_row)
-    position = candidate[span_candidate]
+    in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
+    first_row = row_top.searchsorted(bounds.top[in_range_index] - pad - height)
+    end_row = row_top.searchsorted(bounds.bottom[in_range_index] + pad, side="right")
+    span_candidate, row = enumerate_ranges(np.maximum(end_row - first_row, 0), first_row)
+    position = in_range_index[span_candidate]
     object_index = position + shape.objects.start
     left, right = shape.find_columns(object_index, row_top[row], height)
     left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
@@ -108,10 +108,10 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Effective number of samples across a pixel, for choosing the size of packets.
+        """Typical number of samples across a pixel, from which the size of packets is derived.
 
-        A packet is a group of neighbouring hits.  Most packets lie along a row, so the number of
-        samples along x has more weight.
+        A packet is a group of neighbouring hits.  Samples along x count more than samples along y,
+        because most packets lie along a row.
         """
         x_count, y_count = self.per_pixel
         return float(x_count**0.75 * y_count**0.25)
@@ -149,10 +149,9 @@ class Rows(NamedTuple):
         return self.x[column] + self.shift[row], self.y[row]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
-        """Find the samples at which the objects of one shape may be visible.
+        """Find the samples at which the objects of one shape may be visible, as spans.
 
-        The result consists of spans: consecutive samples in one row at which the same object may be
-        visible.
+        A span consists of consecutive samples in one row, and belongs to one object.
 
         Parameters
         ----------
@@ -193,15 +192,15 @@ class Scattered(NamedTuple):
         Vertical and horizontal position of each sample.
     row_start : (rows,) int array
         Index of the first sample in each row of pixels.  Rows without samples are omitted.
-    key : (n,) float array
-        A number that encodes the row and x of each sample: see `_encode_position`.  The numbers are
-        in ascending order, except for rounding errors much smaller than `_SPAN_PADDING`.
+    sort_key : (n,) float array
+        A number that encodes the row and x of each sample: see `_encode_position`.  The numbers
+        ascend, except for rounding errors much smaller than `_SPAN_PADDING`.
     """
 
     y: Floats
     x: Floats
     row_start: Ints
-    key: Floats
+    sort_key: Floats
 
     @classmethod
     def from_positions(cls, x: Floats, y: Floats) -> tuple[Scattered, Ints]:
@@ -272,9 +271,9 @@ class Scattered(NamedTuple):
         return self.x[sample_index], self.y[sample_index]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
-        """Find the samples at which the objects of one shape may be visible.
+        """Find the samples at which the objects of one shape may be visible, as spans.
 
-        The result has the same form as that of `Rows.find_spans`.  Each span has one sample.
+        A span belongs to one object and, unlike those of `Rows.find_spans`, has only one sample.
 
         Parameters
         ----------
@@ -288,18 +287,17 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's only sample, returned twice.  The sample counts as a row, because
-            it has its own vertical position.
+            Index of each span's sample.  Both arrays are the same: each sample is a row of its own.
         sample_count : None
-            None means that each span has one sample.
+            None, because each span has one sample.
         """
         row_top = np.floor(self.y[self.row_start])
         x_range = self.x.min(initial=0), self.x.max(initial=0)
         object_index, row, left, right = find_object_spans(
             shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING
         )
-        start = self.key.searchsorted(_encode_position(row + 1, left))
-        stop = self.key.searchsorted(_encode_position(row + 1, right), side="right")
+        start = self.sort_key.searchsorted(_encode_position(row + 1, left))
+        stop = self.sort_key.searchsorted(_encode_position(row + 1, right), side="right")
         span_index, sample_index = enumerate_ranges(np.maximum(stop - start, 0), start)
         return object_index[span_index], sample_index, sample_index, None
 
@@ -316,13 +314,13 @@ def _encode_position(row: Ints, x: Floats) -> Floats:
 
     Returns
     -------
-    key : (n,) float array
+    sort_key : (n,) float array
         The number for each position.  Two positions may have equal numbers if they differ by very
         little, or if both are farther from the left edge than `_MAX_SORTED_X`.
     """
     # The product is exact, so rounding never reverses the order of two positions.
-    key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)
-    return key
+    sort_key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)
+    return sort_key
 
 
 # Positions in the picture through which rays are traced.

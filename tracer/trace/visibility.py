@@ -20,8 +20,8 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Runs of scattered samples end at the borders of squares of this width, in pixels.
 _RUN_WIDTH = 4.0
 
-# Larger than the distance of any intersection; smaller than infinity, which stands for a miss.
-_MAX_DISTANCE = np.finfo(np.float64).max
+# Larger than the ray parameter t of any intersection; smaller than infinity, which means a miss.
+_MAX_T = np.finfo(np.float64).max
 
 
 def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
@@ -42,7 +42,7 @@ def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
         One hit for each sample whose ray meets a surface; other samples have no hit.
     """
     groups = _intersect_objects(scene, samples)
-    visible_groups = _select_visible(scene, groups, _find_nearest_distances(samples, groups))
+    visible_groups = _select_visible(scene, groups, _find_nearest_t(samples, groups))
     return _build_hits(scene, samples, visible_groups)
 
 
@@ -65,7 +65,7 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
         any number of hidden hits.
     """
     groups = _intersect_objects(scene, samples)
-    nearest_t = _find_nearest_distances(samples, groups)
+    nearest_t = _find_nearest_t(samples, groups)
     hidden_groups = [
         group.select((group.t > nearest_t.take(group.sample)) & (group.t < np.inf))
         for group in groups
@@ -95,8 +95,8 @@ class _Intersections(NamedTuple):
     ray_right : (n,) float array
         Rightward component of the ray through the sample.
     t : (n,) float array
-        Distance of the object along the ray, where 1 is the length of the ray's direction vector;
-        infinity if the ray misses the object.
+        Ray parameter of the intersection: its distance from the eye, divided by the length of the
+        ray's direction vector.  Infinity if the ray misses the object.
     hit_data : (n,) array
         Second result of `Spheres.intersect` or `Boxes.intersect`.
     """
@@ -128,23 +128,23 @@ class _Intersections(NamedTuple):
         selection : _Intersections
             The selected pairs in the same order; this object itself if all pairs are selected.
         """
-        selected_pair = find(is_selected)
-        if selected_pair.size == is_selected.size:
+        pair_index = find(is_selected)
+        if pair_index.size == is_selected.size:
             return self
         shape, sample_count, object_index, ray_down, *pair_fields = self
         if sample_count is None:
-            object_index, ray_down = object_index.take(selected_pair), ray_down.take(selected_pair)
+            object_index, ray_down = object_index.take(pair_index), ray_down.take(pair_index)
         else:
-            sample_count = np.diff(selected_pair.searchsorted(sample_count.cumsum()), prepend=0)
-        pair_fields = [field.take(selected_pair) for field in pair_fields]
+            sample_count = np.diff(pair_index.searchsorted(sample_count.cumsum()), prepend=0)
+        pair_fields = [field.take(pair_index) for field in pair_fields]
         return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
-        """Divide hits into runs, and return the first hit of each run.
+        """Divide hits into runs, and return the index of the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  For scattered samples, the hits of a run are also close together: in one row of
-        pixels, within `_RUN_WIDTH` pixels, and at similar depths.
+        object.  For scattered samples, a row of pixels counts as a row of samples, and the hits of
+        a run must also be close together.
 
         Parameters
         ----------
@@ -185,8 +185,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     Returns
     -------
     groups : list of _Intersections
-        The (sample, object) pairs, including pairs whose ray misses the object: one group for each
-        shape.
+        One group of (sample, object) pairs for each shape.  Some rays miss their object.
     """
     frame, groups = scene.frame, []
     sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.ray_down(samples.y)
@@ -200,23 +199,24 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     return groups
 
 
-def _find_nearest_distances(samples: Samples, groups: list[_Intersections]) -> Floats:
-    """Compute the distance of the nearest intersection along the ray through each sample.
+def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Floats:
+    """Find the ray parameter t of the nearest intersection at each sample.
+
+    The parameter is the distance from the eye, divided by the length of the ray's direction vector.
 
     Parameters
     ----------
     samples : Rows or Scattered
         The n samples: positions in the picture, through which rays are traced.
     groups : list of _Intersections
-        All intersections of rays with objects: one group for each shape.
+        One group of (sample, object) pairs for each shape.
 
     Returns
     -------
     nearest_t : (n,) float array
-        Distance, where 1 is the length of the ray's direction vector; `_MAX_DISTANCE` if the ray
-        meets no surface.
+        The ray parameter at each sample; `_MAX_T` if the ray meets no surface.
     """
-    nearest_t = np.full(samples.size, _MAX_DISTANCE)
+    nearest_t = np.full(samples.size, _MAX_T)
     for group in groups:
         np.minimum.at(nearest_t, group.sample, group.t)
     return nearest_t
@@ -232,9 +232,9 @@ def _select_visible(
     scene : PreparedScene
         The scene.
     groups : list of _Intersections
-        All intersections of rays with objects: one group for each shape.
+        One group of (sample, object) pairs for each shape.
     nearest_t : (samples,) float array
-        Distance of the nearest intersection at each sample, from `_find_nearest_distances`.
+        Ray parameter of the nearest intersection at each sample, from `_find_nearest_t`.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def _select_visible(
         same distance, only the first one in the scene file is selected.
     """
     visible_groups = [group.select(group.t == nearest_t.take(group.sample)) for group in groups]
-    if sum(group.t.size for group in visible_groups) == np.count_nonzero(nearest_t < _MAX_DISTANCE):
+    if sum(group.t.size for group in visible_groups) == np.count_nonzero(nearest_t < _MAX_T):
         return visible_groups  # no sample has two nearest intersections
     file_index = scene.surfaces.file_index
     first_file_index = np.full(nearest_t.size, file_index.size)
@@ -265,7 +265,7 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
     groups : list of _Intersections
-        The intersections, without pairs whose ray misses the object: one group for each shape.
+        One group of intersections for each shape.  Every ray meets its object.
 
     Returns
     -------
@@ -273,9 +273,9 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
         One hit for each intersection.
     """
     frame, groups = scene.frame, [group for group in groups if group.t.size]
-    starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
-    from_eye, shape_hits, no_hits = np.empty((3, starts[-1])), [], np.zeros(0, dtype=np.intp)
-    for group, start, end in zip(groups, starts, starts[1:], strict=False):
+    group_starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
+    from_eye, shape_hits, no_hits = np.empty((3, group_starts[-1])), [], np.zeros(0, dtype=np.intp)
+    for group, start, end in zip(groups, group_starts, group_starts[1:], strict=False):
         group_from_eye = from_eye[:, start:end]
         ray_down = repeat_runs(group.ray_down, group.sample_count)
         np.multiply(group.t, group.ray_right, out=group_from_eye[0])
