@@ -131,8 +131,8 @@ def suggest_syntax_fix(
 def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | None]:
     """Suggest an allowed name in place of an unknown one.
 
-    Names are compared without regard to case.  Only the first 256 allowed names are compared
-    (`_MAX_COMPARED`), and only the first 37 characters of each name.
+    Upper and lower case are equivalent.  Only the first `_MAX_COMPARED` allowed names are compared,
+    and only the beginning of long names.
 
     Parameters
     ----------

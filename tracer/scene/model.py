@@ -464,9 +464,9 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """Index of each surface in the arrays, in the order of the file: (S + B,) int array.
+        """Position of each surface in the arrays: an int array, in the order of the file.
 
-        The arrays contain S spheres, then B boxes.  `file_index` is the inverse permutation.
+        In the arrays, all spheres come before all boxes.  `file_index` is the inverse permutation.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)

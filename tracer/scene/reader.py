@@ -292,7 +292,7 @@ class _Reader:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
             return
-        table.index.append(next(self.surface_indices))
+        table.object_index.append(next(self.surface_indices))
         shader = self.add_row(table, element, "type").get("shader")
         table.shader_index.append(0 if shader is None else self.read_shader_or_reference(shader))
         table.shader_lines.append(0 if shader is None else shader.line)
@@ -312,7 +312,7 @@ class _Reader:
         """
         table = self.shaders.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
-        index = self.get_shader_index(name)
+        index = self.find_or_add_shader(name)
         if name is not None and self.definition_lines[index]:
             definition = f"the shader in line {self.definition_lines[index]}"
             self.report(element, f"the name {quote(name)} is taken by {definition}; choose another")
@@ -321,7 +321,7 @@ class _Reader:
         if table is None:
             self.report_type(element, self.shaders, "name")
         else:
-            table.index.append(index)
+            table.object_index.append(index)
             self.add_row(table, element, "name", "type")
         return index
 
@@ -348,10 +348,10 @@ class _Reader:
             self.report(element, f"has a name, but no type; {remedy}")
         else:
             return self.read_shader(element)
-        return self.get_shader_index(name)
+        return self.find_or_add_shader(name)
 
-    def get_shader_index(self, name: str | None) -> int:
-        """Return the index of a shader, and assign the next free index to a new shader.
+    def find_or_add_shader(self, name: str | None) -> int:
+        """Return the index of a shader; a new shader gets the next free index.
 
         Parameters
         ----------
@@ -614,13 +614,13 @@ class _Reader:
         """
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shaders.values():
-            for index, shader in zip(table.index, table.make_objects(), strict=True):
+            for index, shader in zip(table.object_index, table.make_objects(), strict=True):
                 shaders[index] = shader
         tables = self.surfaces.values()
         surfaces = Surfaces(
             **{name: numbers for table in tables for name, numbers in table.to_arrays().items()},
             shader_index=np.concatenate([table.shader_index for table in tables]),
-            file_index=np.concatenate([table.index for table in tables]),
+            file_index=np.concatenate([table.object_index for table in tables]),
             shaders=tuple(shaders),
             line=np.concatenate([table.lines for table in tables]),
         )

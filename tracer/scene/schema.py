@@ -211,12 +211,14 @@ class Numbers:
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Floats:
-        """Copy the values of a field in many objects into an array, and check only the shape.
+        """Copy the values of one field of many objects into an array, without validating them.
+
+        Only the shape is checked: `count` is the required count of numbers per object.
 
         Parameters
         ----------
         values : (n, count) array_like, or (n,) array_like if `count` is 1
-            The values of the field in n objects: `count` numbers for each.
+            The values of the field in n objects.
         name : str
             Name of the field, for messages.
 
@@ -393,9 +395,9 @@ def require_list(*types: type) -> _Validator:
         except TypeError:
             message = f"{name}: must be a list, not of type {type(values).__name__}"
             raise SceneError([message]) from None
-        wrong_types = (type(item).__name__ for item in items if not isinstance(item, types))
+        bad_types = (type(item).__name__ for item in items if not isinstance(item, types))
         requirement = f"{name}: must be of type {allowed_types}"
-        raise_if_any(f"{requirement}, not {other}" for other in dict.fromkeys(wrong_types))
+        raise_if_any(f"{requirement}, not {bad_type}" for bad_type in dict.fromkeys(bad_types))
         return items
 
     return validate

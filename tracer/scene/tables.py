@@ -111,7 +111,7 @@ class Column:
         return np.reshape(self.numbers, (-1, self.validator.count))
 
     def list_values(self) -> Iterable[Any]:
-        """List the value of the field in each row, in the form that the dataclass stores.
+        """List the value of the field for each row, as the dataclass stores it.
 
         Returns
         -------
@@ -142,7 +142,7 @@ class Table:
         The column of each field that consists of numbers, by the field's name.
     lines : array of int
         For each row, the line of the object in the file.
-    index : array of int
+    object_index : array of int
         In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
     shader_index, shader_lines : array of int
         In a table of surfaces: for each row, the index of the surface's shader, and the line of the
@@ -155,7 +155,7 @@ class Table:
         numeric = [f for f in tagged if isinstance(f.metadata["validator"], Numbers)]
         self.field_of_tag = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
         self.columns = {field.name: Column(field) for field in numeric}
-        self.lines, self.index = array("i"), array("i")
+        self.lines, self.object_index = array("i"), array("i")
         self.shader_index, self.shader_lines = array("i"), array("i")
 
     def to_arrays(self) -> dict[str, Floats]:

@@ -203,11 +203,11 @@ class Shading:
         channel : int
             0 for red, 1 for green, 2 for blue.
         diffuse : (n,) float array
-            Radiance of each hit without highlights, from all lights that are visible there.
+            Diffuse radiance of each hit, summed over the lights.
         glossy_slice : slice
             Slice of k hits.  All hits with highlights are in this slice, which may be empty.
         specular : (k,) float array
-            Radiance of the highlights at each hit in the slice.
+            Specular radiance (highlights) of each hit in the slice, summed over the lights.
         """
         if self._diffuse_sum is None:
             return

@@ -113,7 +113,7 @@ class Packets(NamedTuple):
     is_lit: Bools
 
     def replace_by_children(self, packet_columns: Ints) -> Ints:
-        """Replace the packets in an array of indices by their children.
+        """Replace packets by their children in an array of indices.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
@@ -125,8 +125,8 @@ class Packets(NamedTuple):
         Returns
         -------
         child_columns : (2, j) or (3, j) int array
-            Each column, repeated for all children of its packet, with the children's indices in
-            place of the packet's.
+            A copy of each column for every child of its packet, with the child's index in place of
+            the packet's.
         """
         packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
@@ -141,8 +141,8 @@ def _find_occluders(
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
     """Find the objects that may block the light at each hit, in batches.
 
-    Hits that are certainly in shadow are yielded separately: those in a packet (a group of
-    neighbouring hits) that a single object shades entirely.
+    Some hits are certainly in shadow, because a single object shades their whole packet (a group of
+    neighbouring hits).  These hits are yielded separately.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def _find_occluders(
     lights : Lights
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Most other pairs are skipped.
+        Whether the surface at the hit faces the light.  Most pairs where it faces away are skipped.
     margin : (n,) float array, optional
-        If given, also find the objects that may block the light at any surface point within this
+        If given, also find objects that may block the light at any surface point within this
         distance of the hit.
 
     Yields
@@ -164,8 +164,8 @@ def _find_occluders(
         Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
-        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow, with
-        all points within `margin` of the hit.
+        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  So
+        are all surface points within `margin` of these hits.
     """
     if lights.grid is None or not faces_light.any():
         return
@@ -219,17 +219,16 @@ def _query_grid(
 def _test_packets(
     packets: Packets, lights: Lights, shape: Shape, candidates: Ints
 ) -> tuple[Ints, Ints]:
-    """Find the packets that a single object shades, and the objects that may shade other packets.
+    """Find the packets that a single object shades entirely, and the candidates that remain.
 
-    A packet is a group of neighbouring hits.  A capsule contains the segments from all these hits
-    to a light.  An object that misses the capsule shades no hit of the packet; an object that cuts
-    right through the capsule shades all hits.
+    A packet is a group of neighbouring hits.  The segments from these hits to a light lie in a
+    capsule.  An object that misses the capsule shades no hit of the packet.  An object that cuts
+    right through the capsule shades all hits; then this function sets `packets.is_lit` to False.
 
     Parameters
     ----------
     packets : Packets
-        The packets.  If an object shades all hits of a packet, this function sets `packets.is_lit`
-        to False for the packet and the light.
+        The packets.
     lights : Lights
         The lights.
     shape : Spheres or Boxes
@@ -241,7 +240,7 @@ def _test_packets(
     -------
     undecided_candidates : (3, j) int array
         The columns of `candidates` whose object may shade some hits of the packet.  Packets that
-        an object shades entirely are excluded.
+        a single object shades entirely are excluded.
     shaded_packets : (2, i) int array
         Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
     """
@@ -267,7 +266,7 @@ class _EdgeSet:
 
     Parameters
     ----------
-    shape : (int, int, int)
+    counts : (int, int, int)
         Total numbers of lights, hits and objects.
 
     Attributes
@@ -277,9 +276,9 @@ class _EdgeSet:
         keep the edges of such a (light, hit) pair.
     """
 
-    def __init__(self, shape: tuple[int, int, int]) -> None:
-        self.is_crowded = np.zeros(shape[:2], dtype=np.bool_)
-        self._shape, self._keys = shape, [np.zeros(0, dtype=np.intp)]
+    def __init__(self, counts: tuple[int, int, int]) -> None:
+        self.is_crowded = np.zeros(counts[:2], dtype=np.bool_)
+        self._counts, self._key_batches = counts, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
         """Add shadow edges to the set, except those of (light, hit) pairs that have too many.
@@ -291,9 +290,9 @@ class _EdgeSet:
             are allowed.
         """
         is_kept = ~take_2d(self.is_crowded, edges[0], edges[1])
-        self._keys.append(np.ravel_multi_index(tuple(edges[:, is_kept]), self._shape))
-        if sum(keys.size for keys in self._keys[1:]) > _EDGES_PER_BATCH:
-            self._remove_duplicates()
+        self._key_batches.append(np.ravel_multi_index(tuple(edges[:, is_kept]), self._counts))
+        if sum(batch.size for batch in self._key_batches[1:]) > _EDGES_PER_BATCH:
+            self._merge_batches()
 
     def get_edges(self) -> Ints:
         """Return all shadow edges in the set, sorted by light, then by hit, then by occluder.
@@ -307,28 +306,29 @@ class _EdgeSet:
         edges : (3, m) int array
             Row 0 contains light indices, row 1 hit indices, and row 2 occluder indices.
         """
-        self._remove_duplicates()
-        return np.array(np.unravel_index(self._keys[0], self._shape))
+        self._merge_batches()
+        return np.array(np.unravel_index(self._key_batches[0], self._counts))
 
-    def _remove_duplicates(self) -> None:
-        """Sort the keys of shadow edges, and remove duplicates and the edges of crowded pairs.
+    def _merge_batches(self) -> None:
+        """Merge all batches of keys into one sorted batch without duplicates.
 
         A key is an integer that encodes a light, a hit and an occluder.  A (light, hit) pair with
-        more than `_MAX_EDGES_PER_HIT` edges is crowded, and is recorded in `is_crowded`.
+        more than `_MAX_EDGES_PER_HIT` keys is crowded: its keys are removed, and `is_crowded` is
+        set.
         """
-        keys = np.unique(np.concatenate(self._keys))
-        pair_key = keys // self._shape[2]  # encodes the light and the hit
+        keys = np.unique(np.concatenate(self._key_batches))
+        pair_key = keys // self._counts[2]  # encodes the light and the hit
         pair_start, edge_count = find_runs(pair_key)
         is_pair_crowded = edge_count > _MAX_EDGES_PER_HIT
         self.is_crowded.ravel()[pair_key[pair_start[is_pair_crowded]]] = True
-        self._keys = [keys[~is_pair_crowded.repeat(edge_count)]]
+        self._key_batches = [keys[~is_pair_crowded.repeat(edge_count)]]
 
 
 def find_shadows(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     """Test whether each hit is in the shadow of another object, for each light.
 
-    The object on which the hit lies is not tested.  This object blocks the light only where
-    `faces_light` is False.
+    The object on which the hit lies is not tested.  It blocks only the lights that the surface at
+    the hit does not face.
 
     Parameters
     ----------
@@ -358,9 +358,9 @@ def find_shadow_edges(
 ) -> tuple[Bools, Ints, Bools]:
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
-    An edge is near a hit if it may cross the footprint of the hit: the small part of the surface
-    that is visible in one cell of the picture (a pixel or a part of it).  An edge is not visible
-    where an object shades the whole footprint from the same light.
+    The footprint of a hit is the part of the surface around it that is visible in one cell of the
+    picture (a pixel or a part of it).  An edge is near the hit if it may cross the footprint.  It
+    is invisible if an object shades the whole footprint from the same light.
 
     Parameters
     ----------
@@ -380,36 +380,34 @@ def find_shadow_edges(
         meaningless where `faces_light` is False.
     edges : (3, m) int array
         The visible edges, sorted by light, then by hit, then by occluder.  Row 0 contains light
-        indices, row 1 hit indices, and row 2 occluder indices.  Edges of crowded hits are omitted.
+        indices, row 1 hit indices, and row 2 occluder indices.  Some edges of crowded hits (see
+        `is_crowded`) are omitted.
     is_crowded : (n,) bool array
         Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of any one light.
     """
-    is_blocked, in_umbra = np.zeros((2, *faces_light.shape), dtype=np.bool_)
+    is_blocked, is_covered = np.zeros((2, *faces_light.shape), dtype=np.bool_)
     edge_set = _EdgeSet((*faces_light.shape, hits.scene.position_error.size))
     for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, radius):
         results = _test_footprints(hits, lights, shape, candidates, radius)
-        candidates, blocks, covers, has_edge = results
-        put_2d(is_blocked, candidates[0, blocks], candidates[1, blocks], True)
-        put_2d(in_umbra, candidates[0, covers], candidates[1, covers], True)
-        put_2d(in_umbra, shaded_pairs[0], shaded_pairs[1], True)
+        candidates, is_blocking, is_covering, has_edge = results
+        put_2d(is_blocked, candidates[0, is_blocking], candidates[1, is_blocking], True)
+        put_2d(is_covered, candidates[0, is_covering], candidates[1, is_covering], True)
+        put_2d(is_covered, shaded_pairs[0], shaded_pairs[1], True)
         edge_set.add(candidates[:, has_edge & take_2d(faces_light, candidates[0], candidates[1])])
     edges = edge_set.get_edges()
-    is_visible = ~take_2d(in_umbra, edges[0], edges[1])
-    is_crowded = np.any(edge_set.is_crowded & ~in_umbra, axis=0)
-    return is_blocked | in_umbra, edges[:, is_visible], is_crowded
+    is_visible = ~take_2d(is_covered, edges[0], edges[1])
+    is_crowded = np.any(edge_set.is_crowded & ~is_covered, axis=0)
+    return is_blocked | is_covered, edges[:, is_visible], is_crowded
 
 
 def _test_footprints(
     hits: Hits, lights: Lights, shape: Shape, candidates: Ints, radius: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test whether each object shades its hit, and whether it shades the footprint of the hit.
+    """Test whether each object shades its hit, and how much of the hit's footprint it shades.
 
-    The footprint is the part of the surface, around the hit, that is visible in one cell of the
-    picture.  Each object is tested unchanged, grown by the radius of the footprint, and shrunk by
-    this radius.  The object shades the whole footprint if both the unchanged and the shrunk object
-    block the segment from the hit to the light.  Otherwise, the edge of the object's shadow may
-    cross the footprint if the grown object blocks the segment, or if the light is within this
-    radius of the object's surface.
+    The footprint of a hit is the part of the surface around it that is visible in one cell of the
+    picture.  If an object may shade the footprint partly, the edge of its shadow may cross the
+    footprint.
 
     Parameters
     ----------
@@ -426,30 +424,32 @@ def _test_footprints(
     -------
     near_candidates : (3, j) int array
         The columns of `candidates` whose object may shade any part of the footprint.
-    blocks : (j,) bool array
+    is_blocking : (j,) bool array
         Whether the object blocks the segment from the hit to the light.
-    covers : (j,) bool array
+    is_covering : (j,) bool array
         Whether the object shades the whole footprint.
     has_edge : (j,) bool array
         Whether the edge of the object's shadow may cross the footprint.
     """
+    # Growing the object by the radius has the effect of moving the hit within the footprint.
     growth = radius[candidates[1]]
-    grown_blocks = _test_segments(hits, lights, shape, candidates, growth)
+    is_grown_blocking = _test_segments(hits, lights, shape, candidates, growth)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
     light_distance = shape.signed_distance(candidates[2], take(lights.position.T, candidates[0]))
-    near_index = find(grown_blocks | (light_distance <= growth))
+    near_index = find(is_grown_blocking | (light_distance <= growth))
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]
-    blocks = _test_segments(hits, lights, shape, near_candidates)
-    # If the hit is inside the object but outside the shrunk object, the shrunk object may block a
-    # light that the object does not block.
-    covers = blocks & _test_segments(hits, lights, shape, near_candidates, -growth)
+    is_blocking = _test_segments(hits, lights, shape, near_candidates)
+    # The object shades the whole footprint if the shrunk object blocks the light, too.  But if the
+    # hit is inside the object and outside the shrunk object, a light may be blocked by only the
+    # shrunk object.
+    is_covering = is_blocking & _test_segments(hits, lights, shape, near_candidates, -growth)
     # A light on the object's surface illuminates only one side of the tangent plane at the light,
     # which may cross the footprint.
-    covers &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
-    has_edge = ~covers & (grown_blocks[near_index] | (np.abs(light_distance) <= growth))
-    return near_candidates, blocks, covers, has_edge
+    is_covering &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
+    has_edge = ~is_covering & (is_grown_blocking[near_index] | (np.abs(light_distance) <= growth))
+    return near_candidates, is_blocking, is_covering, has_edge
 
 
 def _test_segments(
@@ -470,7 +470,7 @@ def _test_segments(
 
     Returns
     -------
-    blocks : (k,) bool array
+    is_blocking : (k,) bool array
         Whether the object blocks the segment from the hit to the light.
     """
     light_index, hit_index, object_index = candidates
@@ -535,11 +535,11 @@ def _build_row_packets(
         The packets, in the order of the hits.  `is_lit` is True if the surface at any hit of the
         packet faces the light.
     """
-    run_size = np.diff(hits.run_start)
-    run_index, first_in_run = enumerate_ranges(-(-run_size // max_hits))
-    first_in_run *= max_hits
-    first_hit = hits.run_start[run_index] + first_in_run
-    hit_count = np.minimum(run_size[run_index] - first_in_run, max_hits)
+    run_length = np.diff(hits.run_start)
+    run_index, offset_in_run = enumerate_ranges(-(-run_length // max_hits))
+    offset_in_run *= max_hits
+    first_hit = hits.run_start[run_index] + offset_in_run
+    hit_count = np.minimum(run_length[run_index] - offset_in_run, max_hits)
     object_index = hits.run_object[run_index]
     is_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
     center, radius = _compute_bounding_spheres(hits, first_hit)
@@ -577,8 +577,8 @@ def _build_square_packets(
     first_hit = row_packets.child_start
     # One integer encodes the object, and the row and the column of the square.
     square_key = row_packets.object_index
-    for position in hits.samples.get_positions(hits.sample.take(first_hit)):
-        square_index = (position / square_width).astype(np.intp)
+    for coordinate in hits.samples.get_positions(hits.sample.take(first_hit)):
+        square_index = (coordinate / square_width).astype(np.intp)
         square_index -= square_index.min()
         square_key = square_key * (square_index.max() + 1) + square_index
     order = square_key.argsort(kind="stable")
@@ -610,8 +610,8 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
         corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
         opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     else:
-        # The hits lie on a straight line, or on an arc of less than half a circle.  The sphere
-        # whose diameter is the segment from the first hit to the last contains either.
+        # The hits lie on a straight line, or on an arc of less than half a circle.  So they are in
+        # the sphere whose diameter is the segment from the first hit to the last.
         last_hit = np.append(first_hit[1:], hits.from_eye.shape[1]) - 1
         corner = hits.from_eye.take(first_hit, axis=1)
         opposite_corner = hits.from_eye.take(last_hit, axis=1)

@@ -273,7 +273,7 @@ class Scattered(NamedTuple):
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
         """Find the samples at which the objects of one shape may be visible, as spans.
 
-        A span belongs to one object and, unlike those of `Rows.find_spans`, has only one sample.
+        A span belongs to one object.  It has only one sample, unlike those of `Rows.find_spans`.
 
         Parameters
         ----------
