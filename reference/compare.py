@@ -25,10 +25,11 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
+from threading import Event
 
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import compare_codes, write_comparison
@@ -225,11 +226,19 @@ def _compare_with_progress_bar(
         Both pictures, for the HTML page.  None if no page is requested, if the sizes differ, or if
         there is an error.
     """
-    with Progress(1, "pictures") as bar, ThreadPoolExecutor(1) as executor:
-        future = executor.submit(compare_hand_in, options, hand_in)
-        while not wait([future], _REFRESH_SECONDS).done:
+    is_finished = Event()
+
+    def refresh(bar: Progress) -> None:
+        while not is_finished.wait(_REFRESH_SECONDS):
             bar.update(0)
-        return future.result()
+
+    # The comparison runs in the main thread, in which freed memory is reused best.
+    with Progress(1, "pictures") as bar, ThreadPoolExecutor(1) as executor:
+        executor.submit(refresh, bar)
+        try:
+            return compare_hand_in(options, hand_in)
+        finally:
+            is_finished.set()
 
 
 def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:

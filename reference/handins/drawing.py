@@ -40,7 +40,8 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
         the only array is "picture" (h, w, 3), the reference picture in linear light.
     """
     if not isinstance(source, Scene):
-        return {"picture": decode_to_linear(source)}
+        light_of_code = decode_to_linear(np.arange(256)).astype(np.float32)
+        return {"picture": light_of_code[source]}  # float64 would take too much memory
     camera, surfaces, lights = source.camera, list(source.surfaces) or [Sphere()], source.lights
     shaders = [surface.shader for surface in surfaces]
     # Formulas need a surface: an empty scene gets a sphere with radius NaN, which all rays miss.

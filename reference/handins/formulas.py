@@ -414,7 +414,7 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
     """
     height, width = picture.shape[:2]
     row_and_column = (0.5 - y) * height - 0.5, (x + 0.5) * width - 0.5
-    return np.array([map_coordinates(channel, row_and_column, order=1, mode="nearest")
+    return np.array([map_coordinates(channel, row_and_column, np.float64, order=1, mode="nearest")
                      for channel in np.moveaxis(picture, 2, 0)])  # fmt: skip
 
 
