@@ -619,7 +619,7 @@ class Submission:
             good_pairs = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
             if good_pairs and _MIN_RATIO * self._count_unexplained(good_pairs[0]) <= min_count:
                 causes = good_pairs
-        # A pair is nearest only if it leaves less than half as many pixels unexplained.
+        # A pair is preferred only if it leaves less than half as many pixels unexplained.
         nearest = min(causes[:1] or singles + pairs, default=(), key=lambda cause: (
             (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
         if 2 * self._count_unexplained(nearest) > self.wrong_count:
@@ -630,7 +630,7 @@ class Submission:
         return Finding((), count, remove_variants(nearest))
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
-        """Count exactly how many pixels of the full picture a cause leaves unexplained."""
+        """Count the pixels of the complete picture that a cause leaves unexplained."""
         every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
         levels = self._compare_levels([cause], every_pixel, self.renderer.width)
         return int((levels > self.tolerance).sum())
@@ -658,15 +658,15 @@ class Submission:
         best_pairs, groups = self._select_best([*pairs]), {background: [background]} | groups
         # The best pairs, and all pairs with the same pictures; the keys of a dictionary are unique.
         twin_pairs = {cause: None for pair in best_pairs
-                       for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
-                       if (cause := renderer.join_causes(first, second))}  # fmt: skip
+                      for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
+                      if (cause := renderer.join_causes(first, second))}  # fmt: skip
         return self._select_best([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
 
     def _needs_each_mistake(self, cause: Cause) -> bool:
         """Test whether both mistakes of a pair are needed to explain the submitted picture.
 
-        Without either mistake, far more pixels must be unexplained.  A pair with a camera mistake
-        must also show several surfaces; otherwise, its picture may agree by chance.
+        With only one of the two mistakes, far more pixels must remain unexplained.  A pair with a
+        camera mistake must also show several surfaces; otherwise, its picture may agree by chance.
 
         Parameters
         ----------
@@ -710,8 +710,8 @@ class Submission:
         causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        end_count = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = [cause for cause in causes if self._count_unexplained(cause) < end_count]
+        count_limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        causes = [cause for cause in causes if self._count_unexplained(cause) < count_limit]
         max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting
@@ -742,9 +742,9 @@ class Submission:
         self._cache_counts([option for options in option_lists for option in options])
         chosen_causes = list[Cause]()
         for cause, options in zip(causes, option_lists, strict=True):
-            most_exact = min(options, key=self._count_inexact)
-            max_inexact = _MIN_RATIO * max(self._count_inexact(most_exact), _MAX_UNEXPLAINED)
-            chosen_causes.append(most_exact if max_inexact < self._count_inexact(cause) else cause)
+            best_option = min(options, key=self._count_inexact)
+            max_inexact = _MIN_RATIO * max(self._count_inexact(best_option), _MAX_UNEXPLAINED)
+            chosen_causes.append(best_option if max_inexact < self._count_inexact(cause) else cause)
         return chosen_causes
 
 

@@ -93,9 +93,9 @@ def is_speckled(submission: Submission) -> bool:
         The picture that a student submitted, and the renderer of its scene.
     """
     renderer = submission.renderer
-    if renderer.pixel_count > MAX_PIXELS or not (changes := find_light_changes(submission)):
+    if renderer.pixel_count > MAX_PIXELS or not (light_changes := find_light_changes(submission)):
         return False
-    is_lost, is_extra = changes
+    is_lost, is_extra = light_changes
     is_dark = is_lost.any(axis=0) & ~is_extra.any(axis=0)
     dark_count = is_dark.sum()
     has_other_errors = submission.wrong_count - dark_count > _MAX_OTHERS * dark_count
@@ -109,7 +109,7 @@ def is_speckled(submission: Submission) -> bool:
     is_lit, is_dark, surface = (array.reshape(-1, renderer.width)
                                 for array in (is_lit, is_dark, surface))  # fmt: skip
     for axis in (0, 1):
-        # Pairs of neighbours on the same surface.  In random dots, many of them differ.
+        # Pairs of neighbours on the same surface.  If the dots are random, many pairs differ.
         is_pair = is_lit & np.roll(is_lit, 1, axis) & (surface == np.roll(surface, 1, axis))
         differing_count = (is_pair & (is_dark != np.roll(is_dark, 1, axis))).sum()
         random_count = 2 * dark_share * (1 - dark_share) * is_pair.sum()
