@@ -54,32 +54,32 @@ def render_by_brute_force(scene: Scene) -> Floats:
 def _cover_whole_rows(
     shape: Shape, scene: PreparedScene, row_top: Floats, x_range: tuple[float, float], **_: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Replace `find_object_spans`: every object covers every row."""
-    row, position = np.indices((row_top.size, shape.objects.size)).reshape(2, -1)
+    """Stand in for `find_object_spans`: every object covers every row."""
+    row, index_in_shape = np.indices((row_top.size, shape.objects.size)).reshape(2, -1)
     left, right = np.full((row.size, 2), x_range).T
-    return position + shape.objects.start, row, left, right
+    return index_in_shape + shape.objects.start, row, left, right
 
 
 @np.errstate(all="ignore")
 def _test_all_occluders(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
-    """Replace `find_shadows`: test all objects, one after the other."""
+    """Stand in for `find_shadows`: test all objects, one after the other."""
     is_blocked, own_object = np.zeros_like(faces_light), hits.hit_object
     for light, is_facing, blocked in zip(lights.position, faces_light, is_blocked, strict=True):
         for shape in hits.scene.shapes:
             for index in shape.objects.list_indices():
                 hit = np.flatnonzero(is_facing & ~blocked & (own_object != index))
                 x, y, z = np.full((3, hit.size), light[:, None])
-                same_object = np.full(hit.size, index)
-                side = shape.find_light_side(same_object, (x, y, z))
-                blocked[hit] = shape.occludes(same_object, hits.get_points(hit), (x, y, z), side)
+                object_index = np.full(hit.size, index)
+                side = shape.find_light_side(object_index, (x, y, z))
+                blocked[hit] = shape.occludes(object_index, hits.get_points(hit), (x, y, z), side)
     return is_blocked
 
 
 def assert_unchanged(scene: Scene) -> None:
     """Assert that the tracer renders the picture of `render_by_brute_force`, to the last bit.
 
-    The tracer renders with large packets, with packets of single hits, and with short packets.  It
-    traces samples in rows, and scattered samples.
+    The tracer renders with large packets, with short packets, and with packets of single hits.  It
+    traces rows of samples, and scattered samples.
     """
     expected = render_by_brute_force(scene)
     for packet_scale in (1e9, 1e-9, 0.2):

@@ -47,19 +47,19 @@ def collect_messages(content: str | bytes) -> list[str]:
         is_scene_error = isinstance(caught.value, tracer.SceneError)
         prefix = "" if is_scene_error else f"{type(caught.value).__name__}: "
         return [f"{prefix}{line}" for line in str(caught.value).split("\n")]
-    with warnings.catch_warnings(record=True) as warned:
+    with warnings.catch_warnings(record=True) as scene_warnings:
         warnings.simplefilter("always", tracer.SceneWarning)
         with suppress(SceneFileError):
             scene = load_scene(
                 io.BytesIO(content.encode() if isinstance(content, str) else content)
             )
             tracer.render(scene)
-            return [f"warning: {warning.message}" for warning in warned] or ["no message"]
+            return [f"warning: {warning.message}" for warning in scene_warnings] or ["no message"]
     return read_errors(content)
 
 
 def read_cases() -> Iterator[tuple[str, str | bytes, list[str]]]:
-    """Yield the cases of `messages.txt`: their text there, the content, and the messages."""
+    """Yield each case of `messages.txt`: its text there, its content, and the expected messages."""
     text = re.sub(r"^\n?# .*\n", "", MESSAGES.read_text(encoding="utf-8"), flags=re.M)
     for case, expected in re.findall(r"((?:(?!=> ).*\n)+)((?:=> .*\n)+)", text):
         content = case.removesuffix("\n")
@@ -154,16 +154,16 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
     "cannot be read: Too many levels of symbolic links": lambda path: path.symlink_to(path),
     "is empty; a scene file holds <scene>": Path.touch,
     "is a folder; name a scene file in it": Path.mkdir,
-    # Sparse: takes no room.
+    # A sparse file, which takes no space.
     "has 268435457 bytes; at most 268435456 are": lambda p: p.touch() or os.truncate(p, 2**28 + 1),
     "is not a regular file; save the scene to one": os.mkfifo,
     "is not a regular": lambda path: path.symlink_to("/dev/zero"),
 }
 
 
-@pytest.mark.parametrize(("message", "make"), UNREADABLE.items())
-def test_a_file_that_cannot_be_read(tmp_path, make, message):
-    make(tmp_path / "a.xml")
+@pytest.mark.parametrize(("message", "make_file"), UNREADABLE.items())
+def test_a_file_that_cannot_be_read(tmp_path, make_file, message):
+    make_file(tmp_path / "a.xml")
     (line,) = read_errors(tmp_path / "a.xml")
     assert line.startswith(message)
 

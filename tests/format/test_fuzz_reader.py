@@ -72,7 +72,7 @@ def test_mutated_files(content):
         st.sampled_from([b"", b"</scene>"]),
     ).map(b"".join)
 )
-def test_files_of_anything(content):
+def test_files_of_random_pieces(content):
     check_reader(content)
 
 

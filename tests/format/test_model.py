@@ -12,9 +12,9 @@ import pytest
 import tracer
 from tracer import Box, Camera, Lambertian, Phong, PointLight, Scene, Sphere, Surfaces, load_scene
 
-# Two spheres around a box, in this order.
 MATTE, SHINY = Lambertian(diffuse=(0.5, 0.5, 0.5)), Phong(specular=(1, 1, 1), exponent=9)
 
+# In the order of the file: a sphere, a box, a sphere.
 ARRAYS: dict[str, Any] = {
     "center": [(0, 0, 0), (1, 2, 3)],
     "radius": [1, 2],

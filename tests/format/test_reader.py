@@ -76,7 +76,7 @@ def test_all_elements():
 
 
 def test_shaders_are_named_nested_or_referred_to_before_they_are_defined():
-    """Each is kept once, however often it is used."""
+    """Each shader is stored once, however often it is used."""
     scene = read_scene(f"""{EMPTY}
       <surface type="Sphere"><shader ref="late"/></surface>
       <surface type="Sphere"><shader ref="nested"/></surface>
@@ -125,7 +125,7 @@ def test_encodings_comments_and_processing_instructions(encoding):
 
 
 def test_a_token_may_be_divided_between_chunks():
-    """The file is parsed in chunks of 16 KiB, which begin at any place."""
+    """The file is parsed in chunks of 16 KiB, which may begin anywhere."""
     sphere = '<surface type="Sphere"><center>1 2 3</center><radius>4</radius></surface>'
     for shift in range(0, len(sphere), 7):
         scene = read_scene(EMPTY + " " * shift + sphere * 2000)
