@@ -338,7 +338,7 @@ def test_the_light_grid_is_read_in_batches(monkeypatch):
 def test_packets_are_finite(eye_height, view_height, monkeypatch):
     # At the limits of the format, a pixel sees a floor over 1e150 times its own width.  If the
     # bounding sphere of such a packet were infinite, its cells in the light grid would be NaN.
-    radii = record_calls(monkeypatch, LightGrid, "query", lambda _, center, radius, *others: radius)
+    radii = record_calls(monkeypatch, LightGrid, "query", lambda _, centers, radii, *others: radii)
     floor = Box(min_pt=(-1e75, -1, -1e75), max_pt=(1e75, 0, 1e75))
     ball = Sphere(center=(0, 0.5, -3), radius=0.5)
     camera = Camera(view_point=(0, eye_height, 0), view_width=1, view_height=view_height)

@@ -27,7 +27,7 @@ direction bounds
 An entry is listed in all cells that its rectangle overlaps.  The rectangle of a ball overlaps
 several cells, too, and yet the query must find each entry only once.  Therefore it finds the entry
 only in the first column and the first row that both rectangles have in common.  For this purpose
-each cell has four lists (see `_LIST_OF_PLACE`).
+each cell has four lists (see `_LIST_BY_FLAGS`).
 
 Rectangles are loose bounds for long objects.  So the query also compares the direction bounds of
 the entry and the ball: the range of their distances from the light, and ranges of the ratios of the
@@ -77,20 +77,20 @@ _PAIRS_PER_BATCH, _CELLS_PER_BATCH = 4 * CACHE_SIZE, 4 * CACHE_SIZE
 # objects lie in one cell.
 _OBJECTS_PER_OUTLIER = 64
 
-# Flags for the place of a cell in a rectangle: the cell is in the rectangle's first column, in its
-# first row, in both, or in neither.
+# Flags of a cell that a rectangle overlaps: the cell is in the rectangle's first column, or in its
+# first row.
 _FIRST_COLUMN, _FIRST_ROW = 1, 2
 
 # The rectangles of an entry and a ball may have several cells in common.  Among these, the first
 # cell is the one that is in the first column of either rectangle and in the first row of either
-# rectangle.  So each cell has four lists of entries, by the place of the cell in the entry's
-# rectangle: list 0 for "first row only", 1 for "first column and first row", 2 for "first column
-# only", 3 for "neither".
-_LIST_OF_PLACE = np.array([3, 2, 0, 1])
+# rectangle.  So each cell has four lists of entries, by the cell's flags in the entry's rectangle:
+# list 0 for "first row only", 1 for "first column and first row", 2 for "first column only", 3 for
+# "neither".
+_LIST_BY_FLAGS = np.array([3, 2, 0, 1])
 
-# A ball reads a range of these lists, by the place of the cell in the ball's rectangle: the first
-# row contains the start of each range, and the second row its end, exclusive.
-_LIST_LIMITS = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
+# A query for a ball reads a range of these lists, by the cell's flags in the ball's rectangle: the
+# first row contains the start of each range, and the second row its end, exclusive.
+_LISTS_TO_READ = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
 
 # Direction bounds are stored in float32 if all patches are wider than this, in octahedral
 # coordinates, and otherwise in float64.  With float32, rendering 10,000 objects takes 0.88
@@ -143,7 +143,7 @@ class LightGrid(NamedTuple):
         Number of cells along each side of a patch.
     list_start : (4 * patches * cells_per_side**2 + 1,) int array
         Position in `listed_entry` where each list begins.  Each cell has four lists, so that a
-        query can find an entry only once: see `_LIST_OF_PLACE`.
+        query can find an entry only once: see `_LIST_BY_FLAGS`.
     listed_entry : (m,) int array
         Indices of the entries in all lists, cell by cell and list by list.
     entry_bounds : (entries, 8) float array
@@ -165,22 +165,22 @@ class LightGrid(NamedTuple):
     entry_object: Ints
 
     def query(
-        self, center: Floats, radius: Floats, own_object_index: Ints, is_active: Bools
+        self, centers: Floats, radii: Floats, own_object_index: Ints, is_active: Bools
     ) -> Iterator[Ints]:
-        """Find objects that may lie between each ball and each light, and yield them in batches.
+        """Find objects that may lie between balls and lights, and yield them in batches.
 
-        Every object that blocks a segment from a point of a ball to a light is found.  The query
-        also finds some objects that block none, and it may find an object several times.
+        All objects that block a segment from a point of a ball to a light are found.  Some of the
+        objects found block no segment, and some are found several times.
 
         Parameters
         ----------
-        center : (3, n) float array
+        centers : (3, n) float array
             Centres of the balls, in scene axes.
-        radius : (n,) or (3, 1, n) float array
-            Radii of the balls.  To search for boxes instead of balls, pass half the widths of the
-            boxes along each axis.
+        radii : (n,) or (3, 1, n) float array
+            Radii of the balls.  Boxes can be passed instead of balls: half their widths along each
+            axis.
         own_object_index : (n,) int array
-            Index of the object that each ball's points lie on.  This object is not returned.
+            Index of the object on whose surface the points of each ball lie.  It is not returned.
         is_active : (lights, n) bool array
             Whether to search between the light and the ball.
 
@@ -188,13 +188,13 @@ class LightGrid(NamedTuple):
         ------
         triples : (3, k) int array
             Row 0 contains light indices, row 1 ball indices, and row 2 indices of objects that may
-            lie between the ball and the light.
+            lie between them.
         """
         ball_count = own_object_index.size
         # The vectors from a ball to a light fill a box, which is split into up to eight parts.
-        to_light = self.light_position - center[:, None]
+        to_light = self.light_position - centers[:, None]
         octant_index, box_index, rectangles, bounds = _split_by_octant(
-            to_light - radius, to_light + radius, self.patch_of_octant, is_active
+            to_light - radii, to_light + radii, self.patch_of_octant, is_active
         )
         # An object may extend beyond the ball, so its maximum distance from the light is not used.
         bounds[7] = -np.inf
@@ -205,20 +205,20 @@ class LightGrid(NamedTuple):
             for batch in split_by_size(lengths, _PAIRS_PER_BATCH):
                 pair_part = part_index[batch].repeat(lengths[batch])
                 pair_entry = self.listed_entry.take(join_ranges(starts[batch], lengths[batch]))
-                is_within = self.entry_bounds.take(pair_entry, axis=0) >= bounds.take(pair_part, 0)
-                # The same as is_within.all(axis=1), but much faster.
-                match_index = find(is_within.view(np.uint64) == _EIGHT_TRUE)
+                meets_bound = self.entry_bounds.take(pair_entry, 0) >= bounds.take(pair_part, 0)
+                # The same as meets_bound.all(axis=1), but much faster.
+                match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
                 occluder = self.entry_object.take(pair_entry.take(match_index))
                 match_box = box_index.take(pair_part.take(match_index))
                 light_index, ball_index = np.divmod(match_box, ball_count)
-                kept = find(occluder != own_object_index.take(ball_index))
-                yield np.array([light_index.take(kept), ball_index.take(kept), occluder.take(kept)])
+                others = find(occluder != own_object_index.take(ball_index))
+                yield np.array([row.take(others) for row in (light_index, ball_index, occluder)])
 
     def _find_ranges(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
-        """Yield, in batches, the ranges of `listed_entry` to read for each rectangle.
+        """Find the entries near each rectangle, and yield ranges of `listed_entry` in batches.
 
-        An entry is the part of an object in one octant of directions.  The ranges for a rectangle
-        contain all entries of the cells that it overlaps, each entry once.
+        An entry is the part of an object in one octant of directions.  It is near a rectangle if
+        both overlap the same cell.  The ranges contain each entry near a rectangle once.
 
         Parameters
         ----------
@@ -236,10 +236,10 @@ class LightGrid(NamedTuple):
             Start and length of each range; no range is empty.
         """
         overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
-        for rectangle_index, cell_index, place in overlaps:
+        for rectangle_index, cell_index, flags in overlaps:
             starts, stops = (
-                self.list_start.take(4 * cell_index + list_limit.take(place)).astype(np.intp)
-                for list_limit in _LIST_LIMITS
+                self.list_start.take(4 * cell_index + list_number.take(flags)).astype(np.intp)
+                for list_number in _LISTS_TO_READ
             )
             nonempty_index = find(stops > starts)
             starts, stops = starts.take(nonempty_index), stops.take(nonempty_index)
@@ -317,15 +317,14 @@ def _choose_patches(
     """Choose a patch of directions for each octant that contains visible objects.
 
     Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
-    a rectangle in these coordinates that contains most of the octant's visible objects.  At most
-    one object in `_OBJECTS_PER_OUTLIER` extends beyond each side of the patch.
+    a rectangle in these coordinates that contains all but a few of the octant's visible objects.
 
     Parameters
     ----------
     octant_index : (n,) int array
         Index of the octant of each rectangle, in ascending order.
     rectangles : (4, n) float array
-        Minimum u, maximum u, minimum v and maximum v of the part of a visible object in an octant.
+        Minimum u, maximum u, minimum v and maximum v of the part of a visible object in the octant.
     octant_count : int
         Total number of octants: 8 for each light.
 
@@ -344,66 +343,64 @@ def _choose_patches(
     patches = []
     for octant_rectangles in np.split(rectangles, octant_start[1:], axis=1):
         outlier_count = octant_rectangles.shape[1] // _OBJECTS_PER_OUTLIER
-        start = np.partition(octant_rectangles[::2], outlier_count)[:, outlier_count]
+        origin = np.partition(octant_rectangles[::2], outlier_count)[:, outlier_count]
         end = np.partition(octant_rectangles[1::2], -1 - outlier_count)[:, -1 - outlier_count]
-        patches.append((start, end - start))
+        patches.append((origin, end - origin))
     patch_origin, patch_size = np.array(patches).transpose(1, 2, 0)
     return patch_of_octant, patch_origin, patch_size
 
 
-def _move_far_lights(position: Floats, box_min: Floats, box_max: Floats) -> tuple[Floats, Floats]:
-    """Move distant lights towards the scene, to `_MAX_LIGHT_DISTANCE` times the scene's size.
+def _move_far_lights(positions: Floats, box_min: Floats, box_max: Floats) -> tuple[Floats, Floats]:
+    """Move distant lights closer to the scene, which hardly changes their directions.
 
-    The directions from the scene to these lights change by a negligible angle.
+    The new distance is `_MAX_LIGHT_DISTANCE` times the size of the scene.
 
     Parameters
     ----------
-    position : (n, 3) float array
+    positions : (n, 3) float array
         Positions of the lights, in scene axes.
     box_min, box_max : (3, objects) float arrays
         Smallest and largest coordinates of each object in the scene.
 
     Returns
     -------
-    near_position : (3, n, 1) float array
-        New positions of the lights; only those of distant lights differ.
+    near_positions : (3, n, 1) float array
+        Positions of the lights, with distant lights moved.
     vector_error : (n, 1) float array
-        Bound on the error of vectors from the scene to each light, due to rounding and to moving
-        the light.
+        Bound on the error of vectors from the scene to each light, due to rounding and to the move.
     """
     scene_min, scene_max = box_min.min(axis=1, keepdims=True), box_max.max(axis=1, keepdims=True)
     center, scene_size = scene_min / 2 + scene_max / 2, (scene_max - scene_min).sum()
-    from_center = position.T - center
+    from_center = positions.T - center
     shrink_factor = _MAX_LIGHT_DISTANCE * scene_size / np.abs(from_center).sum(axis=0)
     is_far = shrink_factor < 1
-    near_position = np.where(is_far, center + shrink_factor * from_center, position.T)
+    near_positions = np.where(is_far, center + shrink_factor * from_center, positions.T)
     move_error = np.where(is_far, 2 * scene_size / _MAX_LIGHT_DISTANCE, 0)
-    vector_error = DIRECTION_ROUNDING * np.abs(near_position).sum(axis=0) + move_error
-    return near_position[:, :, None], vector_error[:, None]
+    vector_error = DIRECTION_ROUNDING * np.abs(near_positions).sum(axis=0) + move_error
+    return near_positions[:, :, None], vector_error[:, None]
 
 
 def _split_by_octant(
     vector_min: Floats, vector_max: Floats, patch_of_octant: Ints, is_active: Bools
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Split boxes of vectors into octants, and bound the directions in each part.
+    """Split boxes of vectors by octant, and bound the directions of the vectors in each part.
 
-    A box contains the vectors from the points of an object, or of a ball, to one light.  A part is
-    the intersection of a box with an octant: one combination of the signs of x, y and z.
+    An octant consists of all vectors with the same signs of x, y and z.  Each box of vectors to a
+    light is split into up to eight parts.
 
     Parameters
     ----------
     vector_min, vector_max : (3, lights, n) float arrays
-        Minimum and maximum of each vector component in each box.
+        Smallest and largest components of the vectors in each box.
     patch_of_octant : (8 * lights,) int array
-        For each octant of each light, the index of its patch.  If this is negative, the octant is
-        skipped.
+        Index of the patch of each light's octants.  Octants with a negative index are skipped.
     is_active : (lights, n) or (1, 1) bool array
-        Whether to process the box.
+        Whether to split the box; other boxes are skipped.
 
     Returns
     -------
     octant_index : (m,) int array
-        Index of each part's octant in `patch_of_octant`, in ascending order.
+        Index in `patch_of_octant` of each part's octant, in ascending order.
     box_index : (m,) int array
         Index of each part's box in the flattened (lights, n) array of boxes.
     rectangles : (4, m) float array
@@ -413,11 +410,10 @@ def _split_by_octant(
         More bounds on each part's vectors: see `_bound_directions`.
     """
     # Whether each box contains vectors with x >= 0, and with x <= 0; the same for y and z.
-    x_signs, y_signs, z_signs = np.moveaxis(np.array([vector_max >= 0, vector_min <= 0]), 1, 0)
-    signs = product(z_signs, y_signs, x_signs)
-    has_part = [has_z & has_y & has_x & is_active for has_z, has_y, has_x in signs]
-    is_wanted = (patch_of_octant >= 0).reshape(8, -1, 1)
-    part_index = find(np.array(has_part) & is_wanted)
+    has_x, has_y, has_z = np.moveaxis(np.array([vector_max >= 0, vector_min <= 0]), 1, 0)
+    has_part = [z & y & x & is_active for z, y, x in product(has_z, has_y, has_x)]
+    has_patch = (patch_of_octant >= 0).reshape(8, -1, 1)
+    part_index = find(np.array(has_part) & has_patch)
     # Bit 0 of `sign_bits` is set if x is negative, bit 1 if y is, and bit 2 if z is.
     octant_index, sign_bits = part_index // vector_min.shape[2], part_index // vector_min[0].size
     box_index = part_index - sign_bits * vector_min[0].size
@@ -426,20 +422,20 @@ def _split_by_octant(
         is_negative = (sign_bits >> axis & 1).astype(np.bool_)
         axis_min, axis_max = vector_min[axis].take(box_index), vector_max[axis].take(box_index)
         min_size = np.maximum(np.where(is_negative, -axis_max, axis_min), 0)
-        # Never 0, so that no bound is 0 / 0.
+        # The addition keeps `max_size` above 0, so no bound is 0 / 0.
         max_size = np.where(is_negative, -axis_min, axis_max) + MIN_DIVISOR
         ranges.append((min_size, max_size))
-    # The minimum, x0, and the maximum, x1, of |x|; the same for |y| and |z|.
-    (x0, x1), (y0, y1), (z0, z1) = ranges
-    rectangles = np.array(
-        [x0 / (x0 + (y1 + z1)), x1 / (x1 + (y0 + z0)), y0 / (y0 + (x1 + z1)), y1 / (y1 + (x0 + z0))]
-    )
-    rectangles += DIRECTION_ROUNDING * np.array([[-1], [1], [-1], [1]])
+    (min_x, max_x), (min_y, max_y), (min_z, max_z) = ranges  # of |x|, |y| and |z|
+    min_u = min_x / (min_x + (max_y + max_z)) - DIRECTION_ROUNDING
+    max_u = max_x / (max_x + (min_y + min_z)) + DIRECTION_ROUNDING
+    min_v = min_y / (min_y + (max_x + max_z)) - DIRECTION_ROUNDING
+    max_v = max_y / (max_y + (min_x + min_z)) + DIRECTION_ROUNDING
+    rectangles = np.array([min_u, max_u, min_v, max_v])
     return octant_index, box_index, rectangles, _bound_directions(*ranges)
 
 
 def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
-    """Bound ratios and sums of vector components, for each of m sets of vectors.
+    """Compute eight bounds on the directions and lengths of the vectors in each of m sets.
 
     Here x, y and z are the absolute values of the components.  Maxima are negated, so that every
     row is a lower bound.  All bounds are widened by more than their rounding errors.
@@ -447,7 +443,7 @@ def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     Parameters
     ----------
     x, y, z : pairs of (m,) float arrays
-        Minimum and maximum of x, of y and of z in each set.
+        Minimum and maximum of x, y and z in each set.
 
     Returns
     -------
@@ -456,7 +452,7 @@ def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
         of z / (z + x).  Row 6 contains the negated maximum of x + y + z, and row 7 the minimum.
     """
     bounds = np.empty((8, x[0].size))
-    # Ranges of one component, a, and of the next component, b.
+    # Each pair consists of a component a and the next component b.
     for pair_index, ((min_a, max_a), (min_b, max_b)) in enumerate(((x, y), (y, z), (z, x))):
         bounds[2 * pair_index] = min_a / (min_a + max_b) - DIRECTION_ROUNDING
         bounds[2 * pair_index + 1] = -(max_a / (max_a + min_b)) - DIRECTION_ROUNDING
@@ -465,8 +461,8 @@ def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     return bounds
 
 
-def _map_to_patch(rectangles: Floats, patch_index: Ints, origin: Floats, size: Floats) -> Floats:
-    """Convert rectangles from octahedral coordinates to coordinates relative to their patches.
+def _map_to_patch(rectangles: Floats, patch_index: Ints, origins: Floats, sizes: Floats) -> Floats:
+    """Convert rectangles to coordinates that run from 0 to 1 across their patches.
 
     Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
     a rectangle in these coordinates.
@@ -477,27 +473,27 @@ def _map_to_patch(rectangles: Floats, patch_index: Ints, origin: Floats, size: F
         Minimum u, maximum u, minimum v and maximum v of each rectangle.
     patch_index : (n,) int array
         Index of the patch of each rectangle.
-    origin : (2, patches) float array
+    origins : (2, patches) float array
         Smallest u and v in each patch.
-    size : (2, patches) float array
+    sizes : (2, patches) float array
         Extent of each patch in u and in v.
 
     Returns
     -------
     relative_rectangles : (4, n) float array
-        The same rectangles in coordinates that run from 0 to 1 across the patch.
+        The same rectangles in the new coordinates.
     """
-    origin, size = origin.take(patch_index, axis=1), size.take(patch_index, axis=1)
-    return ((rectangles.reshape(2, 2, -1) - origin[:, None]) / size[:, None]).reshape(4, -1)
+    origins, sizes = origins.take(patch_index, axis=1), sizes.take(patch_index, axis=1)
+    return ((rectangles.reshape(2, 2, -1) - origins[:, None]) / sizes[:, None]).reshape(4, -1)
 
 
 def _choose_cells_per_side(
     rectangles: Floats, object_count: int, light_count: int, patch_count: int
 ) -> int:
-    """Choose the number of cells along each side of the patches of a light grid.
+    """Choose how many cells each patch of a light grid has along its sides.
 
-    A patch is a square array of cells, which list objects.  A patch has about as many cells as
-    there are objects, or fewer if the cells or their lists would take too much memory.
+    A patch is a square array of cells, which list objects.  It has about as many cells as there are
+    objects, or fewer to save memory.
 
     Parameters
     ----------
@@ -510,7 +506,7 @@ def _choose_cells_per_side(
     Returns
     -------
     cells_per_side : int
-        The number of cells, at least 1.
+        Number of cells along each side of a patch, at least 1.
     """
     min_u, max_u, min_v, max_v = rectangles.clip(0, 1)
     total_area = float(((max_u - min_u) * (max_v - min_v)).sum())  # 1 is the area of a patch
@@ -524,8 +520,7 @@ def _fill_lists(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
-    Each cell has four lists.  An entry is added to one of them, depending on whether the cell is in
-    the first column and in the first row of the entry's rectangle: see `_LIST_OF_PLACE`.
+    Each cell has four lists: see `_LIST_BY_FLAGS`.
 
     Parameters
     ----------
@@ -544,15 +539,15 @@ def _fill_lists(
     list_start : (4 * patch_count * cells_per_side**2 + 1,) int array
         Element 4 * cell + i is the position in `listed_entry` where list i of the cell begins.
     listed_entry : (m,) int array
-        Indices of the entries in all lists, list by list; ascending within each list.
+        Indices of the entries in each list, in ascending order, list by list.
     """
     sort_keys, list_start = [], np.zeros(4 * patch_count * cells_per_side**2 + 1, dtype=np.uint32)
-    for entry_index, cell_index, place in _find_overlaps(rectangles, patch_index, cells_per_side):
-        list_index = 4 * cell_index + _LIST_OF_PLACE.take(place)
+    for entry_index, cell_index, flags in _find_overlaps(rectangles, patch_index, cells_per_side):
+        list_index = 4 * cell_index + _LIST_BY_FLAGS.take(flags)
         # `np.add.at` is twenty times as fast if the increment has the type of the array.
         np.add.at(list_start, list_index + 1, np.uint32(1))
         sort_keys.append(list_index << 32 | entry_index)
-    # Each key contains a list and an entry: sorting such integers is faster than argsort.
+    # Each key contains the indices of a list and an entry.  Sorting keys is faster than argsort.
     sorted_keys = np.concatenate(sort_keys)
     del sort_keys
     sorted_keys.sort()
@@ -563,10 +558,10 @@ def _fill_lists(
 def _find_overlaps(
     rectangles: Floats, patch_index: Ints, cells_per_side: int
 ) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
-    """Find the cells that each rectangle overlaps, and yield (rectangle, cell) pairs in batches.
+    """Find all cells that each rectangle overlaps, and yield (rectangle, cell) pairs in batches.
 
-    Each rectangle belongs to a patch, which is a square array of cells.  Where a rectangle extends
-    beyond its patch, it counts as overlapping the nearest cells.
+    Each rectangle belongs to a patch, which is a square array of cells.  Rectangles are clipped to
+    their patches; the cells at the border stand for everything beyond it.
 
     Parameters
     ----------
@@ -584,9 +579,9 @@ def _find_overlaps(
         Index of the rectangle in each pair.
     cell_index : (k,) int array
         Index of the cell in each pair: (patch * cells_per_side + column) * cells_per_side + row.
-    place : (k,) uint8 array
-        Flags for the place of the cell in the rectangle: `_FIRST_COLUMN` if the cell is in the
-        rectangle's first column, and `_FIRST_ROW` if it is in the first row.
+    flags : (k,) uint8 array
+        Flags of each pair: `_FIRST_COLUMN` is set if the cell is in the rectangle's first column,
+        and `_FIRST_ROW` if it is in the rectangle's first row.
     """
     cell_ranges = (cells_per_side * rectangles).clip(0, cells_per_side - 1).astype(np.intp)
     first_column, last_column, first_row, last_row = cell_ranges
@@ -599,6 +594,6 @@ def _find_overlaps(
         strip_start = strip_column * cells_per_side + first_row.take(strip_rectangle)
         strip_index, cell_index = enumerate_ranges(row_count.take(strip_rectangle), strip_start)
         is_first_column = column == first_column.take(strip_rectangle)
-        place = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip_index)
-        place |= (cell_index == strip_start.take(strip_index)) * np.uint8(_FIRST_ROW)
-        yield strip_rectangle.take(strip_index), cell_index, place
+        flags = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip_index)
+        flags |= (cell_index == strip_start.take(strip_index)) * np.uint8(_FIRST_ROW)
+        yield strip_rectangle.take(strip_index), cell_index, flags

@@ -24,12 +24,12 @@ from tracer.world.light_grid import LightGrid, build_light_grid
 # All objects of one kind; `Spheres` documents the methods.
 Shape: TypeAlias = Spheres | Boxes
 
-# Maximum number of pairs of a sample and an object on its ray in one batch of samples; maximum
-# number of lights, and of pairs of a light and an object, in one batch of lights.
+# In one batch of samples, the maximum number of pairs of a sample and an object on its ray; in one
+# batch of lights, the maximum number of lights, and of pairs of a light and an object.
 _MAX_SAMPLE_PAIRS, _MAX_LIGHTS, _MAX_LIGHT_PAIRS = 12 * BATCH_SIZE, 4, 4 * BATCH_SIZE
 
-# Once the cache of light batches has at least this many bytes, no batches are added.  Preparing
-# the other batches again takes less time than the work for which they are prepared.
+# Once the cache of light batches has at least this many bytes, no batches are added.  The other
+# batches are prepared again and again, which takes less time than computing their shadows.
 _MAX_CACHED_BYTES = 1 << 26
 
 # Width of a packet (a group of neighbouring hits) relative to sqrt(pixels / objects), the side of
@@ -158,7 +158,7 @@ class PreparedScene:
         self._cache, self._lock = dict[int, Lights](), Lock()
 
     def limit_batch(self, max_samples: int) -> int:
-        """Choose how many samples to trace together, so that memory is limited.
+        """Limit the number of samples that are traced together, to save memory.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class PreparedScene:
         Returns
         -------
         sample_count : int
-            A number from 1 to `max_samples`, which is smaller if many objects lie on each ray.
+            Number of samples, from 1 to `max_samples`: the fewer, the more objects lie on each ray.
         """
         return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
@@ -176,7 +176,7 @@ class PreparedScene:
     def light_batches(self) -> Iterator[Lights]:
         """Yield all lights of the scene in batches, with the data that shadow tests need.
 
-        Batches are smaller in scenes with many objects, to save memory.
+        If the scene has many objects, batches are smaller, to save memory.
         """
         object_count = max(self.curvature.size, 1)
         lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
@@ -184,19 +184,19 @@ class PreparedScene:
             yield self._get_light_batch(slice(start, start + lights_per_batch))
 
     def _get_light_batch(self, batch: slice) -> Lights:
-        """Return a batch of lights from the cache, or prepare the lights.
+        """Return a batch of lights from the cache, or prepare them.
 
         Prepared lights are added to the cache unless it is full.
 
         Parameters
         ----------
         batch : slice
-            The lights in the batch, in the order of the file.
+            Indices of the lights in the batch, in the order of the file.
 
         Returns
         -------
         lights : Lights
-            The lights, which other callers may use at the same time.
+            The prepared lights.  Do not change them: other threads may use them, too.
         """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
@@ -212,35 +212,34 @@ class PreparedScene:
         Parameters
         ----------
         batch : slice
-            The lights to prepare, in the order of the file; by default, all.
+            Indices of the lights to prepare, in the order of the file; by default, all lights.
 
         Returns
         -------
         lights : Lights
-            The positions and intensities of the lights, the side of each object on which each light
-            lies, and lists of the objects in each direction from each light.
+            The lights, with the data that shadow tests need.
         """
         lights = self._lights[batch]
-        position = np.array([light.position for light in lights]).reshape(-1, 3)
-        x, y, z = position.T[:, :, None]
+        positions = np.array([light.position for light in lights]).reshape(-1, 3)
+        x, y, z = positions.T[:, :, None]
         shapes = self._all_shapes
         sides = [shape.find_light_side(shape.objects.list_indices(), (x, y, z)) for shape in shapes]
         boxes = [shape.compute_bounding_boxes() for shape in shapes]
-        box_min, box_max = (np.concatenate(points, axis=1) for points in zip(*boxes, strict=True))
+        box_min, box_max = (np.concatenate(corner, axis=1) for corner in zip(*boxes, strict=True))
         is_visible = self.bounds.in_picture(self.frame)
         return Lights(
-            position=position,
-            from_eye=np.column_stack(self.frame.points_to_camera(position)),
+            position=positions,
+            from_eye=np.column_stack(self.frame.points_to_camera(positions)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
             grid=build_light_grid(
-                position, box_min, box_max, self.position_error, is_visible, ~self.is_duplicate
+                positions, box_min, box_max, self.position_error, is_visible, ~self.is_duplicate
             ),
         )
 
 
 def _find_duplicates(surfaces: Surfaces) -> Bools:
-    """Find the objects that have the same geometry as an object earlier in the file.
+    """Find the objects that repeat the geometry of an object earlier in the file.
 
     Parameters
     ----------
@@ -250,15 +249,14 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether an object with the same geometry comes earlier in the file: first for all spheres,
-        then for all boxes.
+        Whether each object is a duplicate; all spheres come first, then all boxes.
     """
-    # Six numbers describe each object.  The last is infinite for spheres and finite for boxes,
+    # Describe each object by six numbers.  The last is infinite for spheres and finite for boxes,
     # so no sphere equals a box.
     radius, box_geometry = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
     sphere_geometry = [*surfaces.center.T, radius, radius, radius + np.inf]
     geometry = np.concatenate([sphere_geometry, box_geometry], axis=1)
-    # Sort by a hash, then by file order.  Equal objects become neighbours, the earliest first.
+    # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
     geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
     sorted_index = np.lexsort((surfaces.file_index, geometry_hash))
     is_duplicate = np.empty(sorted_index.size, dtype=np.bool_)
