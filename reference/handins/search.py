@@ -229,7 +229,7 @@ class MistakeRenderer:
         self, formula_sets: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
         fitting_cache: FormulaCache | None = None, formula: str = "codes",
     ) -> Array:  # fmt: skip
-        """Evaluate a formula for several pictures with different mistakes, at the same pixels.
+        """Evaluate a formula at some pixels of several pictures with different mistakes.
 
         Parameters
         ----------

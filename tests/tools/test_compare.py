@@ -195,7 +195,7 @@ def test_a_large_picture_is_compared_in_limited_memory(tmp_path: Path) -> None:
 def test_a_large_jpeg_is_searched_in_a_sample(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of complete pictures, only the right one, and one more, are rendered and compressed."""
+    """Complete pictures are compressed at most twice, and rendered at most once."""
     max_pixels, complete, evaluate = 4096, Counter[str](), MistakeRenderer.evaluate
     codes = CODES.copy()
     codes[110:140, 120:150] //= 2

@@ -49,7 +49,7 @@ def scene(name: str) -> Scene:
 
 
 @cache
-def solution(name: str) -> Reference:
+def reference(name: str) -> Reference:
     return Reference(scene(name), f"{name}.xml")
 
 
@@ -61,9 +61,9 @@ def rate_diagnosis(name: str, mistakes: tuple[str, ...]) -> str | None:
     None if the mistakes do not show.
     """
     codes = student.render_mistakes(scene(name), *mistakes)
-    if codes is None or (codes == solution(name).codes).all() or not np.ptp(codes, (0, 1)).any():
+    if codes is None or (codes == reference(name).codes).all() or not np.ptp(codes, (0, 1)).any():
         return None
-    kind = solution(name).diagnose(Picture(codes)).kind
+    kind = reference(name).diagnose(Picture(codes)).kind
     causes = [cause.split("+") for cause in kind.split("|")]
     if kind == "unknown":
         return "vague"
@@ -162,7 +162,7 @@ def test_every_mistake_of_the_table_can_be_rendered_and_most_show() -> None:
     assert used - known == {"phong", "shader_of_number"}
 
 
-def where_they_differ(codes: Codes, right: Codes) -> tuple[int, str]:
+def describe_difference(codes: Codes, right: Codes) -> tuple[int, str]:
     """Count the pixels that differ by more than one level, and describe the worst pixel."""
     levels = abs(codes.astype(int) - right).max(axis=2)
     y, x = np.unravel_index(levels.argmax(), levels.shape)
@@ -172,10 +172,10 @@ def where_they_differ(codes: Codes, right: Codes) -> tuple[int, str]:
 
 def test_a_picture_that_no_mistake_explains_is_described() -> None:
     """The report names surfaces, the worst pixel and a command; a rectangle is half as bright."""
-    right, room = solution("room").codes, scene("room")
+    right, room = reference("room").codes, scene("room")
     codes = right.copy()
     codes[60:90, 100:140] //= 2
-    count, worst = where_they_differ(codes, right)
+    count, worst = describe_difference(codes, right)
     is_wrong = (abs(codes.astype(int) - right) > 1).any(axis=2).ravel()
     row, column = np.divmod(np.arange(is_wrong.size), room.width)
     surface = first_hits(room, column + 0.5, row + 0.5).surface
@@ -186,7 +186,7 @@ def test_a_picture_that_no_mistake_explains_is_described() -> None:
     ]
     parts.append(f"{sum(on_surface for _, on_surface in counts[3:])} on others")
     place = worst.removeprefix("The worst is ").partition(":")[0]
-    assert str(solution("room").diagnose(Picture(codes))) == (
+    assert str(reference("room").diagnose(Picture(codes))) == (
         f"None of the {len(list_mistakes(room))} known mistakes explains this picture."
         f" {count:,} pixels differ: {', '.join(parts)}. {worst};"
         f" tracer room.xml --pixel {place} explains it."
@@ -194,11 +194,11 @@ def test_a_picture_that_no_mistake_explains_is_described() -> None:
 
 
 def test_missing_lights_are_named() -> None:
-    right, first = solution("room").codes, student.render_mistakes(scene("room"), "light-first")
+    right, first = reference("room").codes, student.render_mistakes(scene("room"), "light-first")
     codes = np.where(np.indices(right.shape)[1] < 120, first, right)
-    diagnosis = solution("room").diagnose(Picture(codes))
+    diagnosis = reference("room").diagnose(Picture(codes))
     assert diagnosis.kind == "unknown"
-    count, _ = where_they_differ(codes, right)
+    count, _ = describe_difference(codes, right)
     light = f"light 1 (line {scene('room').lights[1].line})"
     assert f" At {count:,} of these pixels {light} should shine but does not. The" in str(diagnosis)
 
@@ -207,17 +207,17 @@ def test_speckles_and_single_precision() -> None:
     """Shadow rays without an epsilon give dark dots; missing rows or columns are no dots."""
     for arithmetic in ("float64", "float32"):
         speckled = to_codes(plain.render(scene("room"), shadow_method="t>0", arithmetic=arithmetic))
-        assert solution("room").diagnose(Picture(speckled)).kind == "shadow-speckles"
+        assert reference("room").diagnose(Picture(speckled)).kind == "shadow-speckles"
     for name, dark in (("room", np.s_[:, ::7]), ("highlights", np.s_[:70, :80])):
-        codes = solution(name).codes.copy()
+        codes = reference(name).codes.copy()
         codes[dark] = 0
-        assert solution(name).diagnose(Picture(codes)).kind == "unknown"
-    few = solution("room").codes.copy()
+        assert reference(name).diagnose(Picture(codes)).kind == "unknown"
+    few = reference("room").codes.copy()
     near = to_codes(render(scene("room"), offset=(0.04, 0.0)))
     differ = np.argwhere((abs(near.astype(int) - few) > 1).any(axis=2))[:9]
     few[tuple(differ.T)] = near[tuple(differ.T)]
     few[0, :99] += few[0, :99] < 255
-    diagnosis = solution("room").diagnose(Picture(few))
+    diagnosis = reference("room").diagnose(Picture(few))
     assert diagnosis.kind == "single-precision"
     assert str(diagnosis) == "9 pixels differ where rounding decides, as in single precision."
 
@@ -233,7 +233,7 @@ def test_single_levels() -> None:
     assert str(diagnosis) == "40 pixels are one level off; no known mistake does this."
     source = student.SOURCE.replace("np.floor(255 * shown + 0.5)", "np.ceil(255 * shown)")
     codes = student.render_with_source(source, scene("room"))
-    assert solution("room").diagnose(Picture(codes)).kind == "levels-up"
+    assert reference("room").diagnose(Picture(codes)).kind == "levels-up"
 
 
 def test_an_incomplete_explanation_is_a_hint() -> None:
@@ -241,11 +241,11 @@ def test_an_incomplete_explanation_is_a_hint() -> None:
     source = student.source_with("shift-right", "levels-truncated")
     source = source.replace("EXPONENT", "(sh.exponent * (1 + 0.3 * (k == 3)))")
     codes = student.render_with_source(source, scene("four-spheres"))
-    diagnosis = solution("four-spheres").diagnose(Picture(codes))
+    diagnosis = reference("four-spheres").diagnose(Picture(codes))
     assert (diagnosis.kind, diagnosis.hint) == ("unknown", "shift-right+levels-truncated")
-    table, right = list_mistakes(scene("four-spheres")), solution("four-spheres").codes
+    table, right = list_mistakes(scene("four-spheres")), reference("four-spheres").codes
     nearest = render_with_mistakes(scene("four-spheres"), *diagnosis.hint.split("+"))
-    hint_count, count = (where_they_differ(codes, picture)[0] for picture in (nearest, right))
+    hint_count, count = (describe_difference(codes, picture)[0] for picture in (nearest, right))
     assert str(diagnosis).startswith(
         f"None of the {len(table)} known mistakes explains this picture. The nearest that is known:"
         f" {table['shift-right'].sentence} {table['levels-truncated'].sentence} It does not explain"
@@ -263,12 +263,12 @@ def test_a_mistake_in_few_pixels_is_found_with_truncated_levels() -> None:
     codes = student.render_with_source(source, scene(name))
     few = np.random.default_rng(1).random(codes.shape[:2]) < 0.01
     codes[few] -= codes[few] > 0
-    kind = solution(name).diagnose(Picture(codes)).kind
+    kind = reference(name).diagnose(Picture(codes)).kind
     assert "pixel-lower-left+specular-none+levels-truncated" in kind.split("|")
 
 
 def test_a_picture_of_another_size_than_a_picture() -> None:
-    alone = Reference(Picture(solution("room").codes))
+    alone = Reference(Picture(reference("room").codes))
     diagnosis = alone.diagnose(Picture(np.arange(36, dtype=np.uint8).reshape(3, 4, 3)))
     assert diagnosis.kind == "size"
     assert str(diagnosis) == "The picture has 4x3 pixels in place of 240x135."
@@ -327,17 +327,17 @@ def test_mistakes_are_found_after_jpeg_compression(tmp_path: Path, made: str) ->
         path = tmp_path / "a.jpg"
         codes = student.render_mistakes(scene("four-spheres"), *kinds)
         Image.fromarray(codes).save(path, quality=85)
-        kind = solution("four-spheres").diagnose(read_picture(path)).kind
+        kind = reference("four-spheres").diagnose(read_picture(path)).kind
         assert (made if kinds else "format") in kind.split("|")
-    right = Picture(solution("four-spheres").codes)
+    right = Picture(reference("four-spheres").codes)
     Image.fromarray(right.codes).save(path, quality=85)
     assert Reference(read_picture(path)).diagnose(right).kind == "format"
 
 
 def test_jpeg_compression_is_recognised_in_other_formats() -> None:
-    right = solution("one-sphere").codes
+    right = reference("one-sphere").codes
     Image.fromarray(right).save(file := BytesIO(), "JPEG", quality=90)
-    assert solution("one-sphere").diagnose(Picture(np.asarray(Image.open(file)))).kind == "format"
+    assert reference("one-sphere").diagnose(Picture(np.asarray(Image.open(file)))).kind == "format"
 
 
 CHANGES: dict[str, Callable[[Codes], Codes]] = {
@@ -358,8 +358,8 @@ CHANGES: dict[str, Callable[[Codes], Codes]] = {
 
 @pytest.mark.parametrize("kind", CHANGES)
 def test_whole_pictures(kind: str) -> None:
-    codes = np.ascontiguousarray(CHANGES[kind](solution("room").codes))
-    assert solution("room").diagnose(Picture(codes)).kind == kind
+    codes = np.ascontiguousarray(CHANGES[kind](reference("room").codes))
+    assert reference("room").diagnose(Picture(codes)).kind == kind
 
 
 ALONE = ["mirrored", "flipped", "gamma-none", "gamma-srgb", "gamma-twice", "channels-BGR", *SHIFTS]
@@ -368,11 +368,11 @@ ALONE += ["background", "mirrored+gamma-none"]
 
 @pytest.mark.parametrize("kinds", [*ALONE, "shadow-none", "light-first", "pixel-upper-left"])
 def test_geometry_and_encoding_are_named_without_a_scene(kinds: str) -> None:
-    alone = Reference(Picture(solution("four-spheres").codes))
+    alone = Reference(Picture(reference("four-spheres").codes))
     codes = student.render_mistakes(scene("four-spheres"), *kinds.split("+"))
     diagnosis = alone.diagnose(Picture(codes))
     assert diagnosis.kind == (kinds if kinds in ALONE else "unknown")
     if kinds not in ALONE:
-        count, worst = where_they_differ(codes, alone.codes)
+        count, worst = describe_difference(codes, alone.codes)
         advice = "With the scene in place of the right picture, more can be said."
         assert str(diagnosis).endswith(f" {count:,} pixels differ. {worst}. {advice}")
