@@ -4,7 +4,7 @@ All numbers are finite.  The magnitude of numbers is at most 1e75, except in dir
 and coordinates other than 0 have a magnitude of at least 1e-75.  Colours, intensities and exponents
 are not negative.  `SceneError` lists all errors, not only the first.
 
-The metadata of the fields define the elements of scene files: see `schema.xml_field`.
+The metadata of the fields define the elements of scene files: see `schema.tag_field`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.scene import schema
-from tracer.scene.schema import Floats, Validated, format_number, xml_field
+from tracer.scene.schema import Floats, Validated, format_number, tag_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
@@ -26,9 +26,9 @@ VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 _ORIGIN, _WHITE, _BLACK = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _MINUS_Z, _PLUS_Y = (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
 
-_PROJ_NORMAL = xml_field(schema.DIRECTION, "projNormal")
+_PROJ_NORMAL = tag_field(schema.DIRECTION, "projNormal")
 # The tag is color in the specification, and intensity in the published scenes.
-_INTENSITY = xml_field(schema.COLOR, "intensity", "color")
+_INTENSITY = tag_field(schema.COLOR, "intensity", "color")
 
 # Minimum sine of the angle between view_up and the window's normal, and minimum cosine of the angle
 # between view_dir and the normal.  For smaller values, too few digits of the camera's axes would be
@@ -86,13 +86,13 @@ class Camera(Validated):
         `proj_normal` perpendicular to `view_dir`.
     """
 
-    view_point: VectorLike = field(default=_ORIGIN, metadata=xml_field(schema.POINT, "viewPoint"))
-    view_dir: VectorLike = field(default=_MINUS_Z, metadata=xml_field(schema.DIRECTION, "viewDir"))
-    view_up: VectorLike = field(default=_PLUS_Y, metadata=xml_field(schema.DIRECTION, "viewUp"))
+    view_point: VectorLike = field(default=_ORIGIN, metadata=tag_field(schema.POINT, "viewPoint"))
+    view_dir: VectorLike = field(default=_MINUS_Z, metadata=tag_field(schema.DIRECTION, "viewDir"))
+    view_up: VectorLike = field(default=_PLUS_Y, metadata=tag_field(schema.DIRECTION, "viewUp"))
     proj_normal: VectorLike | None = field(default=None, metadata=_PROJ_NORMAL)
-    proj_distance: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "projDistance"))
-    view_width: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewWidth"))
-    view_height: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "viewHeight"))
+    proj_distance: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "projDistance"))
+    view_width: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "viewWidth"))
+    view_height: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "viewHeight"))
 
     @classmethod
     def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
@@ -156,7 +156,7 @@ class PointLight(Validated):
         For invalid numbers.
     """
 
-    position: VectorLike = field(metadata=xml_field(schema.POINT, "position"))
+    position: VectorLike = field(metadata=tag_field(schema.POINT, "position"))
     intensity: VectorLike = field(default=_WHITE, metadata=_INTENSITY)
     line: int | None = field(default=None, compare=False, repr=False)
 
@@ -182,7 +182,7 @@ class Lambertian(Validated):
         For invalid numbers.
     """
 
-    diffuse: VectorLike = field(default=_WHITE, metadata=xml_field(schema.COLOR, "diffuseColor"))
+    diffuse: VectorLike = field(default=_WHITE, metadata=tag_field(schema.COLOR, "diffuseColor"))
     line: int | None = field(default=None, compare=False, repr=False)
 
 
@@ -211,15 +211,15 @@ class Phong(Validated):
         For invalid numbers.
     """
 
-    diffuse: VectorLike = field(default=_WHITE, metadata=xml_field(schema.COLOR, "diffuseColor"))
-    specular: VectorLike = field(default=_BLACK, metadata=xml_field(schema.COLOR, "specularColor"))
-    exponent: float = field(default=1.0, metadata=xml_field(schema.EXPONENT, "exponent"))
+    diffuse: VectorLike = field(default=_WHITE, metadata=tag_field(schema.COLOR, "diffuseColor"))
+    specular: VectorLike = field(default=_BLACK, metadata=tag_field(schema.COLOR, "specularColor"))
+    exponent: float = field(default=1.0, metadata=tag_field(schema.EXPONENT, "exponent"))
     line: int | None = field(default=None, compare=False, repr=False)
 
 
 Shader: TypeAlias = Lambertian | Phong
 
-_SHADER = xml_field(schema.require_type(Lambertian, Phong), "shader")
+_SHADER = tag_field(schema.require_type(Lambertian, Phong), "shader")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,8 +243,8 @@ class Sphere(Validated):
         For invalid values.
     """
 
-    center: VectorLike = field(default=_ORIGIN, metadata=xml_field(schema.POINT, "center"))
-    radius: float = field(default=1.0, metadata=xml_field(schema.LENGTH, "radius"))
+    center: VectorLike = field(default=_ORIGIN, metadata=tag_field(schema.POINT, "center"))
+    radius: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "radius"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
@@ -268,8 +268,8 @@ class Box(Validated):
         For invalid values, or if a coordinate of `min_pt` exceeds that of `max_pt`.
     """
 
-    min_pt: VectorLike = field(metadata=xml_field(schema.POINT, "minPt"))
-    max_pt: VectorLike = field(metadata=xml_field(schema.POINT, "maxPt"))
+    min_pt: VectorLike = field(metadata=tag_field(schema.POINT, "minPt"))
+    max_pt: VectorLike = field(metadata=tag_field(schema.POINT, "maxPt"))
     shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
@@ -543,11 +543,11 @@ class Scene(Validated):
         For a picture without pixels or with too many pixels, or values of the wrong type.
     """
 
-    camera: Camera = field(metadata=xml_field(schema.require_type(Camera)))
-    lights: tuple[PointLight, ...] = field(metadata=xml_field(schema.require_list(PointLight)))
-    surfaces: Surfaces = field(metadata=xml_field(lambda value, _: Surfaces.from_objects(value)))
-    width: int = field(metadata=xml_field(schema.validate_picture_side))
-    height: int = field(metadata=xml_field(schema.validate_picture_side))
+    camera: Camera = field(metadata=tag_field(schema.require_type(Camera)))
+    lights: tuple[PointLight, ...] = field(metadata=tag_field(schema.require_list(PointLight)))
+    surfaces: Surfaces = field(metadata=tag_field(lambda value, _: Surfaces.from_objects(value)))
+    width: int = field(metadata=tag_field(schema.validate_picture_side))
+    height: int = field(metadata=tag_field(schema.validate_picture_side))
 
     # Not generated, because the parameters accept more types than the fields have.
     def __init__(

@@ -1,6 +1,6 @@
 """Validate the values of a scene.
 
-The metadata of a dataclass field contain its validator, and its XML tags (`xml_field`).  The same
+The metadata of a dataclass field contain its validator, and its XML tags (`tag_field`).  The same
 rules validate the fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in
 a scene file (`find_errors`).
 """
@@ -63,7 +63,7 @@ def raise_if_any(lines: Iterable[str]) -> None:
 _Validator: TypeAlias = Callable[[Any, str], Any]
 
 
-def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
+def tag_field(validator: _Validator, *tags: str) -> dict[str, Any]:
     """Create the metadata of a dataclass field: its validator, and its XML tags.
 
     Parameters
@@ -86,7 +86,7 @@ def xml_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 class Validated:
     """A base class of frozen dataclasses that validate their fields, one by one and then together.
 
-    A subclass gives each field a validator with `xml_field`.  It overrides `find_conflicts` if
+    A subclass gives each field a validator with `tag_field`.  It overrides `find_conflicts` if
     valid values can contradict each other.  The constructor raises `SceneError` for invalid values.
     """
 

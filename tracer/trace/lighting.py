@@ -152,7 +152,8 @@ class Shading:
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        # The slice of hits from the first to the last group in which any surface has highlights.
+        # The slice of hits from the first to the last group with highlights on any surface, and
+        # whether the surface has highlights at each hit of the slice.
         is_glossy = hits.scene.is_glossy
         intervals = [group.interval for group in hits.groups if is_glossy[group.run_object].any()]
         self._glossy_slice, self._is_glossy = slice(0, 0), np.zeros(0, dtype=np.bool_)
@@ -281,22 +282,22 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
     Returns
     -------
     geometry : LightGeometry
-        The (lights, n) arrays `n_dot_l` and `distance2` contain n . l and l . l, where n is
-        the unit normal at the hit, and l the vector from the hit to the light.  `n_dot_l` is -inf
-        if the eye is inside the hit's object and the light is outside.
+        The (lights, n) arrays `n_dot_l` and `distance2` contain n . l and l . l, where n is the
+        unit normal at the hit, and l the vector from the hit to the light.  If the eye is inside
+        the hit's object and the light is outside, `n_dot_l` is -inf.
     """
-    shape = len(lights.from_eye), hits.from_eye.shape[1]
-    geometry = LightGeometry(hits, lights, np.empty(shape), np.empty(shape))
+    pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
+    geometry = LightGeometry(hits, lights, np.empty(pair_shape), np.empty(pair_shape))
     for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
         # An object that contains the eye blocks all lights outside it.
-        blocks_light = hits.scene.is_eye_inside & (lights.side[light_index] != INSIDE)
+        is_blocker = hits.scene.is_eye_inside & (lights.side[light_index] != INSIDE)
         for group in hits.groups:
             from_eye = hits.from_eye[:, group.interval]
             to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
             n_dot_l = group.compute_height(lights.position[light_index], to_light)
-            if blocks_light[group.run_object].any():
+            if is_blocker[group.run_object].any():
                 # Not 0, which would mean that the light is exactly on the hit's horizon.
-                n_dot_l[group.repeat_runs(blocks_light[group.run_object])] = -np.inf
+                n_dot_l[group.repeat_runs(is_blocker[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
             geometry.distance2[light_index, group.interval] = dot(to_light, to_light)
     return geometry
