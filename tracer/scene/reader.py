@@ -114,10 +114,10 @@ class _Reader:
         A scene without content, which stores the size of the picture.
     cameras, lights : Table
         The cameras (a valid file has exactly one) and the lights.
-    shaders, surfaces : dict of str to Table
+    shader_tables, surface_tables : dict of str to Table
         The shaders and surfaces, by the value of their attribute `type`, such as "Sphere".
-    surface_indices : iterator of int
-        Indices for the surfaces that have not been read yet.
+    surface_counter : iterator of int
+        Yields the index of the next surface in the file.
     shader_indices : dict of str to int
         The index of each named shader.  A shader gets its index at its first reference or at its
         definition, whichever comes first.
@@ -132,9 +132,9 @@ class _Reader:
         self.intended_tags: set[str | None] = set()
         self.empty_scene = Scene(width=1, height=1)
         self.cameras, self.lights = Table(model.Camera), Table(model.PointLight)
-        self.shaders = {kind.__name__: Table(kind) for kind in (model.Lambertian, model.Phong)}
-        self.surfaces = {kind.__name__: Table(kind) for kind in (model.Sphere, model.Box)}
-        self.surface_indices = count()
+        self.shader_tables = {cls.__name__: Table(cls) for cls in (model.Lambertian, model.Phong)}
+        self.surface_tables = {cls.__name__: Table(cls) for cls in (model.Sphere, model.Box)}
+        self.surface_counter = count()
         self.shader_indices: dict[str, int] = {}
         self.definition_lines = array("i", [1])
 
@@ -191,7 +191,7 @@ class _Reader:
         try:
             Parser(self.read_element, self.report_at).parse(file)
         finally:
-            tables = self.cameras, self.lights, *self.shaders.values(), *self.surfaces.values()
+            tables = self.cameras, self.lights, *(self.shader_tables | self.surface_tables).values()
             # After too many errors, the numbers are not checked: the last row may be incomplete.
             for table in tables if len(self.errors) < MAX_ERRORS else ():
                 for error in table.find_errors():
@@ -284,15 +284,15 @@ class _Reader:
         element : Element
             The surface.
         """
-        table = self.surfaces.get(element.attrib.get("type", ""))
+        table = self.surface_tables.get(element.attrib.get("type", ""))
         if table is None:
             # The children are not checked, but shaders among them are still defined.
-            self.report_type(element, self.surfaces)
+            self.report_type(element, self.surface_tables)
             for child in element:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
             return
-        table.object_index.append(next(self.surface_indices))
+        table.object_index.append(next(self.surface_counter))
         shader = self.add_row(table, element, "type").get("shader")
         table.shader_index.append(0 if shader is None else self.read_shader_or_reference(shader))
         table.shader_lines.append(0 if shader is None else shader.line)
@@ -310,7 +310,7 @@ class _Reader:
         index : int
             Index of the shader in the list of all shaders.
         """
-        table = self.shaders.get(element.attrib.get("type", ""))
+        table = self.shader_tables.get(element.attrib.get("type", ""))
         name = element.attrib.get("name")
         index = self.find_or_add_shader(name)
         if name is not None and self.definition_lines[index]:
@@ -319,7 +319,7 @@ class _Reader:
         else:
             self.definition_lines[index] = element.line
         if table is None:
-            self.report_type(element, self.shaders, "name")
+            self.report_type(element, self.shader_tables, "name")
         else:
             table.object_index.append(index)
             self.add_row(table, element, "name", "type")
@@ -589,7 +589,7 @@ class _Reader:
         line_of_name = {name: lines[index] for index, name in name_of_index.items() if lines[index]}
         line_of_normal_form = {normalize("NFC", name): line for name, line in line_of_name.items()}
         fixes: dict[str, str] = {}
-        for table in self.surfaces.values():
+        for table in self.surface_tables.values():
             for line, index in zip(table.shader_lines, table.shader_index, strict=True):
                 if lines[index]:
                     continue
@@ -613,10 +613,10 @@ class _Reader:
             The scene that the file describes.
         """
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
-        for table in self.shaders.values():
+        for table in self.shader_tables.values():
             for index, shader in zip(table.object_index, table.make_objects(), strict=True):
                 shaders[index] = shader
-        tables = self.surfaces.values()
+        tables = self.surface_tables.values()
         surfaces = Surfaces(
             **{name: numbers for table in tables for name, numbers in table.to_arrays().items()},
             shader_index=np.concatenate([table.shader_index for table in tables]),
