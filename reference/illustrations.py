@@ -64,7 +64,7 @@ def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows
     """
     scene = load_scene(SCENES / f"{name}.xml")
     scene = replace(scene, width=width, height=round(width * scene.height / scene.width))
-    return scene, PreparedScene(scene), CENTERS.samples(slice(0, scene.height), slice(0, width))
+    return scene, PreparedScene(scene), CENTERS.place(slice(0, scene.height), slice(0, width))
 
 
 def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
@@ -206,7 +206,7 @@ def draw_classes() -> None:
     """Draw pixels in the colours of their classes, with the straight edges and samples inside."""
     scene, prepared_scene, _ = _load_and_prepare("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
-    samples, every_pixel = CENTERS.samples(rows, columns), np.arange(20 * 28)
+    samples, every_pixel = CENTERS.place(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.get_positions(every_pixel), pixel_index, object_index)
@@ -222,7 +222,7 @@ def draw_classes() -> None:
     segments = [segment - crop_corner for segment in _clip_lines(classification)]
     class_axes.add_collection(LineCollection(segments, colors="k", lw=1))
     sampled_cells = np.flatnonzero(class_index == 1)
-    for point in Lattice(1, 25).points():
+    for point in Lattice(1, 25).list_points():
         x, y = cells.to_picture(sampled_cells, np.full(sampled_cells.size, point))
         class_axes.plot(x - crop_corner[0], y - crop_corner[1], ",", color="#0072b2")
     for color, name in zip(_CLASS_COLORS, ("smooth", "straight edges", "other edges"), strict=True):

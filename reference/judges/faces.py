@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
-from tracer.geometry.silhouette import silhouette_planes
+from tracer.geometry.silhouette import find_edge_planes
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import compute_light_geometry
 from tracer.trace.occlusion import find_shadows
@@ -148,7 +148,7 @@ class Faces:
         # in the box.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box_index = boxes.objects.list_indices()
-        side[:, box_index] *= boxes.signed_distance(box_index, (x, y, z)) != 0
+        side[:, box_index] *= boxes.measure_distance(box_index, (x, y, z)) != 0
         is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # The light does not reach the sides of this box, which are seen from within.
         is_unlit = is_enclosed | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
@@ -242,7 +242,7 @@ class Faces:
         lights = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
         low, high = low[:, None], high[:, None]
         to_low, to_high = low - lights, high - lights
-        cone_normal = np.array(silhouette_planes(to_low.reshape(3, -1), to_high.reshape(3, -1)))
+        cone_normal = np.array(find_edge_planes(to_low.reshape(3, -1), to_high.reshape(3, -1)))
         is_edge_on, is_on_plane = (to_low == 0) & (to_high == 0), (to_low == 0) | (to_high == 0)
         side_sign = np.where(is_edge_on, 0, np.where(to_low >= 0, 1, np.where(to_high <= 0, -1, 0)))
         side_normal = np.eye(3)[:, :, None, None] * side_sign

@@ -126,7 +126,7 @@ def test_split_pixels_are_no_worse_than_the_uniform_grid(name):
 
 def test_pictures_full_of_silhouettes_are_lattices():
     scene = build_crowd(3000, width=96, height=54)
-    points = Lattice.choose(4).points()
+    points = Lattice.choose(4).list_points()
     image = render(scene, samples=16)
     # Every other row of pixels has the mirror image.
     for first_row, sign in ((0, 1), (1, -1)):
@@ -303,7 +303,7 @@ def test_ids_are_equal_where_object_face_and_lights_are():
     camera = Camera(view_point=(5, 4, 3), view_dir=(-5, -4, -3), view_width=1, view_height=0.75)
     ball = Sphere(center=(1, 0, 2), radius=0.7)
     scene = scene_of(ball, slab, cube, camera=camera, size=(16, 12), lights=lights)
-    samples = CENTERS.samples(slice(0, scene.height), slice(0, scene.width))
+    samples = CENTERS.place(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
         _, sample_id = compute_radiance_and_ids(PreparedScene(scene), samples)
     id_of = {}

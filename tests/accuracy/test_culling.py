@@ -130,7 +130,7 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
         frame = compute_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
-        direction = np.array([frame.ray_right(x)[0], frame.ray_down(y)[0], frame.depth])
+        direction = np.array([frame.to_ray_right(x)[0], frame.to_ray_down(y)[0], frame.depth])
         camera = replace(
             scene.camera,
             view_dir=direction @ frame.axes,
@@ -188,7 +188,7 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
 def test_runs_consist_of_neighbours():
     # A row of the floor consists of several runs if balls hide parts of it.
     scene = build_crowd(200, width=80, height=45)
-    samples = CENTERS.samples(slice(0, 45), slice(0, 80))
+    samples = CENTERS.place(slice(0, 45), slice(0, 80))
     for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
         ends = np.append(0, group.run_length.cumsum())
         assert (group.run_length > 1).any()

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, cell_rays, fit_lines
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, compute_rays, fit_lines
 from tracer.antialias.edges import CellSurfaces, compute_footprints, evaluate_silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
@@ -118,14 +118,14 @@ class Cells(NamedTuple):
             on.  Each quarter is paired with the same objects as its cell.  It has half the width
             and half the number of samples along each side, rounded up.
         """
-        cell_count = cell_index.size
-        x, y = self.to_picture(cell_index.repeat(4), np.tile(Lattice(2, 2).points(), cell_count))
-        position = np.full(self.center_x.size, -1)  # of each cell in `cell_index`
-        position[cell_index] = np.arange(cell_count)
-        pair_position = position[self.pair_cell]
-        kept_pair = find(pair_position >= 0)
-        pair_quarter = (4 * pair_position[kept_pair, None] + np.arange(4)).ravel()
-        pairs = pair_quarter, self.pair_object[kept_pair].repeat(4)
+        quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
+        x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
+        parent_number = np.full(self.center_x.size, -1)  # position of each cell in `cell_index`
+        parent_number[cell_index] = np.arange(cell_index.size)
+        pair_parent = parent_number[self.pair_cell]
+        kept_index = find(pair_parent >= 0)
+        pair_quarter = (4 * pair_parent[kept_index, None] + np.arange(4)).ravel()
+        pairs = pair_quarter, self.pair_object[kept_index].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 
 
@@ -279,13 +279,13 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
         Index of the cell that each silhouette may cross.  A box has up to six silhouettes, one for
         each edge of its outline.
     values : (6, k) float array
-        Values of the edge function at six points of the cell, in the order of `cell_rays`.
+        Values of the edge function at six points of the cell, in the order of `compute_rays`.
     """
     frame = scene.frame
     for batch in split_indices(np.arange(cells.pair_cell.size)):
         cell_index, object_index = cells.pair_cell[batch], cells.pair_object[batch]
-        ray_right = frame.ray_right(cells.center_x[cell_index])
-        ray_down = frame.ray_down(cells.center_y[cell_index])
-        ray = cell_rays(frame, ray_right, ray_down, cells.width)
+        ray_right = frame.to_ray_right(cells.center_x[cell_index])
+        ray_down = frame.to_ray_down(cells.center_y[cell_index])
+        ray = compute_rays(frame, ray_right, ray_down, cells.width)
         triples = np.array([np.zeros_like(cell_index), cell_index, object_index])
         yield from evaluate_silhouettes(scene, frame.eye[None], triples, ray)

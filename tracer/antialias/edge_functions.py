@@ -135,7 +135,7 @@ class Lines(NamedTuple):
         return self.take(find(position_in_cell < max_lines))
 
 
-def cell_rays(
+def compute_rays(
     frame: CameraFrame, center_right: Floats, center_down: Floats, cell_width: float
 ) -> Triple:
     """Compute the rays from the eye through six points of each of n cells.
@@ -203,7 +203,7 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     edges : iterable of (cell_index, values)
         Batches of edges.  `cell_index` (n,) contains the cell that each of n edges may cross.
         `values` (6, n) contains the values of the edge function at six points of this cell, in the
-        order of `cell_rays`.  Unknown values are NaN.
+        order of `compute_rays`.  Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
@@ -235,7 +235,7 @@ def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Int
         Index of the cell that each edge may cross.
     values : (6, n) float array
         Values of the edge functions at six points of the cells, in the order of
-        `cell_rays`.  Unknown values are NaN.
+        `compute_rays`.  Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, bound_variation, cell_rays
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, bound_variation, compute_rays
 from tracer.arrays import (
     Bools,
     Floats,
@@ -35,7 +35,7 @@ from tracer.arrays import (
     take,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.silhouette import evaluate_box_edges, evaluate_sphere_edges, silhouette_planes
+from tracer.geometry.silhouette import evaluate_box_edges, evaluate_sphere_edges, find_edge_planes
 from tracer.trace.hits import Hits
 from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
@@ -181,7 +181,7 @@ def evaluate_silhouettes(
     """Yield the edge functions of silhouettes of objects, seen from the eye or from lights.
 
     An edge function is a smooth function on the picture that is zero at an edge.  It is evaluated
-    at six points of a cell (a pixel, or a square part of a pixel), in the order of `cell_rays`.
+    at six points of a cell (a pixel, or a square part of a pixel), in the order of `compute_rays`.
     The point from which an object is seen is called the apex.
 
     Parameters
@@ -224,7 +224,7 @@ def evaluate_silhouettes(
         pair_apex, pair_box = np.divmod(distinct_key, box_count)
         apex = apex_position.T[:, pair_apex]
         low, high = boxes.min_pt[:, pair_box] - apex, boxes.max_pt[:, pair_box] - apex
-        normals = frame.vector_to_camera(silhouette_planes(low, high))
+        normals = frame.vector_to_camera(find_edge_planes(low, high))
         box_ray = map_xyz(lambda component: component[:, box_triple], ray)
         values = evaluate_box_edges(map_xyz(lambda part: part[:, pair_index], normals), box_ray)
         variation, center_value = bound_variation(values), values[0]
@@ -277,13 +277,13 @@ class CellSurfaces(NamedTuple):
         -------
         ray : tuple of three float arrays
             Components of the rays from the eye, in camera axes: two arrays (6, k), and an array
-            (1, k) that applies to all six points.  `cell_rays` lists the points.
+            (1, k) that applies to all six points.  `compute_rays` lists the points.
         inverse_t : (6, k) float array
             1 / t for each ray, where t * ray is the vector from the eye to the surface.
         """
         frame, (x, y, z) = self.hits.scene.frame, take(self.hits.from_eye, hit_index)
         depth_ratio = frame.depth / z
-        ray = cell_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
+        ray = compute_rays(frame, x * depth_ratio, y * depth_ratio, self.cell_width)
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
@@ -302,7 +302,7 @@ class CellSurfaces(NamedTuple):
             Index of the cell of each edge.
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `cell_rays`.  The function is 1 / t1 - 1 / t2, where the
+            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
             ray meets the two surfaces at t1 * ray and t2 * ray.
         """
         sample = self.hits.sample
@@ -345,7 +345,7 @@ class CellSurfaces(NamedTuple):
             Index of the cell of each edge.
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `cell_rays`.  The function is 1 / t1 - 1 / t2, where the
+            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
             ray meets the visible surface at t1 * ray and the face at t2 * ray.
         """
         scene, hit_object = hidden_hits.scene, hidden_hits.hit_object
@@ -359,7 +359,7 @@ class CellSurfaces(NamedTuple):
         box_index = boxes.objects.to_local(hit_object)
         is_eye_inside = scene.is_eye_inside[hit_object]
         for axis in range(3):
-            hit_offset = frame.scene_component(from_eye, axis)
+            hit_offset = frame.project_onto_axis(from_eye, axis)
             low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
             is_high_face = is_eye_inside == (hit_offset > 0)
             plane_offset = np.where(is_high_face, high_face, low_face) - frame.eye[axis]
@@ -381,7 +381,7 @@ class CellSurfaces(NamedTuple):
             Index of the cell of each crease.
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `cell_rays`.  The function is 1 / t1 - 1 / t2, where the
+            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
             ray meets the planes of the two faces at t1 * ray and t2 * ray.
         """
         scene, frame = self.hits.scene, self.hits.scene.frame
@@ -391,7 +391,7 @@ class CellSurfaces(NamedTuple):
             if not group.shape.is_planar or not np.any(is_other_face):
                 continue
             hit_index = np.arange(group.interval.start, group.interval.stop)
-            hit_offset = frame.scene_component(take(self.hits.from_eye, group.interval), axis)
+            hit_offset = frame.project_onto_axis(take(self.hits.from_eye, group.interval), axis)
             box_index = scene.boxes.objects.to_local(group.run_object)
             for corner, sign in zip(corners, (-1, 1), strict=True):
                 run_offset = corner[axis, box_index] - frame.eye[axis]
@@ -426,12 +426,12 @@ class CellSurfaces(NamedTuple):
             Index of the cell of each edge.
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `cell_rays`.  The function is 1 / t1 - 1 / t2, where the
+            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
             ray meets the visible surface at t1 * ray and the plane at t2 * ray.
         """
         for batch in split_indices(find(may_meet)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
-            face_component = self.hits.scene.frame.scene_component(ray, axis)
+            face_component = self.hits.scene.frame.project_onto_axis(ray, axis)
             yield self.cell[hit_index[batch]], inverse_t - face_component / plane_offset[batch]
 
     def evaluate_shadow_edges(
@@ -455,7 +455,7 @@ class CellSurfaces(NamedTuple):
             Index of the cell of each edge.
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `cell_rays`.
+            of the cell, in the order of `compute_rays`.
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.points_to_camera(light_position)
@@ -491,7 +491,7 @@ class CellSurfaces(NamedTuple):
             Index of the cell of each edge.
         values : (6, k) float array
             Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `cell_rays`.  The function is the cosine of the angle
+            of the cell, in the order of `compute_rays`.  The function is the cosine of the angle
             between n and l.
         """
         scene, spheres = self.hits.scene, self.hits.scene.spheres

@@ -86,7 +86,7 @@ class Lattice(NamedTuple):
         """Number of points of the lattice in a pixel."""
         return self.columns * self.rows
 
-    def samples(self, rows: slice, columns: slice) -> Rows:
+    def place(self, rows: slice, columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
 
         Every second row of pixels contains the mirror image of the lattice.
@@ -107,7 +107,7 @@ class Lattice(NamedTuple):
         shift = self._compute_row_shift(sample_row)
         return Rows(y, x, shift / self.columns, (self.columns, self.rows))
 
-    def points(self) -> Points2D:
+    def list_points(self) -> Points2D:
         """Return the lattice points of a single pixel, row by row.
 
         Returns
@@ -116,7 +116,7 @@ class Lattice(NamedTuple):
             Points x + iy relative to the centre of the pixel, in widths of the pixel: x and y are
             between -1/2 and 1/2.  The y-axis points down.
         """
-        x, y = self.samples(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
+        x, y = self.place(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
 
     def average(self, radiance: Floats, width: int) -> Floats:

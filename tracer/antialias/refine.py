@@ -147,7 +147,7 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     # Add one pixel on every side: `estimate_pixel_means` needs the neighbours of each pixel.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
-    samples = CENTERS.samples(slice(top, top + height), slice(first_column, first_column + width))
+    samples = CENTERS.place(slice(top, top + height), slice(first_column, first_column + width))
     pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
     pair_pixel = (pair_row - top) * width + pair_column - first_column
     pixel_index = np.arange(samples.size)
@@ -268,7 +268,7 @@ def _sample_cells(
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
         batch_lines = lines.take(find(index_in_batch[lines.cell] >= 0))
         batch_lines = batch_lines._replace(cell=index_in_batch[batch_lines.cell])
-        points = place_weighted_points(batch_lines, batch.size, lattice.points())
+        points = place_weighted_points(batch_lines, batch.size, lattice.list_points())
         x, y = cells.to_picture(cell_index[batch][points.cell], points.position)
         samples, order = Scattered.from_positions(x, y)
         cell, region, weight = points.cell[order], points.region[order], points.weight[order]

@@ -12,7 +12,7 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Sides, Triple, map_xyz, repeat_runs, take, take_2d
 from tracer.geometry.camera import CameraFrame, ScreenBounds
-from tracer.geometry.numbering import ObjectRange, box_range
+from tracer.geometry.numbering import ObjectRange, get_box_range
 from tracer.geometry.rounding import (
     INSIDE,
     LIGHT_TOLERANCE,
@@ -22,7 +22,7 @@ from tracer.geometry.rounding import (
     SURFACE_TOLERANCE,
     compute_hit_tolerance,
 )
-from tracer.geometry.silhouette import silhouette_planes
+from tracer.geometry.silhouette import find_edge_planes
 from tracer.scene.model import Surfaces
 
 
@@ -38,7 +38,7 @@ class Boxes:
         Corners with the smallest and with the largest coordinates x, y and z.
     planes : tuple of three (6, n) float arrays
         Coefficients a, b and c of six planes through the eye and the silhouette of each box (see
-        `silhouette_planes`).  A ray with the direction (ray_right, ray_down, depth) meets the box
+        `find_edge_planes`).  A ray with the direction (ray_right, ray_down, depth) meets the box
         only if a * ray_right + b * ray_down + c >= 0 for all six planes.
     """
 
@@ -73,14 +73,14 @@ class Boxes:
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
-        normals = frame.vector_to_camera(silhouette_planes(low, high))
+        normals = frame.vector_to_camera(find_edge_planes(low, high))
         # If the eye is on a face, the plane of the face separates the rays that lead into the box
         # from those that miss it.
         is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
         for component, axis in zip(normals, frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
         coordinate_bound: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
-        objects, curvature = box_range(surfaces), np.zeros(is_eye_inside.size)
+        objects, curvature = get_box_range(surfaces), np.zeros(is_eye_inside.size)
         planes = normals[0], normals[1], normals[2] * frame.depth
         camera_data = planes, _find_screen_bounds(frame, low, high), is_eye_inside
         return cls(frame, objects, min_pt, max_pt, *camera_data, curvature, coordinate_bound)
@@ -117,7 +117,7 @@ class Boxes:
             of the row that meet the box lie in this interval.  If there are none, left > right.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
-        ray_down = frame.ray_down(top + height / 2)
+        ray_down = frame.to_ray_down(top + height / 2)
         min_right, max_right = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
         # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
@@ -279,10 +279,10 @@ class Boxes:
             `INSIDE` if the light is inside the box; `OUTSIDE` if it is outside or on the surface.
             The array has the broadcast shape of (n,) and the lights.
         """
-        distance = self.signed_distance(object_index, light)
+        distance = self.measure_distance(object_index, light)
         return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
 
-    def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
+    def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
         """Compute the signed distance of a point from each of n boxes.
 
         Parameters

@@ -100,7 +100,7 @@ class CameraFrame(NamedTuple):
         rotated : tuple of three float arrays
             Components x, y and z, in arrays of the same shape.
         """
-        x, y, z = (self.scene_component(vector, axis) for axis in range(3))
+        x, y, z = (self.project_onto_axis(vector, axis) for axis in range(3))
         return x, y, z
 
     def point_to_scene(self, from_eye: Triple) -> Triple:
@@ -121,7 +121,7 @@ class CameraFrame(NamedTuple):
         x, y, z = self.vector_to_scene(from_eye)
         return eye_x + x, eye_y + y, eye_z + z
 
-    def scene_component(self, vector: Triple, axis: int) -> Floats:
+    def project_onto_axis(self, vector: Triple, axis: int) -> Floats:
         """Compute the component of vectors along one axis of the scene.
 
         Parameters
@@ -139,7 +139,7 @@ class CameraFrame(NamedTuple):
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))
 
-    def ray_right(self, column: Floats) -> Floats:
+    def to_ray_right(self, column: Floats) -> Floats:
         """Compute the rightward component of the rays through given columns of the picture.
 
         The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
@@ -157,7 +157,7 @@ class CameraFrame(NamedTuple):
         """
         return self.center_right + (column - self.width / 2) * self.pixel_width
 
-    def ray_down(self, row: Floats) -> Floats:
+    def to_ray_down(self, row: Floats) -> Floats:
         """Compute the downward component of the rays through given rows of the picture.
 
         The ray through a position in the picture has the direction (ray_right, ray_down, depth), in

@@ -75,7 +75,7 @@ class ObjectRange(NamedTuple):
         return object_index - self.start if self.start else object_index
 
 
-def sphere_range(surfaces: Surfaces) -> ObjectRange:
+def get_sphere_range(surfaces: Surfaces) -> ObjectRange:
     """Return the index range of a scene's spheres, among all its objects.
 
     Parameters
@@ -91,7 +91,7 @@ def sphere_range(surfaces: Surfaces) -> ObjectRange:
     return ObjectRange(0, len(surfaces.radius))
 
 
-def box_range(surfaces: Surfaces) -> ObjectRange:
+def get_box_range(surfaces: Surfaces) -> ObjectRange:
     """Return the index range of a scene's boxes, among all its objects.
 
     Parameters

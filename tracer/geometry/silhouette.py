@@ -11,7 +11,7 @@ import numpy as np
 from tracer.arrays import Floats, Triple, cross, dot
 
 
-def silhouette_planes(low: Floats, high: Floats) -> Triple:
+def find_edge_planes(low: Floats, high: Floats) -> Triple:
     """Compute the planes through an apex (the eye or a light) and the silhouettes of boxes.
 
     Seen along a coordinate axis, a box is a rectangle.  Its edges parallel to the axis are the
@@ -57,7 +57,7 @@ def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
     Parameters
     ----------
     normals : tuple of three (6, n) float arrays
-        Normals of the six planes of each of n boxes, from `silhouette_planes`.
+        Normals of the six planes of each of n boxes, from `find_edge_planes`.
     ray : tuple of three (m, n) float arrays
         Directions of m rays for each box, in the same axes as the normals.
 

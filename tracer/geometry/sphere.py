@@ -21,7 +21,7 @@ import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, find, map_xyz, repeat_runs, take
 from tracer.geometry.camera import CameraFrame, ScreenBounds
-from tracer.geometry.numbering import ObjectRange, sphere_range
+from tracer.geometry.numbering import ObjectRange, get_sphere_range
 from tracer.geometry.rounding import (
     LIGHT_TOLERANCE,
     MIN_POWER,
@@ -108,10 +108,10 @@ class Spheres:
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (right, down, ahead), radius2 = from_eye, radius * radius
         slopes = (
-            _tangent_slopes(lateral, ahead, radius2, lateral * lateral + ahead * ahead - radius2)
+            _find_slope_range(lateral, ahead, radius2, lateral * lateral + ahead * ahead - radius2)
             for lateral in (down, right)
         )
-        objects, coordinate_bound = sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
+        objects, coordinate_bound = get_sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
         camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
         return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
 
@@ -154,9 +154,9 @@ class Spheres:
         max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
         grown_radius = radius + slope_margin * max_depth
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
-        discs = self._cut_discs(sphere_index, grown_radius, frame.ray_down(top + height / 2))
+        discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_down(top + height / 2))
         ray_ahead, center_right, center_ahead, disc_radius2 = discs
-        low_slope, high_slope = _tangent_slopes(center_right, center_ahead, disc_radius2, power)
+        low_slope, high_slope = _find_slope_range(center_right, center_ahead, disc_radius2, power)
         return frame.to_column(low_slope * ray_ahead), frame.to_column(high_slope * ray_ahead)
 
     def _cut_discs(
@@ -307,9 +307,9 @@ class Spheres:
             `OUTSIDE`, `ON` or `INSIDE`.  The array has the broadcast shape of (n,) and the lights.
         """
         tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
-        return determine_side(self.signed_distance(object_index, light), tolerance)
+        return determine_side(self.measure_distance(object_index, light), tolerance)
 
-    def signed_distance(self, object_index: Ints, point: Triple) -> Floats:
+    def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
         """Compute the signed distance of a point from each of n spheres.
 
         Parameters
@@ -441,7 +441,7 @@ class Spheres:
         return may_block, blocks_all
 
 
-def _tangent_slopes(
+def _find_slope_range(
     center_right: Floats, center_ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
     """Compute the slopes of the two rays from the origin that touch each of n discs in a plane.

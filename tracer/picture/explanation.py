@@ -250,12 +250,12 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     prepared_scene = PreparedScene(scene)
-    frame, samples = prepared_scene.frame, CENTERS.samples(slice(y, y + 1), slice(x, x + 1))
+    frame, samples = prepared_scene.frame, CENTERS.place(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
     radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
     scene_hit = FirstHits.from_hits(hits)
     surface_index = scene_hit.surface.item()
-    ray = samples.compute_ray_right(frame), frame.ray_down(samples.y), np.array([frame.depth])
+    ray = samples.compute_ray_right(frame), frame.to_ray_down(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
     return Explanation(

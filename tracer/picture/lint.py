@@ -152,7 +152,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     is_enclosed = np.concatenate(
         [
             # A light that is inside by less than the tolerance counts as on the surface.
-            shape.signed_distance(shape.objects.list_indices(), (x, y, z))
+            shape.measure_distance(shape.objects.list_indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_bound
             for shape in prepared_scene.shapes
         ],
@@ -224,7 +224,7 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
     if columns.start < columns.stop:
         rows_per_batch = max(1, scene.limit_batch(BATCH_SIZE) // (columns.stop - columns.start))
         for top in range(rows.start, rows.stop, rows_per_batch):
-            samples = CENTERS.samples(slice(top, min(top + rows_per_batch, rows.stop)), columns)
+            samples = CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
             object_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
     return np.unique(np.concatenate(object_batches))
 

@@ -436,7 +436,7 @@ def _test_footprints(
     is_grown_blocking = _test_segments(hits, lights, shape, candidates, growth)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
-    light_distance = shape.signed_distance(candidates[2], take(lights.position.T, candidates[0]))
+    light_distance = shape.measure_distance(candidates[2], take(lights.position.T, candidates[0]))
     near_index = find(is_grown_blocking | (light_distance <= growth))
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]

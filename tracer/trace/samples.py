@@ -130,7 +130,7 @@ class Rows(NamedTuple):
         ray_right : (n,) float array
             Rightward component of each ray's direction.
         """
-        return np.add.outer(self.shift * frame.pixel_width, frame.ray_right(self.x)).ravel()
+        return np.add.outer(self.shift * frame.pixel_width, frame.to_ray_right(self.x)).ravel()
 
     def get_positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.
@@ -253,7 +253,7 @@ class Scattered(NamedTuple):
         ray_right : (n,) float array
             Rightward component of each ray's direction.
         """
-        return frame.ray_right(self.x)
+        return frame.to_ray_right(self.x)
 
     def get_positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.

@@ -188,7 +188,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
         One group of (sample, object) pairs for each shape.  Some rays miss their object.
     """
     frame, groups = scene.frame, []
-    sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.ray_down(samples.y)
+    sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.to_ray_down(samples.y)
     for shape in scene.shapes:
         object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
         sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
