@@ -229,6 +229,7 @@ def _compare_with_progress_bar(
     is_finished = Event()
 
     def refresh(bar: Progress) -> None:
+        """Show the elapsed time on the bar until the comparison is finished."""
         while not is_finished.wait(_REFRESH_SECONDS):
             bar.update(0)
 

@@ -127,7 +127,7 @@ class Reference:
 
     Parameters
     ----------
-    scene : Scene or Picture
+    source : Scene or Picture
         The scene; or, if there is no scene, the reference picture.
     name : str
         The scene's file name as typed on a command line; it appears in reports.
@@ -142,9 +142,9 @@ class Reference:
         The codes of the reference picture.
     """
 
-    def __init__(self, scene: Scene | Picture, name: str = "") -> None:
-        self.name, self.scene = name, scene if isinstance(scene, Scene) else None
-        self.picture = Picture(_render_codes(scene)) if isinstance(scene, Scene) else scene
+    def __init__(self, source: Scene | Picture, name: str = "") -> None:
+        self.name, self.scene = name, source if isinstance(source, Scene) else None
+        self.picture = Picture(_render_codes(source)) if isinstance(source, Scene) else source
         self.codes: Codes = self.picture.codes
         # Cache only two renderers: those for all picture sizes in a class would fill the memory.
         self._get_renderer = lru_cache(maxsize=2)(self._make_renderer)
@@ -480,6 +480,7 @@ def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
     formulas = submission.renderer.get_formulas(cause)
 
     def format_number(placeholder: re.Match[str]) -> str:
+        """Compute and format the number that replaces a placeholder."""
         return f"{submission.fitting_cache.get_value(placeholder[1], formulas):.3g}"
 
     mistakes = submission.renderer.mistakes

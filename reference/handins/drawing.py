@@ -51,9 +51,11 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
     shader_by_number = [distinct_shaders[k % len(distinct_shaders)] for k in range(len(surfaces))]
 
     def to_array(items: Sequence[Any], attribute: str, default: Any) -> Array:
+        """Collect an attribute of all items; items that lack it get the default."""
         return np.array([getattr(item, attribute, default) for item in items])
 
     def to_vectors(items: Sequence[Any], attribute: str, default: Any = (0.0, 0, 0)) -> Array:
+        """Collect an attribute that is a vector or colour: an array (3, items)."""
         return to_array(items, attribute, default).reshape(-1, 3).T
 
     return {

@@ -203,6 +203,7 @@ def make_intersect(
     box_index = np.flatnonzero(~is_sphere & is_present)
 
     def intersect(o: Array, d: Array) -> Array:
+        """Return the roots (2, surfaces, n) of rays with origins and directions (3, n)."""
         roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
         centers_and_radii = centers[:, sphere_index], radii[sphere_index]
         roots[:, sphere_index] = intersect_sphere(*centers_and_radii, o, d)

@@ -121,10 +121,10 @@ class MistakeRenderer:
 
     Parameters
     ----------
-    scene : Scene or (h, w, 3) uint8 array
+    source : Scene or (h, w, 3) uint8 array
         The scene at this size; or, if there is no scene, the codes of the reference picture.
     reference_codes : (3, n) uint8 array
-        Codes of the n pixels of the reference picture.
+        8-bit codes of the n pixels of the reference picture.
     surface_index : (n,) int array
         Index of the surface that each pixel shows; -1 for the background.
     width : int
@@ -145,7 +145,7 @@ class MistakeRenderer:
     """
 
     def __init__(
-        self, scene: Scene | Codes, reference_codes: Array, surface_index: Array, width: int,
+        self, source: Scene | Codes, reference_codes: Array, surface_index: Array, width: int,
         base_formulas: Formulas,
     ) -> None:  # fmt: skip
         self.reference_codes, self.surface_index = reference_codes, surface_index
@@ -153,12 +153,12 @@ class MistakeRenderer:
         self.pixel_count = reference_codes.shape[1]
         self._blank_codes = np.broadcast_to(np.uint8(0), reference_codes.shape)
         size = {"width": width, "height": self.pixel_count // width}
-        self._inputs = make_formula_inputs(scene) | size
-        table_scene = scene if isinstance(scene, Scene) else Scene(**size)
-        self.surface_count = len(table_scene.surfaces)
+        self._inputs = make_formula_inputs(source) | size
+        scene = source if isinstance(source, Scene) else Scene(**size)
+        self.surface_count = len(scene.surfaces)
         pixel_share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
         self.first_round_size = max(40, int(pixel_share * _FIRST_PIXELS))
-        self.mistakes = mistakes.list_mistakes(table_scene)
+        self.mistakes = mistakes.list_mistakes(scene)
         first_pixel = self.make_cache(np.array([0]), self._blank_codes)
         self.mistakes = {
             keyword: mistake for keyword, mistake in self.mistakes.items()
@@ -166,7 +166,7 @@ class MistakeRenderer:
         }  # fmt: skip
         subset = choose_stratified(surface_index, MAX_PIXELS // 32)
         strata = surface_index[subset]
-        if isinstance(scene, Scene):
+        if isinstance(source, Scene):
             for is_lit in self.evaluate([base_formulas], subset, formula="lit")[0][:4]:
                 strata = 2 * strata + is_lit
         sample_size = max(500, _MAX_INTERSECTIONS // max(20, 20 * self.surface_count))
