@@ -75,8 +75,8 @@ class Contributions(NamedTuple):
 class _RayFunctions(NamedTuple):
     """n functions of the camera ray, each for one pair (a cell and a face in it).
 
-    A function is the sum smooth_part + root_factor * root_term.  Here the root term is the square
-    root in the inverse distance of a sphere; it is 0 for a side of a box.
+    A function is the sum smooth_part + root_factor * root_term.  The root term is the square root
+    in the formula for the inverse distance of a sphere.  For a side of a box, it is 0.
 
     Attributes
     ----------
@@ -134,24 +134,22 @@ def _enclose_cone(
         The vectors q, which are linear in the position (X, Y) in a cell.  The first axis holds the
         components; the second holds the coefficients of 1, X and Y.
     shifted_points : (3, 3, n) float array
-        The sum of q and a multiple of c, which leaves c x q unchanged.  The multiple is chosen so
-        that the rounding error of the cross product is small.
+        Each q plus a multiple of c.  This does not change c x q, but may reduce its rounding error.
     sizes : (2,) or (2, n) float array
-        Upper bounds on the absolute values of the terms of `points` and of `shifted_points`, to
-        which the rounding errors are proportional.
+        Upper bounds on the absolute values of the terms of `points` and of `shifted_points`.
 
     Returns
     -------
     cone : Enclosures
         Enclosures (8, n) of the function.
     cross : (3, 3, n) float array
-        The cross products c x q, with the axes of `points`.
+        The cross products c x q, with the same axes as `points`.
     """
-    (size, shifted_size), radius2, center2 = sizes, radius * radius, (center * center).sum(axis=0)
+    (size, shifted_size), r2, c2 = sizes, radius * radius, (center * center).sum(axis=0)
     cross, coef = compute_cross_product(center, shifted_points), np.zeros((8, radius.size))
-    coef[:UNKNOWN] = radius2 * compute_squared_length(points) - compute_squared_length(cross)
-    error_bound = radius2 * size * np.abs(points).sum(axis=(0, 1))
-    error_bound += center2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
+    coef[:UNKNOWN] = r2 * compute_squared_length(points) - compute_squared_length(cross)
+    error_bound = r2 * size * np.abs(points).sum(axis=(0, 1))
+    error_bound += c2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
     coef[RADIUS] = 8 * ROUNDING * error_bound
     return Enclosures(coef), cross
 
@@ -175,7 +173,7 @@ class CellAnalysis:
         The spheres and the sides of boxes in the scene.
     cells : Cells
         The cells, without pairs and triples that proved irrelevant.
-    squared_direction : Enclosures
+    squared_ray_length : Enclosures
         Enclosures (8, c) of d^2, the squared length of the ray directions, one for each cell.
     inverse_distance : Enclosures
         Enclosures (8, p) of 1 / t, one for each pair.
@@ -187,21 +185,17 @@ class CellAnalysis:
     def __init__(self, faces: Faces, cells: Cells) -> None:
         """Find the visible faces of each cell, the lights that reach them, and all possible edges.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
-        pair, a light, and an object that may shade the face from the light.  A light is settled for
-        a pair if it is known to reach all of the face in the cell, or none of it.
-
         Parameters
         ----------
         faces : Faces
             The spheres and the sides of boxes in the scene.
         cells : Cells
-            The cells, which are not changed.  In the attribute `cells`, a copy, irrelevant pairs
-            and triples are removed, and more lights are settled.
+            The cells to analyse.  They are copied, not changed.
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
-        # Directions of camera rays as functions of the position in each cell.  The first axis holds
-        # the components (to the right, down, ahead), the second the coefficients of 1, X and Y.
+        # Directions of camera rays, which depend linearly on the position (X, Y) in a cell.  The
+        # first axis holds the components (right, down, ahead), the second the coefficients of 1, X
+        # and Y.
         self._rays = rays = np.zeros((3, 3, cells.x.size))
         rays[:2, 0] = frame.to_ray_right(cells.x), frame.to_ray_down(cells.y)
         rays[2, 0] = frame.depth
@@ -210,7 +204,7 @@ class CellAnalysis:
         coef = np.zeros((8, cells.x.size))
         coef[:UNKNOWN] = compute_squared_length(rays)
         coef[RADIUS] = ROUNDING * coef[CONSTANT]
-        self.squared_direction = Enclosures(coef)
+        self.squared_ray_length = Enclosures(coef)
         # Pairs, lights (or -1) and enclosures of edge functions.
         self._edges: list[tuple[Ints, Ints, Enclosures]] = []
         self._find_visible_faces()
@@ -225,7 +219,7 @@ class CellAnalysis:
         Parameters
         ----------
         vectors : (3, n) float array
-            The constant vectors, in the camera's axes (to the right, down, ahead).
+            The constant vectors, in the camera's axes (right, down, ahead).
         cell : (n,) int array
             For each vector, the index of the cell.
 
@@ -242,7 +236,7 @@ class CellAnalysis:
         return Enclosures(coef)
 
     def _express_half_space(self, pair: Ints, half_space: Floats) -> _RayFunctions:
-        """Express half-spaces as functions that are positive where rays meet a face inside them.
+        """Compute functions that are positive where camera rays meet a face inside a half-space.
 
         Parameters
         ----------
@@ -250,8 +244,7 @@ class CellAnalysis:
             Indices of pairs.  A pair consists of a cell and a face in it.
         half_space : (5, n) float array
             For each pair, a half-space n.x + b >= 0.  Rows 0 to 2 contain n, and row 3 contains b.
-            Row 4 contains the sum of the absolute values of the terms of b, to which the rounding
-            error of b is proportional.
+            Row 4 contains the sum of the absolute values of the terms of b.
 
         Returns
         -------
@@ -267,13 +260,13 @@ class CellAnalysis:
         return _RayFunctions(pair, smooth_part, b)
 
     def _enclose_functions(self, functions: _RayFunctions) -> Enclosures:
-        """Enclose functions of the camera ray.
+        """Enclose functions of the camera ray by polynomials with error bounds.
 
         Parameters
         ----------
         functions : _RayFunctions
-            n functions smooth_part + root_factor * root_term.  The root term is the square root in
-            the inverse distance of a sphere; it is 0 for a side of a box.
+            n functions smooth_part + root_factor * root_term.  The root term is a square root for a
+            sphere, and 0 for a side of a box.
 
         Returns
         -------
@@ -292,82 +285,79 @@ class CellAnalysis:
     ) -> Bools:
         """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
-        A claim concerns a pair (a cell and a face in it), for example that the face covers the
-        cell.  It is true at a point of the cell if all its conditions hold there.  If a claim is
-        undecided, every function of its conditions that may have both signs in the cell is listed
-        as an edge, unless `has_edge` of the condition is False.
+        A claim concerns a pair (a cell and a face in it): for example, that the face covers the
+        cell.  It is true where all its conditions hold, and a condition holds where its function is
+        positive.  If a claim is undecided, each function that may change its sign in the cell
+        becomes a possible edge.
 
         Parameters
         ----------
         light : (n,) int array, or int
-            For each claim, the light whose radiance depends on it, or -1 if all radiance does.
+            For each claim, the light that it concerns, or -1 if it concerns the visible face.
         is_false : (n,) bool array
-            Set to True, in place, for each claim with a condition that holds nowhere in the cell.
-            The array is updated after each condition, so that `conditions` can skip claims that are
-            false.
+            Set to True, in place, for each claim that is false everywhere in its cell.  This is
+            done after each condition, so that the next conditions can skip these claims.
         conditions : iterable of _Condition
-            Conditions, each for some of the claims.
+            Conditions, each for some of the claims.  If `has_edge` is False, there is no edge.
 
         Returns
         -------
         is_true : (n,) bool array
-            Whether all conditions for the claim hold everywhere in the cell.
+            Whether the claim is certainly true everywhere in its cell.
         """
         is_true, light = np.ones(is_false.size, np.bool_), np.broadcast_to(light, is_false.shape)
         possible_edges = []
-        for claim, functions, has_edge in conditions:
+        for claim_index, functions, has_edge in conditions:
             enclosures = self._enclose_functions(functions)
             low, high = enclosures.bounds()
-            is_false[claim[high <= 0]] = True
-            is_true[claim[~(low > 0)]] = False
+            is_false[claim_index[high <= 0]] = True
+            is_true[claim_index[~(low > 0)]] = False
             # Indices of functions that may have both signs.
             index = np.flatnonzero(~(low >= 0) & ~(high <= 0) & has_edge)
-            possible_edges.append((claim[index], functions.take(index), enclosures[index]))
-        for claim, functions, enclosures in possible_edges:
-            index = np.flatnonzero(~is_false[claim])
+            possible_edges.append((claim_index[index], functions.take(index), enclosures[index]))
+        for claim_index, functions, enclosures in possible_edges:
+            index = np.flatnonzero(~is_false[claim_index])
             edges = self._narrow_enclosures(functions.take(index), enclosures[index])
-            self._edges.append((functions.pair[index], light[claim[index]], edges))
+            self._edges.append((functions.pair[index], light[claim_index[index]], edges))
         return is_true & ~is_false
 
     def _narrow_enclosures(self, functions: _RayFunctions, enclosures: Enclosures) -> Enclosures:
-        """Replace edge functions by others with narrower enclosures where this is possible.
+        """Replace edge functions on spheres where this makes their enclosures narrower.
 
-        An edge function is smooth_part + root_factor * root_term, where the root term is the square
-        root in the inverse distance of a sphere.  Near a silhouette, the root term is steep, so its
-        enclosure is wide.  The function smooth_part^2 - (root_factor * root_term)^2 has the same
-        zeros, and perhaps others.  But it contains only the square of the root term.
+        An edge function is smooth_part + root_factor * root_term, where the root term is a square
+        root.  Near a silhouette, the root term is steep, so its enclosure is wide.  The replacement
+        smooth_part^2 - (root_factor * root_term)^2 has the same zeros, and perhaps others.  It
+        contains only the square of the root term.
 
         Parameters
         ----------
         functions : _RayFunctions
             n edge functions.
         enclosures : Enclosures
-            Enclosures (8, n) of the functions.  They are changed in place.
+            Enclosures (8, n) of the functions, which are changed in place.
 
         Returns
         -------
         enclosures : Enclosures
-            Enclosures (8, n) of the functions or their replacements, whichever are narrower in
-            relation to their slopes.
+            The same object.  It now contains the replacements with a smaller `relative_width`.
         """
-        # Indices of the functions on spheres: elsewhere, the coefficient of the unknown Z is 0.
-        index = np.flatnonzero(enclosures.coef[UNKNOWN])
-        if index.size:
-            pair, smooth_part, factor = functions.take(index)
-            squared = smooth_part * smooth_part - self.squared_root_term[pair] * factor * factor
-            is_narrower = squared.relative_width < enclosures[index].relative_width
-            enclosures.coef[:, index[is_narrower]] = squared.coef[:, is_narrower]
+        # On sides of boxes, the coefficient of the unknown Z is 0.
+        sphere_index = np.flatnonzero(enclosures.coef[UNKNOWN])
+        if sphere_index.size:
+            pair, smooth_part, factor = functions.take(sphere_index)
+            replacement = smooth_part * smooth_part - self.squared_root_term[pair] * factor * factor
+            is_narrower = replacement.relative_width < enclosures[sphere_index].relative_width
+            enclosures.coef[:, sphere_index[is_narrower]] = replacement.coef[:, is_narrower]
         return enclosures
 
     def _find_visible_faces(self) -> None:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
         A pair consists of a cell and a face that may be visible in it.  It is removed if the face
-        is outside the cell, or hidden by another face everywhere in the cell.  The outlines of the
-        remaining faces that may cross the cell are listed as edges.
+        is outside the cell, or if another face hides it everywhere in the cell.  The outlines of
+        the remaining faces become possible edges.
 
-        This sets the attributes `inverse_distance`, `root_term` and `squared_root_term`, and
-        updates `covers_cell` in `cells`.
+        The results are stored in `inverse_distance`, `root_term`, `squared_root_term` and `cells`.
         """
         faces, face, cell = self.faces, self.cells.pair_face, self.cells.pair_cell
         sphere_pair = np.flatnonzero(~faces.is_planar[face])
@@ -394,29 +384,27 @@ class CellAnalysis:
         self.inverse_distance.coef[:, visible_pair] += coef
         self.inverse_distance.coef[RADIUS, visible_pair] = 0
         is_kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
-        self.cells, new_pair = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
+        self.cells, new_index = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
         for i, (pair, light, functions) in enumerate(self._edges):
             kept_index = np.flatnonzero(is_kept[pair])
-            self._edges[i] = new_pair[pair[kept_index]], light[kept_index], functions[kept_index]
+            self._edges[i] = new_index[pair[kept_index]], light[kept_index], functions[kept_index]
         self.root_term, self._linear_term = self.root_term[is_kept], self._linear_term[is_kept]
         self.squared_root_term = self.squared_root_term[is_kept]
         self.inverse_distance = self.inverse_distance[is_kept]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
     def _make_hit_conditions(self, discriminants: Enclosures) -> Iterator[_Condition]:
-        """Yield the conditions for camera rays to hit each pair's face.
+        """Yield the conditions under which camera rays hit the face of each pair.
 
         A pair consists of a cell and a face in it.  A ray hits a side of a box if it meets the
-        side's plane inside each of the side's four edges.  A ray hits a sphere if the centre is
-        ahead of the eye, and the line that contains the ray meets the sphere.  Faces that are known
-        to cover their cell are skipped.  So are spheres that contain the eye, because all rays hit
-        them.
+        side's plane inside all four edges.  It hits a sphere if the sphere is ahead of the eye, and
+        the ray's line meets the sphere.  Some faces are skipped because all rays hit them.
 
         Parameters
         ----------
         discriminants : Enclosures
-            Enclosures (8, p), for each pair with a sphere, of a function that is positive where the
-            line that contains the ray meets the sphere.
+            One enclosure (8, p) per pair.  For a sphere, the enclosed function is positive where
+            the ray's line meets the sphere.  For a side of a box, it is not used.
 
         Yields
         ------
@@ -439,8 +427,8 @@ class CellAnalysis:
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
         """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
 
-        A pair consists of a cell and a face in it.  Only one occluder is tried in each cell: the
-        face that covers the cell and has the smallest upper bound on its distance.
+        A pair consists of a cell and a face in it.  Only one occluder is tried in each cell: of all
+        faces that cover the cell, the one with the smallest upper bound on its distance.
 
         Parameters
         ----------
@@ -450,8 +438,8 @@ class CellAnalysis:
         Returns
         -------
         is_hidden : (p,) bool array
-            For each pair, whether its face is certainly behind the occluder.  If both are in the
-            same plane, the face whose object comes first in the scene file hides the other.
+            For each pair, whether the occluder certainly hides its face.  If both are in the same
+            plane, the face whose object comes first in the scene file hides the other.
         """
         faces, inverse_distance = self.faces, self.inverse_distance
         cell, face = self.cells.pair_cell, self.cells.pair_face
@@ -462,21 +450,21 @@ class CellAnalysis:
         cell_occluder = np.full(self.cells.x.size, -1)
         # If a cell has several covering pairs, the last one remains.
         cell_occluder[cell[covering_pair[order]]] = covering_pair[order]
-        occluder = cell_occluder[cell]
-        pair = np.flatnonzero((occluder >= 0) & (occluder != np.arange(cell.size)))
-        occluder, plane_id = occluder[pair], faces.plane_id[:, face]
-        in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
+        pair_occluder = cell_occluder[cell]
+        pair = np.flatnonzero((pair_occluder >= 0) & (pair_occluder != np.arange(cell.size)))
+        occluder, plane_id = pair_occluder[pair], faces.plane_id[:, face]
+        is_in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
         difference = inverse_distance[pair].subtract_independent(inverse_distance[occluder])
-        is_behind, is_later = difference.bounds()[1] < 0, file_index[pair] > file_index[occluder]
+        is_behind, comes_later = difference.bounds()[1] < 0, file_index[pair] > file_index[occluder]
         is_hidden = np.zeros(cell.size, np.bool_)
-        is_hidden[pair] = np.where(in_same_plane, is_later, is_behind)
+        is_hidden[pair] = np.where(is_in_same_plane, comes_later, is_behind)
         return is_hidden
 
     def _express_light_height(self, pair: Ints, light: Ints) -> _RayFunctions:
         """Express the heights of lights above faces as functions of the camera ray.
 
-        A function is the height of a light above the face's tangent plane at the point where the
-        ray meets the face, divided by the distance of this point from the eye.  It is positive for
+        Heights are measured from the face's tangent plane at the point where the ray meets the
+        face.  They are divided by the distance from the eye to this point.  They are positive for
         lights in front of the face.
 
         Parameters
@@ -484,7 +472,7 @@ class CellAnalysis:
         pair : (n,) int array
             Indices of pairs.  A pair consists of a cell and a face in it.
         light : (n,) int array
-            For each pair, the index of a light, or -1 for the eye instead of a light.
+            For each pair, the index of a light.  Index -1 stands for the eye.
 
         Returns
         -------
@@ -495,12 +483,11 @@ class CellAnalysis:
         return self._express_half_space(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
-        """Settle lights that are behind a sphere's surface, and list terminators as edges.
+        """Find terminators on spheres, and mark lights behind a sphere's surface as settled.
 
-        A terminator is the curve between the lit and the dark side of a sphere.  If an unsettled
-        light is behind the surface everywhere in a cell, it is marked in `cells.is_settled`, and
-        adds no radiance.  If it is behind the surface in a part of the cell, the terminator is
-        listed as an edge.
+        A terminator is the curve between the lit and the dark side of a sphere.  A light is marked
+        in `cells.is_settled` if all of the sphere in a cell is certainly dark.  If only a part may
+        be dark, the terminator becomes a possible edge.
         """
         # Lights behind a side of a box are settled from the start.
         is_sphere = ~self.faces.is_planar[self.cells.pair_face]
@@ -512,18 +499,18 @@ class CellAnalysis:
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Compute bounding boxes of the parts of faces that may be visible in cells.
+        """Compute a bounding box of each face's part that may be visible in a cell.
 
         Returns
         -------
         center, half_size : (3, p) float arrays
-            Centre and half size of the box for each pair (a cell and a face in it), along the
+            For each pair (a cell and a face in it), the box's centre and half size along the
             scene's axes.  The boxes are widened to allow for rounding errors.
         """
         faces, face, axes = self.faces, self.cells.pair_face, self.faces.frame.axes.T
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
-        center, half_size = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
-        low_ray, high_ray = center - half_size, center + half_size
+        center_ray, spread = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
+        low_ray, high_ray = center_ray - spread, center_ray + spread
         min_inverse, max_inverse = self.inverse_distance.bounds()
         near, far = 1 / max_inverse, np.where(min_inverse > 0, 1 / min_inverse, np.inf)
         low, high = faces.bounding_box[:, :, face]
@@ -533,14 +520,14 @@ class CellAnalysis:
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
-        """Settle lights that an object blocks everywhere in a cell, and list shadow edges.
+        """Find shadow edges, and mark lights that an object blocks everywhere in a cell as settled.
 
         A triple consists of a pair (a cell and a face in it), a light, and an occluder that may
-        shade the face from the light.  If the occluder shades all of the face in the cell, the
-        light is settled without adding radiance.  If it may shade only a part, the shadow edges
-        that may cross the cell are listed.  Triples that do not matter any more are removed.
+        shade the face from the light.  A light is marked in `cells.is_settled` if the occluder
+        shades all of the face in the cell.  If it may shade only a part, the edges of its shadow
+        become possible edges.  Triples that no longer matter are removed.
 
-        For cells of the width `MAX_WIDTH`, the triples are created first.
+        In cells of the width `MAX_WIDTH`, the triples are created first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -556,17 +543,17 @@ class CellAnalysis:
         self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
 
     def _make_sphere_shadow_conditions(self) -> Iterator[_Condition]:
-        """Yield the conditions for camera rays to meet a face in the shadow of a sphere.
+        """Yield the conditions under which camera rays meet a face in the shadow of a sphere.
 
-        A point is in the shadow if two conditions hold: it lies inside the cone around the sphere
-        whose apex is the light, and it lies behind the plane in which the cone touches the sphere.
+        There are two conditions.  The ray must meet the face inside the cone from the light around
+        the sphere.  It must also meet the face behind the plane in which the cone touches the
+        sphere.
 
         Yields
         ------
         condition : _Condition
-            The first condition for all triples with a sphere as the occluder, then the second.  A
-            triple consists of a pair (a cell and a face in it), a light and an occluder.  Its index
-            is in `claim_index`.
+            First one condition, then the other, for all triples with a sphere as the occluder.  A
+            triple consists of a pair (a cell and a face in it), a light and an occluder.
         """
         triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
         faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
@@ -576,10 +563,10 @@ class CellAnalysis:
         position2, center2, to_center2 = np.square([position, center, to_center]).sum(axis=1)
         # Let L be the light, C the sphere's centre, c = C - L, and r the radius.  The ray with
         # direction d meets the face at p = t d, where 1 / t = k.d + s with the root term s.
-        # The point p is in the cone if |c x (p - L)| <= r |p - L|.  Here p - L on the left can be
-        # replaced by p - C, and nothing cancels, however distant the light is.  Divided by t, p - L
-        # is q - L s with q = d - L k.d, and p - C is w - C s with w = d - C k.d.  So the condition,
-        # divided by t^2, is u + v s >= 0 with
+        # The point p is in the cone if |c x (p - L)| <= r |p - L|.  On the left, p - L can be
+        # replaced by p - C, so that nothing cancels if the light is distant.  Divided by t, p - L
+        # is q - L s with q = d - L k.d, and p - C is w - C s with w = d - C k.d.  Divided by t^2,
+        # the condition is u + v s >= 0 with
         #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
         #     v = 2 ((c x C).(c x w) - r^2 L.q).
         rays, linear_term = self._rays[:, :, cell], self._linear_term.coef[:X_SQUARED, pair]
@@ -597,31 +584,30 @@ class CellAnalysis:
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         u.coef[RADIUS] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
         yield _Condition(triple_index, _RayFunctions(pair, u, Enclosures(v)), has_edge=True)
-        # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  It is
-        # never an edge: inside the cone, the plane is inside the sphere.
+        # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
+        # plane is no edge: inside the cone, it lies inside the sphere.
         products = to_center * center
         b, b_size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
         plane_functions = self._express_half_space(pair, np.array([*to_center, b, b_size]))
         yield _Condition(triple_index, plane_functions, has_edge=False)
 
     def _make_box_shadow_conditions(self, is_lit: Bools) -> Iterator[_Condition]:
-        """Yield the conditions for camera rays to meet a face in the shadow of a box.
+        """Yield the conditions under which camera rays meet a face in the shadow of a box.
 
-        The shadow is the intersection of at most nine half-spaces.  Each condition is that the ray
-        meets the face inside one of them.
+        The shadow is the intersection of at most nine half-spaces.  The ray must meet the face
+        inside all of them, so each half-space gives one condition.
 
         Parameters
         ----------
         is_lit : (q,) bool array
-            For each triple of the cells, whether a previous condition holds nowhere in the cell.  A
+            For each triple, whether the occluder is known not to shade the face in the cell.  A
             triple consists of a pair (a cell and a face in it), a light and an occluder.  The
             caller may update this array between conditions.
 
         Yields
         ------
         condition : _Condition
-            A condition for the triples that have a box as the occluder and are not lit.  Their
-            indices are in `claim_index`.
+            A condition for all triples with a box as the occluder, except those that are lit.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         is_box = box >= 0
@@ -637,43 +623,43 @@ class CellAnalysis:
             yield _Condition(index, functions, has_edge[light[index], box[index]])
 
     def _find_intersections(self) -> None:
-        """List an edge wherever two faces of a cell may intersect.
+        """List a possible edge wherever two faces may intersect in a cell.
 
-        The intersection of two faces lies in a plane.  The picture may have an edge where a camera
-        ray meets one of the faces on this plane.
+        The intersection of two faces lies in a plane.  The edge is where camera rays meet one of
+        the faces on this plane.
         """
         faces, cells = self.faces, self.cells
-        sorted_pairs = np.argsort(cells.pair_cell, kind="stable")
-        cell_start = cells.pair_cell[sorted_pairs].searchsorted(cells.pair_cell[sorted_pairs])
-        # Combine each pair (one face in one cell) with all earlier pairs of the same cell.
-        segments = list_segment_elements(np.arange(sorted_pairs.size) - cell_start, cell_start)
-        pair, other_pair = (sorted_pairs[index] for index in segments)
+        sorted_pair = np.argsort(cells.pair_cell, kind="stable")
+        cell_start = cells.pair_cell[sorted_pair].searchsorted(cells.pair_cell[sorted_pair])
+        # Combine each pair (a cell and a face in it) with all earlier pairs of the same cell.
+        positions = list_segment_elements(np.arange(sorted_pair.size) - cell_start, cell_start)
+        pair, other_pair = (sorted_pair[position] for position in positions)
         # If only one face is planar, it becomes the other face.
         is_planar = faces.is_planar[cells.pair_face[pair]]
         pair, other_pair = np.where(is_planar, (other_pair, pair), (pair, other_pair))
         face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
-        differs_in_object = faces.object_index[face] != faces.object_index[other_face]
-        differs_in_plane = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
-        index = np.flatnonzero(differs_in_object & differs_in_plane)
+        has_other_object = faces.object_index[face] != faces.object_index[other_face]
+        has_other_plane = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
+        index = np.flatnonzero(has_other_object & has_other_plane)
         pair, face, other_face = pair[index], face[index], other_face[index]
-        # All equations of spheres contain x^2, so the difference of two of them is linear.
-        plane, both_spheres = faces.equation[:, other_face], ~faces.is_planar[other_face]
-        sphere_equation = faces.equation[:, face[both_spheres]]
-        plane[:, both_spheres] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
+        # If the other face is a sphere, both are.  The difference of their equations is linear.
+        plane, is_sphere = faces.equation[:, other_face], ~faces.is_planar[other_face]
+        sphere_equation = faces.equation[:, face[is_sphere]]
+        plane[:, is_sphere] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
         functions = self._express_half_space(pair, plane)
         condition = _Condition(np.arange(pair.size), functions, has_edge=True)
         self._decide_claims(-1, np.zeros(pair.size, np.bool_), [condition])
 
     def collect_edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
-        """Collect all edge functions: the picture can have an edge only where one of them is zero.
+        """Collect the edge functions.  The picture can have an edge only where one of them is zero.
 
         Returns
         -------
         pair : (n,) int array
             For each function, the index of its pair (a cell and a face in it).
         light : (n,) int array
-            For each function, the light whose radiance changes at the edge, or -1 if all radiance
-            changes.
+            For each function, the light that is cut off at the edge, or -1 if the visible face
+            changes there.
         functions : Enclosures
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
@@ -681,20 +667,20 @@ class CellAnalysis:
         coef = np.concatenate([enclosures.coef for enclosures in functions], axis=1)
         return np.concatenate(pairs), np.concatenate(lights), Enclosures(coef)
 
-    def shade(self, is_requested: Bools, error: float) -> Contributions:
-        """Compute the radiance due to unsettled lights, and settle lights without edges.
+    def shade(self, is_requested: Bools, permitted_error: float) -> Contributions:
+        """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
 
-        A pair consists of a cell and a face in it.  A light is settled for a pair by adding its
-        radiance to `cells.radiance` and marking it in `cells.is_settled`.  This requires that (1)
-        the light has no edge in the cell, so that it reaches all of the face there, and (2) the
-        error of its radiance is at most `error` divided by the number of lights.
+        A pair consists of a cell and a face in it.  A light is settled for a pair if it has no
+        possible edge in the cell, and if its radiance is accurate enough.  Then its radiance is
+        added to `cells.radiance`, and it is marked in `cells.is_settled`.
 
         Parameters
         ----------
         is_requested : (p,) bool array
             For each pair, whether to shade it.
-        error : float
-            Maximum error of a pair's radiance due to all settled lights together, in any channel.
+        permitted_error : float
+            Permitted error of the radiance due to all settled lights of a pair together, in any
+            channel.  Each light may cause an equal part of it.
 
         Returns
         -------
@@ -706,39 +692,38 @@ class CellAnalysis:
         has_edge[cells.triples[0], cells.triples[1]] = True
         for pair, light, _ in self._edges:
             has_edge[pair[light >= 0], light[light >= 0]] = True
-        max_error = error / cells.is_settled.shape[1]
-        is_certain = ~has_edge[contributions.pair, contributions.light]
-        is_certain &= contributions.radiance.radius.max(axis=0) <= max_error
-        settled_part = contributions.select(is_certain)
+        max_light_error = permitted_error / cells.is_settled.shape[1]
+        is_newly_settled = ~has_edge[contributions.pair, contributions.light]
+        is_newly_settled &= contributions.radiance.radius.max(axis=0) <= max_light_error
+        settled_part = contributions.select(is_newly_settled)
         add_at_sorted_index(cells.radiance.coef, settled_part.pair, settled_part.radiance.coef)
         cells.is_settled[settled_part.pair, settled_part.light] = True
-        return contributions.select(~is_certain)
+        return contributions.select(~is_newly_settled)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that each unsettled light adds wherever it reaches a face.
+        """Enclose the radiance that each unsettled light adds where it reaches a face.
 
         Parameters
         ----------
         is_requested : (p,) bool array
-            For each pair (a cell and a face in it), whether to shade it.
+            For each pair (a cell and a face in it), whether to enclose its radiance.
 
         Returns
         -------
         contributions : Contributions
-            The radiance that each unsettled light adds to each requested pair, sorted by pair and
-            light.
+            The radiance of each unsettled light for each requested pair, sorted by pair and light.
         """
         faces, cells, scene = self.faces, self.cells, self.faces.prepared_scene
         pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
         cell, object_index = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
         light_position = faces.light_position[light].T
-        squared_direction = self.squared_direction[cell]
+        squared_ray_length = self.squared_ray_length[cell]
         # The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
         # divided by t, and squared lengths by t^2.  For a light at q, this gives
         #     |q - p|^2 = d^2 - 2 q.d / t + q^2 / t^2  and  (q - p).(-p) = d^2 - q.d / t.
         q_dot_d_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
         inverse_distance2 = (self.inverse_distance * self.inverse_distance)[pair]
-        light_distance2 = squared_direction - q_dot_d_over_t * 2.0
+        light_distance2 = squared_ray_length - q_dot_d_over_t * 2.0
         light_distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
         inverse_light_distance = light_distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
         light_height = self._enclose_functions(self._express_light_height(pair, light))
@@ -750,12 +735,12 @@ class CellAnalysis:
         # |l + v|^2 = 2 + 2 l.v.  Only glossy faces have this term.
         glossy_index = np.flatnonzero(scene.is_glossy[object_index])
         glossy_pair, glossy_pair_index = np.unique(pair[glossy_index], return_inverse=True)
-        inverse_direction = self.squared_direction.power(-0.5)  # 1 / |d|
+        inverse_ray_length = self.squared_ray_length.power(-0.5)  # 1 / |d|
         eye_functions = self._express_light_height(glossy_pair, 0 * glossy_pair - 1)
         eye_height = self._enclose_functions(eye_functions)
-        n_dot_v = eye_height * inverse_direction[cells.pair_cell[glossy_pair]]
-        scale = inverse_light_distance[glossy_index] * inverse_direction[cell[glossy_index]]
-        l_dot_v = (squared_direction - q_dot_d_over_t)[glossy_index] * scale
+        n_dot_v = eye_height * inverse_ray_length[cells.pair_cell[glossy_pair]]
+        scale = inverse_light_distance[glossy_index] * inverse_ray_length[cell[glossy_index]]
+        l_dot_v = (squared_ray_length - q_dot_d_over_t)[glossy_index] * scale
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
         n_dot_sum = n_dot_l[glossy_index] + n_dot_v[glossy_pair_index]
         n_dot_h = (n_dot_sum * inverse_sum).clamp_to_unit_interval()
