@@ -82,7 +82,7 @@ class Cells(NamedTuple):
 
         Returns
         -------
-        reduced : Cells
+        cells : Cells
             The cells with all pairs and the selected triples.
         """
         return self._replace(triples=self.triples.compress(is_kept, axis=1))
@@ -100,17 +100,17 @@ class Cells(NamedTuple):
 
         Returns
         -------
-        reduced : Cells
+        cells : Cells
             The cells with the selected pairs and their triples.
         new_index : (p,) int array
-            The index of each old pair among the selected pairs, or -1 if it is not reduced.
+            For each old pair, its index among the selected pairs, or -1 if it is not selected.
         """
         new_index = np.where(is_kept, is_kept.cumsum() - 1, -1)
         pair, light, occluder = self.triples
         pair_fields = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
         fields: dict[str, Any] = {name: getattr(self, name)[is_kept] for name in pair_fields}
-        reduced = self._replace(**fields, triples=np.array([new_index[pair], light, occluder]))
-        return reduced.select_triples(reduced.triples[0] >= 0), new_index
+        cells = self._replace(**fields, triples=np.array([new_index[pair], light, occluder]))
+        return cells.select_triples(cells.triples[0] >= 0), new_index
 
     def select_cells(self, is_kept: Bools) -> Cells:
         """Copy the selected cells with all their pairs and triples.
@@ -125,13 +125,13 @@ class Cells(NamedTuple):
 
         Returns
         -------
-        reduced : Cells
+        cells : Cells
             The selected cells, with their pairs and triples.
         """
         new_index = np.where(is_kept, is_kept.cumsum() - 1, -1)
         pair_cell = new_index[self.pair_cell]
-        reduced = self._replace(x=self.x[is_kept], y=self.y[is_kept], pair_cell=pair_cell)
-        return reduced.select_pairs(pair_cell >= 0)[0]
+        cells = self._replace(x=self.x[is_kept], y=self.y[is_kept], pair_cell=pair_cell)
+        return cells.select_pairs(pair_cell >= 0)[0]
 
     @property
     def area(self) -> float:
@@ -190,8 +190,8 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     Returns
     -------
     cells : Cells
-        The cells.  Each is paired with every face that may be visible to the camera.  A light is
-        settled for a face if it certainly does not reach the face.  The list of triples is empty.
+        The cells.  Each is paired with every face that may be visible to the camera.  Lights are
+        marked as settled for the faces that they certainly do not reach.  There are no triples.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))

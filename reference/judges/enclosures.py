@@ -109,11 +109,10 @@ class Enclosures:
         return low, high
 
     def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Add numbers, or other enclosures about the same surfaces.
+        """Add numbers, or enclosures with the same unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  All
-        enclosures about one surface share the same Z, so the coefficients of Z are added.  For
-        enclosures about different surfaces, use `subtract_independent`.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Each
+        surface has its own Z.  Use `subtract_independent` for quantities with different Z.
 
         Parameters
         ----------
@@ -137,11 +136,11 @@ class Enclosures:
         return self + other * -1.0
 
     def subtract_independent(self, other: Enclosures) -> Enclosures:
-        """Subtract enclosures about other surfaces.
+        """Subtract enclosures with a different unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Z
-        differs from surface to surface, so it does not cancel in the difference.  The absolute
-        values of both coefficients of Z are added to the error bound instead.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Each
+        surface has its own Z, so the terms with Z do not cancel.  The absolute values of their
+        coefficients are added to the error bound instead.
 
         Parameters
         ----------
@@ -158,12 +157,11 @@ class Enclosures:
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
-        """Multiply by numbers, or by other enclosures about the same surfaces.
+        """Multiply by numbers, or by enclosures with the same unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  The
-        product of two such polynomials a and b has terms that an enclosure cannot represent, such
-        as X^3 or X Z.  Their largest absolute values are added to the error bound, together with
-        a bound on the rounding errors.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Each
+        surface has its own Z.  A product has terms that an enclosure cannot represent, such as X^3
+        or X Z.  Their largest absolute values are added to the error bound.
 
         Parameters
         ----------
@@ -201,15 +199,15 @@ class Enclosures:
     ) -> Enclosures:
         """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
 
-        The result is the narrower of two enclosures: the Taylor polynomial of degree 2, or a line
-        parallel to the chord of f.
+        Two enclosures are tried: the Taylor polynomial of degree 2, and a line parallel to the
+        chord of f.  The narrower one is returned.
 
         Parameters
         ----------
         exponent : float, or (n,) float array
             The exponents, of either sign.
         minimum, maximum : float
-            Bounds on all z that are known otherwise; minimum is at least 0.
+            Bounds that are known to hold for all z.  The minimum is at least 0.
 
         Returns
         -------
@@ -243,10 +241,11 @@ class Enclosures:
     def _enclose_power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Enclosures:
-        """Enclose the powers f(z) = z^exponent by a line parallel to the chord of f.
+        """Enclose f(z) = z^exponent, where z is the enclosed quantity, by a line.
 
-        The graph of f lies between the chord and the tangent that is parallel to it.  The line is
-        two thirds of the way from the chord to the tangent, which is the mean height of a parabola.
+        The graph of f lies between its chord and the parallel tangent.  The line is parallel to
+        them, and two thirds of the way from the chord to the tangent.  A parabola has the same mean
+        as this line.
 
         Parameters
         ----------
@@ -292,10 +291,10 @@ class Enclosures:
         return Enclosures(coef)
 
     def split_into_quarters(self) -> Enclosures:
-        """Convert enclosures in cells to enclosures in the four quarters of each cell.
+        """Enclose the same quantities in the four quarters of each cell.
 
-        X and Y run from -1 to 1 in each quarter.  The error bound of a quarter includes the term
-        with the unknown Z, and all rounding errors.
+        In each quarter, X and Y run from -1 to 1.  The term with the unknown Z is dropped, and its
+        absolute value is added to the error bound.
 
         Returns
         -------

@@ -155,7 +155,7 @@ class Faces:
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
-        """Set the attributes that have one item per face (a sphere, or a side of a box).
+        """Compute all attributes that have one item per face (a sphere, or a side of a box).
 
         Parameters
         ----------
@@ -164,15 +164,15 @@ class Faces:
         """
         scene, axes, sphere_count = self.prepared_scene, self.frame.axes, self.sphere_count
         center, radius, power = self.center, self.radius, self.eye_power
-        # Offsets from the eye, and positions, of the planes of the boxes' sides.  The last axes of
-        # all arrays for boxes: x, y or z; low or high side; index of the box.
+        # The positions of the planes of the boxes' sides, and their offsets from the eye.  All
+        # arrays for boxes end with three axes: x, y or z; low or high side; index of the box.
         offset = np.stack([low, high], axis=1)
         position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
         inward = np.where(scene.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
-        points = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
-        height = np.sign(offset) * (position - points[:, :, None, None])
+        light_or_eye = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
+        height = np.sign(offset) * (position - light_or_eye[:, :, None, None])
         side_height = np.array([*np.zeros((3, *height.shape)), height, np.abs(height)])
         half_space = np.empty((5, *offset.shape))  # half-spaces whose intersection is the box
         half_space[:3] = axes[:, :, None, None] * [[1], [-1]]
@@ -187,7 +187,7 @@ class Faces:
         self.equation = append_sides(np.array([*(-2 * center), power, np.abs(power)]), half_space)
         self.linear_coef = append_sides(center / power, axes[:, :, None, None] / offset)
         self.root_coef = append_sides(1 / power, 0 * offset)
-        self.height_half_space = append_sides(self._compute_sphere_heights(), side_height)
+        self.height_half_space = append_sides(self._compute_height_half_spaces(), side_height)
         self.rim_half_spaces = append_sides(np.zeros((5, 4, sphere_count)), rim.repeat(2, axis=3))
         sphere_index = np.arange(sphere_count)
         sphere_plane = np.array([np.full(sphere_count, 3), sphere_index])
@@ -205,11 +205,11 @@ class Faces:
         self.sheet_face = np.full(self.object_count, -1)
         self.sheet_face[self.object_index[sheet_face]] = sheet_face
 
-    def _compute_sphere_heights(self) -> Floats:
-        """Compute the vectors n and numbers b that determine the heights of lights above spheres.
+    def _compute_height_half_spaces(self) -> Floats:
+        """Compute the half-spaces from which the heights of lights above spheres follow.
 
-        A camera ray with direction d meets a sphere at t d.  Divided by t, the height of a light
-        above the sphere's tangent plane at this point is n.d + b / t.
+        A camera ray with direction d meets a sphere at t d.  The height of a light above the
+        sphere's tangent plane at this point, divided by t, is n.d + b / t.
 
         Returns
         -------
@@ -227,12 +227,11 @@ class Faces:
         return np.array([*(g * (q - c)), g * b, b_size]) / r
 
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
-        """Set the attributes `shadow_volume` and `has_shadow_edge` for each box and light.
+        """Compute the attributes `shadow_volume` and `has_shadow_edge` for each box and light.
 
-        The shadow volume of a box is the intersection of at most nine half-spaces n.x + b >= 0: up
-        to three behind the sides that face the light, and six whose planes contain the light and
-        the box's silhouette.  Each plane touches the box, so b is minus the minimum of n.x over the
-        corners.
+        The shadow volume of a box is the intersection of at most nine half-spaces n.x + b >= 0.  Up
+        to three of them are behind the sides that face the light.  The planes of six contain the
+        light, and touch the silhouette of the box.
 
         Parameters
         ----------
@@ -247,8 +246,8 @@ class Faces:
         side_sign = np.where(is_edge_on, 0, np.where(to_low >= 0, 1, np.where(to_high <= 0, -1, 0)))
         side_normal = np.eye(3)[:, :, None, None] * side_sign
         normal = np.append(side_normal, cone_normal.reshape(3, 6, *to_low.shape[1:]), axis=1)
-        # The corners are relative to the eye, not to the light.  So nothing cancels in b, however
-        # distant the light is.
+        # Each plane touches the box, so b is minus the minimum of n.x over the corners.  These are
+        # relative to the eye, not to the light, so nothing cancels if the light is distant.
         products = np.array([normal * low[:, None], normal * high[:, None]])
         b, b_size = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
         b[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
@@ -258,9 +257,9 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 
     def find_occluders(
-        self, center: Floats, half_size: Floats, face: Ints, is_active: Bools
+        self, center: Floats, half_size: Floats, face: Ints, is_wanted: Bools
     ) -> Ints:
-        """List the objects that may shade given parts of faces from the lights.
+        """List the objects that may shade parts of faces from lights.
 
         A face is a sphere or a side of a box.  The search uses the tracer's light grid, which lists
         objects by their direction from each light.
@@ -271,8 +270,8 @@ class Faces:
             Centres and half sizes of the parts' bounding boxes, along the scene's axes.
         face : (k,) int array
             The face to which each part belongs.
-        is_active : (m, k) bool array
-            Whether to list the objects between each light and part.
+        is_wanted : (m, k) bool array
+            Whether to list the objects between each light and each part.
 
         Returns
         -------
@@ -282,9 +281,9 @@ class Faces:
         """
         grid, triple_keys = self.prepared_lights.grid, [np.zeros(0, np.intp)]
         may_block = ~self.prepared_scene.is_eye_inside & ~self.prepared_scene.is_duplicate
-        shape = (*is_active.T.shape, self.object_count)
-        if grid is not None and is_active.any():
-            triples = grid.query(center, half_size[:, None], self.object_index[face], is_active)
+        shape = (*is_wanted.T.shape, self.object_count)
+        if grid is not None and is_wanted.any():
+            triples = grid.query(center, half_size[:, None], self.object_index[face], is_wanted)
             for light, part_index, occluder in triples:
                 key = np.ravel_multi_index((part_index, light, occluder), shape)
                 triple_keys.append(key[may_block[occluder]])
@@ -297,7 +296,7 @@ class Faces:
         Parameters
         ----------
         x, y : (k,) float arrays
-            Positions in the picture, in pixels to the right of its upper left corner and below it.
+            Positions in the picture, in pixels right and down from its upper left corner.
 
         Returns
         -------
@@ -308,7 +307,7 @@ class Faces:
         face : (h,) int array
             The index of the face (a sphere, or a side of a box) that each ray hits.
         """
-        samples, order = Scattered.from_positions(x, y)
+        samples, position_index = Scattered.from_positions(x, y)
         hits = find_nearest_hits(self.prepared_scene, samples)
         box_count = self.object_count - self.sphere_count
         face = np.empty(hits.sample.size, dtype=np.intp)
@@ -319,7 +318,7 @@ class Faces:
             face[group.interval] = group.repeat_runs(run_face)
         # A ray through the rim of a sheet may hit a side without area.
         sheet_face = self.sheet_face[self.object_index[face]]
-        return hits, order[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
+        return hits, position_index[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
 
     def is_lit(self, hits: Hits, is_tested: Bools) -> Bools:
         """Test which lights reach each hit (a point where a camera ray meets a face).

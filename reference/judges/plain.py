@@ -332,7 +332,7 @@ class _PlainTracer:
         Parameters
         ----------
         x, y : (n,) float arrays
-            Positions, in pixels to the right of the upper left corner and below it.
+            Positions in the picture, in pixels right and down from its upper left corner.
 
         Returns
         -------
@@ -412,7 +412,7 @@ class _PlainTracer:
         Parameters
         ----------
         x, y : (n,) float arrays
-            Positions in the picture, in pixels to the right of its upper left corner and below it.
+            Positions in the picture, in pixels right and down from its upper left corner.
 
         Returns
         -------
@@ -625,8 +625,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
     scene : Scene
         The scene.
     x, y : (n,) arrays
-        Positions, in pixels to the right of the upper left corner and below it.  The centre of the
-        first pixel is at (0.5, 0.5).
+        Positions in the picture, in pixels right and down from its upper left corner.
     **methods : str
         `arithmetic` : the number type, a key of `ARITHMETICS`; by default "float64".
         `sphere_method` : how rays are intersected with spheres, a key of `SPHERE_METHODS`; by

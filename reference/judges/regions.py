@@ -68,8 +68,7 @@ class Strips(NamedTuple):
 def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     """Take one Newton step from the cell's centre towards a zero of each polynomial.
 
-    The step is shortened if it would leave the cell.  `enclose_in_strips` works with any point, but
-    points closer to the zero give narrower strips.
+    The step is shortened if it would leave the cell.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     x, y : (n,) float arrays
-        The points, from -1 to 1.  This is the centre where the polynomial has no gradient.
+        The points, with coordinates from -1 to 1; (0, 0) if the polynomial has no gradient.
     """
     value, slope_x, slope_y = coef[:X_SQUARED]
     max_scale = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
@@ -92,8 +91,8 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
 def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips:
     """Enclose the zeros of each edge function in a strip between two parallel lines.
 
-    The strip is perpendicular to the gradient of the function at a point near the zero.  It is wide
-    enough for the error bound and the curvature of the function.
+    The strip is perpendicular to the gradient of the function near the zero.  Its width allows for
+    the error bound and the curvature of the function.
 
     Parameters
     ----------
@@ -102,7 +101,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     functions : Enclosures
         The edge functions, enclosed by polynomials (8, n) in the cell's coordinates X and Y.
     jump : (n,) float array
-        Upper bound on the change of radiance where the function is zero.
+        Upper bound on the change of radiance across the edge.
 
     Returns
     -------
@@ -112,7 +111,8 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     """
     coef = functions.coef
     constant, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
-    # The value and the gradient (a, b) at a point (x, y) near the zero.
+    # The value and the gradient (a, b) at a point (x, y), which should be near the zero.  Any point
+    # would do, but a closer one gives a narrower strip.
     x, y = _take_newton_step(coef)
     value = constant + coef[X] * x + coef[Y] * y
     value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
@@ -144,8 +144,8 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     is_flat = ~np.isfinite(scale)
     line[:, is_flat] = [[1], [0], [0]]
     half_width = np.where(is_flat, np.inf, half_width * np.abs(scale))
-    kept = np.flatnonzero(~(np.abs(line[2]) - half_width >= 1))  # others miss the cell
-    order = kept[np.argsort(cell[kept], kind="stable")]
+    kept_index = np.flatnonzero(~(np.abs(line[2]) - half_width >= 1))  # others miss the cell
+    order = kept_index[np.argsort(cell[kept_index], kind="stable")]
     a, b, c = line[:, order]
     return Strips(cell[order], a, b, c, half_width[order], jump[order])
 
@@ -207,8 +207,8 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
         side_bits[triangle[above_count == 3]] |= 1 << bit
         cut_index = np.flatnonzero((above_count == 1) | (above_count == 2))
         # Rotate the corners so that the first, a, is alone on its side of the line.
-        is_lone_above, triangle = above_count[cut_index] == 1, triangle[cut_index]
-        lone_corner = np.argmax(is_above[:, cut_index] == is_lone_above, axis=0)
+        is_a_above, triangle = above_count[cut_index] == 1, triangle[cut_index]
+        lone_corner = np.argmax(is_above[:, cut_index] == is_a_above, axis=0)
         order = (lone_corner + np.arange(3)[:, None]) % 3
         a, b, c = corners[order, triangle]
         height_a, height_b, height_c = height[order, cut_index]
@@ -217,9 +217,9 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
         q = a + height_a / (height_a - height_c) * (c - a)
         corners[:, triangle] = a, p, q
         corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
-        bits_below = side_bits[triangle]
-        side_bits[triangle] = bits_below | is_lone_above << bit
-        side_bits = np.concatenate([side_bits, *[bits_below | ~is_lone_above << bit] * 2])
+        old_bits = side_bits[triangle]
+        side_bits[triangle] = old_bits | is_a_above << bit
+        side_bits = np.concatenate([side_bits, *[old_bits | ~is_a_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
     area, mean = _compute_moments(corners)
     keys, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
