@@ -611,9 +611,8 @@ class CellAnalysis:
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         is_box = box >= 0
-        for half_spaces, has_edge in zip(
-            self.faces.shadow_volume.swapaxes(0, 1), self.faces.has_shadow_edge, strict=True
-        ):
+        shadow_planes = self.faces.shadow_volume.swapaxes(0, 1)
+        for half_spaces, has_edge in zip(shadow_planes, self.faces.has_shadow_edge, strict=True):
             index = np.flatnonzero(is_box & ~is_lit)
             half_space = half_spaces[:, light[index], box[index]]
             # A box seen edge-on from the light has fewer than nine planes.

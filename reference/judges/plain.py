@@ -625,7 +625,8 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
     scene : Scene
         The scene.
     x, y : (n,) arrays
-        Positions in the picture, in pixels right and down from its upper left corner.
+        Positions in the picture, in pixels right and down from its upper left corner.  The first
+        pixel has its centre at (0.5, 0.5).
     **methods : str
         `arithmetic` : the number type, a key of `ARITHMETICS`; by default "float64".
         `sphere_method` : how rays are intersected with spheres, a key of `SPHERE_METHODS`; by
