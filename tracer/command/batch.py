@@ -230,7 +230,7 @@ class Batch:
                 if self._distribution is not None:
                     fraction = exposure.pixel_count / (scene.width * scene.height)
                     self._show_progress(fraction, exposure.pixel_count)
-                    self._distribution.submit()
+                    self._distribution.submit_items()
 
         with errors_as_failure(
             job.scene_path, "rendered", _BUG, memory_remedy=_SHRINK, error_types=(ValueError,)
@@ -241,7 +241,7 @@ class Batch:
                 remaining_count = len(self._distribution.items) - self._finished_count
                 if (render_job.seconds + _SECONDS_PER_SCENE) * remaining_count >= MIN_POOL_SECONDS:
                     self._distribution.executor = self._pool
-                    self._distribution.submit()
+                    self._distribution.submit_items()
             elif is_large:
                 raise Failure(job.scene_path, "all processes should share this picture")
             with (

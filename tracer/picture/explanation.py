@@ -74,9 +74,8 @@ class LightPart:
         between n and the half vector h.  The half vector is the unit vector halfway between l and
         the direction to the eye.
     occluders : tuple of SurfaceRef
-        The surfaces that block the light; empty if the hit is lit.  They are other surfaces, or the
-        surface itself if it faces away from the light, or if the eye is inside it and the light is
-        not.
+        The surfaces that block the light, for example the surface itself if it faces away; empty if
+        the hit is lit.
     diffuse, specular : (float, float, float)
         Linear RGB radiance that the light adds: intensity kd n.l, and intensity ks (n.h)^exponent.
         Both are 0 if the light is blocked.

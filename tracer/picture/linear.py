@@ -47,8 +47,8 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        The pixels of the picture from top to bottom and from left to right, as bytes of float64
-        RGB values, as returned by `encode_raw`.  The number of pixels is not checked.
+        The pixels of the picture from top to bottom and from left to right, as `encode_raw` returns
+        them.  The number of pixels is not checked.
 
     Raises
     ------
@@ -69,13 +69,12 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     Parameters
     ----------
     file : binary file
-        A file open for writing, whose attribute `name` is its path or file descriptor.  The package
-        OpenEXR opens the same file again, and replaces its content.
+        A file open for writing.  Its attribute `name` must be its path or file descriptor.
     width, height : int
         Size of the picture, in pixels.
     tiles : iterable of bytes
-        The pixels of the picture from top to bottom and from left to right, as bytes of float64
-        RGB values, as returned by `encode_raw`.
+        The pixels of the picture from top to bottom and from left to right, as `encode_raw` returns
+        them.
 
     Raises
     ------
@@ -92,7 +91,7 @@ def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with np.errstate(over="ignore"):
         channels = {"RGB": image.astype(np.float32)}
-    # On Linux, a file may have no path, but it can be opened again by its descriptor.
+    # OpenEXR opens the file again.  On Linux, a file without a path is opened by its descriptor.
     path = file.name if isinstance(file.name, str) else f"/proc/self/fd/{file.name}"
     try:
         OpenEXR.File(header, channels).write(path)

@@ -20,8 +20,8 @@ from tracer.scene.schema import format_number
 from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# A colour of whole numbers looks like one from 0 to 255 if its largest number is at least this.
-_MIN_CODE = 10
+# A colour of integers looks like one from 0 to 255 if its largest component is at least this.
+_MIN_MAX_COMPONENT = 10
 
 # Pixels look stretched by mistake if their width and height differ by more than this factor.
 _MAX_ASPECT = 1.05
@@ -65,10 +65,10 @@ class Exposure(NamedTuple):
 
     @classmethod
     def from_radiance(cls, radiance: Floats) -> Exposure:
-        """Count all, lit (not black) and clipped (brighter than 1) pixels in part of a picture.
+        """Count the pixels of a tile: all, lit (not black) and clipped (brighter than 1).
 
-        The numbers of lit and clipped pixels are estimates if there are many pixels.  The number of
-        lit pixels is 0 only if all pixels are black.
+        In a large tile, the counts of lit and clipped pixels are estimates.  The count of lit
+        pixels is 0 only if all pixels are black.
 
         Parameters
         ----------
@@ -84,9 +84,9 @@ class Exposure(NamedTuple):
         row_step = _ROW_STEP if pixel_count > _MIN_ESTIMATED_PIXELS else 1
         red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
         max_component = np.maximum(np.maximum(red, green), blue)
-        scale = pixel_count / max_component.size
-        lit_count = round(scale * np.count_nonzero(max_component)) or int(radiance.any())
-        return cls(pixel_count, lit_count, round(scale * np.count_nonzero(max_component > 1)))
+        weight = pixel_count / max_component.size  # number of pixels that each one stands for
+        lit_count = round(weight * np.count_nonzero(max_component)) or int(radiance.any())
+        return cls(pixel_count, lit_count, round(weight * np.count_nonzero(max_component > 1)))
 
 
 def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
@@ -106,15 +106,15 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
     warning : str
         One line of text: what looks wrong, where, and a suggested fix.
     """
-    first_range_warning = [*islice(_check_color_ranges(scene), 1)]
-    yield from first_range_warning
+    range_warnings = [*islice(_check_color_ranges(scene), 1)]
+    yield from range_warnings
     yield from _check_shaders(scene.surfaces)
     yield from _check_aspect(scene)
     yield from _check_lights(scene, prepared_scene)
     if not exposure.lit_count:
         reason, remedy = _explain_black_picture(scene, prepared_scene)
         yield f"{reason}: the picture is black; {remedy}"
-    elif not first_range_warning and 2 * exposure.clipped_count > exposure.lit_count:
+    elif not range_warnings and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
         brightest_light = _name_light(scene, intensities.index(max(intensities)))
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
@@ -125,10 +125,10 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
 
 
 def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
-    """Yield a warning if a light has intensity 0, and a warning if a light is inside a surface.
+    """Yield a warning if a light has intensity 0, and one if a light is inside a surface.
 
-    A light inside a surface has no effect if the eye is outside.  Such lights are not searched for
-    if the scene has more than `_MAX_PAIRS` pairs of a light and a surface.
+    A light inside a surface has no effect if the eye is outside.  This is not checked in scenes
+    with more than `_MAX_PAIRS` pairs of a light and a surface.
 
     Parameters
     ----------
@@ -192,6 +192,7 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
             return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"
+    # Whether each channel (red, green and blue) is reflected by an object, and emitted by a light.
     has_color = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
     reflects_channel = has_color[:, visible_objects]
     emits_channel = np.array([light.intensity for light in scene.lights]) > 0
@@ -274,7 +275,7 @@ def _name_shaders(lines: list[int]) -> str:
 def _check_aspect(scene: Scene) -> Iterator[str]:
     """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
 
-    The warning suggests a `viewWidth` and a number of columns.  Either makes the pixels square.
+    To make the pixels square, the warning suggests a `viewWidth` or a number of columns.
     """
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
@@ -299,25 +300,25 @@ def _name_light(scene: Scene, index: int) -> str:
     return name_element("light", index, scene.lights[index].line)
 
 
-def _name_surface(scene: Scene, object_index: Ints) -> str:
-    """Return the name of the object that comes first in the file.
+def _name_surface(scene: Scene, object_indices: Ints) -> str:
+    """Return the name of the first of several objects, in the order of the file.
 
     Parameters
     ----------
     scene : Scene
         The scene that contains the objects.
-    object_index : (n,) int array
+    object_indices : (n,) int array
         Indices of one or more objects in the prepared scene.
     """
-    surface_index = scene.surfaces.file_index[object_index].min().item()
+    surface_index = scene.surfaces.file_index[object_indices].min().item()
     return name_element("surface", surface_index, scene.surfaces[surface_index].line)
 
 
 def _check_color_ranges(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour whose components seem to range from 0 to 255, not 0 to 1.
+    """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1.
 
-    Such a colour consists of integers up to 255.  The largest is at least `_MIN_CODE`.  The warning
-    names the light, or the first surface with the colour, and suggests components from 0 to 1.
+    The components of such a colour are integers up to 255, at least one of them not small.  The
+    warning names the light, or the first surface with the colour, and suggests a colour in 0 to 1.
     """
     surfaces = scene.surfaces
     colors: list[tuple[str, VectorLike, str, int]] = [
@@ -332,7 +333,7 @@ def _check_color_ranges(scene: Scene) -> Iterator[str]:
         if isinstance(shader, Phong):
             colors.append(("specularColor", shader.specular, "surface", surface_index))
     for tag, color, kind, index in colors:
-        if max(color) >= _MIN_CODE and all(value == int(value) <= 255 for value in color):
+        if max(color) >= _MIN_MAX_COMPONENT and all(value == int(value) <= 255 for value in color):
             element = scene.lights[index] if kind == "light" else surfaces[index]
             name = name_element(kind, index, element.line)
             old_color = " ".join(map(format_number, color))

@@ -24,13 +24,13 @@ _LARGE_PAGE_BYTES = 1 << 27
 
 @cache
 def keep_freed_memory() -> None:
-    """Make glibc keep freed memory, in large pages, so that later arrays can reuse it.
+    """Make the C library of Linux (glibc) keep freed memory for later arrays, in large pages.
 
-    By default, glibc, the C library of Linux, returns freed memory to the system.  Requesting it
-    again takes longer than the arithmetic for which it is needed.
+    By default, glibc returns freed memory to the system.  Requesting memory again often takes
+    longer than the arithmetic on the new arrays.
 
-    The setting applies to this process and to processes forked from it.  Other C libraries are not
-    changed.
+    The setting applies to this process and to processes forked from it.  On other systems, nothing
+    is changed.
     """
     with suppress(OSError, TypeError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt

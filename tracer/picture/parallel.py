@@ -74,9 +74,8 @@ class Distribution(Generic[_Item, _Result]):
 
     This process and the executor both take items from the front of the list.  When no item is left
     to take, this process repeats the items that the executor has not finished, first those that no
-    worker has begun.  Before it repeats an item that a worker has begun, it waits for the worker
-    for as long as its own slowest item took.  If the executor fails to process an item for any
-    reason, it is processed in this process.
+    worker has begun.  Before it repeats an item that a worker has begun, it waits for as long as
+    its own slowest item took.  If the executor fails to process an item, this process repeats it.
 
     Parameters
     ----------
@@ -92,9 +91,10 @@ class Distribution(Generic[_Item, _Result]):
         Number of workers of the executor, which determines how many items are submitted to it.
     executor : Executor, optional
         Processes some of the items.  By default, this process does all the work.
-    accepts : callable
-        Validates a result of the executor: called with the item and the result.  If it returns
-        False, the item is processed again in this process.  By default, all results are accepted.
+    is_valid : callable
+        Tests a result of the executor: called with the item and the result, it returns a bool.  An
+        item with an invalid result is processed again in this process.  By default, all results are
+        valid.
 
     Notes
     -----
@@ -106,7 +106,7 @@ class Distribution(Generic[_Item, _Result]):
     items: Sequence[_Item]
     worker_count: int
     executor: Executor | None = None
-    accepts: Callable[[_Item, Any], bool] = lambda _item, _result: True
+    is_valid: Callable[[_Item, Any], bool] = lambda _item, _result: True
 
     # Index of the first item that nobody has taken.
     _next_index: int = field(default=0, init=False)
@@ -130,7 +130,7 @@ class Distribution(Generic[_Item, _Result]):
         try:
             for index in range(len(self.items)):
                 while index not in self._results:
-                    self.submit()
+                    self.submit_items()
                     self._process_next_item()
                     self._collect_results()
                 yield self._results.pop(index)
@@ -138,11 +138,11 @@ class Distribution(Generic[_Item, _Result]):
             for future in self._futures.values():
                 future.cancel()
 
-    def submit(self) -> None:
+    def submit_items(self) -> None:
         """Submit enough items to the executor to keep all its workers busy.
 
-        The iteration calls this method before each item that this process takes.  If an item takes
-        long, `function` should also call this method from time to time.
+        Iterating calls this method before each item that is processed in this process.  A
+        `function` that takes long should also call it from time to time.
 
         If the executor fails, `executor` is set to None, and this process does the remaining work.
         """
@@ -163,10 +163,10 @@ class Distribution(Generic[_Item, _Result]):
             self.executor = None
 
     def _process_next_item(self) -> None:
-        """Process the next item in this process, or repeat one that the executor has not finished.
+        """Process the next item or, if none is left, one that the executor has not finished.
 
-        An item that a worker has begun is repeated only after the executor has finished no item for
-        some time.
+        If a worker has already begun that item, wait for the executor first.  The item is processed
+        only if the executor finishes nothing in time.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
@@ -187,14 +187,14 @@ class Distribution(Generic[_Item, _Result]):
     def _collect_results(self) -> None:
         """Store the results of all items that the executor has finished.
 
-        This process repeats the items that failed, and those whose results `accepts` rejects.
+        Items that failed, or whose results are invalid, are processed again in this process.
         """
         finished_indices = [index for index, future in self._futures.items() if future.done()]
         for index in finished_indices:
             future = self._futures.pop(index)
             # The exception may be a worker's KeyboardInterrupt, which must not be raised here.
             has_result = not future.cancelled() and future.exception() is None
-            if has_result and self.accepts(self.items[index], future.result()):
+            if has_result and self.is_valid(self.items[index], future.result()):
                 self._results[index] = future.result()
             else:
                 self._process_item(index)
@@ -274,8 +274,8 @@ class WorkerPool:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._start_count += 1
             self._executor = self._create_executor()
-        # A new worker inherits the blocked signal.  Otherwise Ctrl-C could make the worker print a
-        # traceback before it ignores SIGINT.
+        # Block SIGINT while workers start: they inherit the block.  Otherwise Ctrl-C could make a
+        # worker print a traceback before it ignores SIGINT.
         if sys.platform != "win32":
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -290,8 +290,8 @@ class WorkerPool:
     def _create_executor(self) -> ProcessPoolExecutor:
         """Create an executor that forks its processes if this is safe, and spawns them otherwise.
 
-        Python's global settings are changed, too: warnings of the resource tracker and exceptions
-        in threads are no longer printed.
+        From then on, this process prints no warnings of Python's resource tracker, and no uncaught
+        exceptions in threads.
 
         Returns
         -------
@@ -332,15 +332,15 @@ class WorkerPool:
 
 
 def _init_worker(initializer: Callable[[], None] | None) -> None:
-    """Make a new worker process ignore SIGINT, and end when its parent process ends.
+    """Prepare a new worker process: it ignores SIGINT, and ends when its parent process ends.
 
-    Each worker calls this function first.  A thread waits for the end of the parent; if the thread
-    cannot be started, the worker ends immediately with exit status 1.
+    A thread waits for the end of the parent.  If the thread cannot be started, the worker ends
+    immediately with exit status 1.
 
     Parameters
     ----------
     initializer : callable or None
-        Called last, without arguments.
+        Called without arguments when the worker is prepared.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -4,8 +4,8 @@ A picture is written tile by tile, in the order of its pixels, so only one tile 
 memory.  Each tile is compressed separately, in any process.  The checksum of the file is computed
 from those of the tiles.
 
-Codes are those of exact arithmetic.  The power function in float64 has an error of a few units in
-the last place, so it may give a wrong code near a threshold between two codes.  Tables of exact
+Codes are free of rounding errors.  The power function in float64 has an error of a few units in the
+last place, so it may give a wrong code near a threshold between two codes.  Tables of exact
 thresholds give the correct code in half the time.
 """
 
@@ -177,11 +177,10 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
 
 
 def _combine_checksums(first_checksum: int, second_checksum: int, second_size: int) -> int:
-    """Compute the Adler-32 checksum of two joined byte strings from their own checksums.
+    """Combine the Adler-32 checksums of two byte strings into the checksum of the joined string.
 
-    An Adler-32 checksum has two halves of 16 bits, modulo 65521 (RFC 1950).  The lower half is 1
-    plus the sum of all bytes.  The upper half is the sum of all values of the lower half, one after
-    each byte.
+    An Adler-32 checksum (RFC 1950) has two halves of 16 bits, modulo 65521.  The lower half is 1
+    plus the sum of the bytes.  The upper half adds up the values of the lower half after each byte.
 
     Parameters
     ----------
@@ -216,7 +215,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The codes, which are those of exact arithmetic.
+        The 8-bit codes, free of rounding errors.
 
     Raises
     ------
@@ -228,14 +227,14 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    min_radiance, first_cell, cell_code, next_threshold = _compute_code_tables()
+    min_radiance, first_cell, cell_codes, next_thresholds = _compute_code_tables()
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        clipped_radiance = np.clip(flat_radiance[batch], min_radiance, 1.0)
-        # A cell is a range of float64 values with the same leading bits.  At most one code begins
-        # in a cell, so the code of a value is that of the smallest value in its cell, or one more.
-        low_code = cell_code.take((clipped_radiance.view(np.int64) >> _CELL_BITS) - first_cell)
-        np.add(low_code, clipped_radiance >= next_threshold.take(low_code), out=flat_codes[batch])
+        values = np.clip(flat_radiance[batch], min_radiance, 1.0)
+        # A cell is a range of float64 values with the same leading bits.  It contains at most two
+        # codes: the code of its smallest value, and the next one.
+        lower_codes = cell_codes.take((values.view(np.int64) >> _CELL_BITS) - first_cell)
+        np.add(lower_codes, values >= next_thresholds.take(lower_codes), out=flat_codes[batch])
     return codes
 
 
@@ -282,30 +281,29 @@ _CELL_BITS = 52 - 7
 
 @cache
 def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
-    """Compute lookup tables for the 8-bit codes of radiance values.
+    """Compute tables for looking up the 8-bit code of a radiance.
 
     A cell is a range of float64 values with the same leading bits: all but the last `_CELL_BITS`.
-    The tables contain the cells from `min_radiance` to 1.
+    The cells range from `min_radiance` to 1.
 
     Returns
     -------
     min_radiance : float
-        A power of two with code 0.  All smaller values have code 0, too.
+        A power of two.  All values up to this one have code 0.
     first_cell : int
-        The leading bits of `min_radiance`, as an integer.  Subtract this from the leading bits of a
-        value to get the index of the value's cell.
-    cell_code : (cells,) uint8 array
+        The leading bits of the values in the first cell, as an integer.
+    cell_codes : (cells,) uint8 array
         The code of the smallest value in each cell.
-    next_threshold : (_MAX_CODE + 1,) float array
+    next_thresholds : (_MAX_CODE + 1,) float array
         For each code, the smallest float64 that has a larger code; infinite for the last code.
     """
     codes = range(1, _MAX_CODE + 1)
-    next_threshold = np.array([_compute_threshold(code) for code in codes] + [np.inf])
-    min_radiance = 2.0 ** (math.frexp(next_threshold[0])[1] - 1)
+    next_thresholds = np.array([_compute_threshold(code) for code in codes] + [np.inf])
+    min_radiance = 2.0 ** (math.frexp(next_thresholds[0])[1] - 1)
     first_cell, last_cell = (np.array([min_radiance, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
-    cell_start: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
-    cell_code = next_threshold.searchsorted(cell_start, side="right").astype(np.uint8)
-    return min_radiance, first_cell, cell_code, next_threshold
+    cell_starts: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
+    cell_codes = next_thresholds.searchsorted(cell_starts, side="right").astype(np.uint8)
+    return min_radiance, first_cell, cell_codes, next_thresholds
 
 
 def _compute_threshold(code: int) -> float:
@@ -323,15 +321,12 @@ def _compute_threshold(code: int) -> float:
     """
     p, q = _GAMMA  # gamma is p / q
     relative_code = (code - 0.5) / _MAX_CODE
-    # The error is a few units in the last place, less than with the single exponent p / q.
+    # With two exponents, the error is only a few units in the last place (ulps).
     estimate: float = relative_code ** (p // q) * relative_code ** (p % q / q)
 
     def has_reached_code(radiance: float) -> bool:
-        """Test exactly whether the code of the radiance is at least `code`.
-
-        For radiance x, this means 255 x^(q / p) >= code - 1/2.  With x = a / b, both sides become
-        integers: (510^p) (a^q) >= ((2 code - 1)^p) (b^q).
-        """
+        """Test, without rounding errors, whether the code of a radiance is at least `code`."""
+        # The test 255 (a / b)^(q / p) >= code - 1/2 is multiplied by 2 and raised to the power p.
         a, b = radiance.as_integer_ratio()
         return bool((2 * _MAX_CODE) ** p * a**q >= (2 * code - 1) ** p * b**q)
 

@@ -6,8 +6,8 @@ tile
     negligible.  Its pixels depend only on the scene, the samples and the offset, so the picture is
     the same to the last bit, whichever process renders the tile.
 adaptive
-    A picture is adaptive if edges are found first, and only pixels that edges cross are sampled
-    more than once.  Otherwise all pixels have the same samples.
+    In an adaptive picture, edges are found first, and only pixels that edges cross are sampled more
+    than once.  Otherwise all pixels have the same samples.
 
 A `RenderJob` is a picture to render.  Other processes receive only its arguments, and each process
 prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
@@ -44,14 +44,13 @@ from tracer.world.prepared_scene import PreparedScene
 # at which a ray parallel to a plane meets the plane.
 _QUIET = np.errstate(all="ignore")
 
-# Maximum number of samples in a tile, which limits memory, and the factor by which it is larger if
-# the picture is adaptive: few pixels are divided there, and the arrays of their samples should be
-# long, too.
+# Maximum number of samples in a tile, to limit memory.  In an adaptive picture it is multiplied by
+# the factor: few pixels are divided there, and the arrays of their samples should be long, too.
 _MAX_TILE_SAMPLES, _ADAPTIVE_FACTOR = 3 * CACHE_SIZE, 4
 
 # Maximum estimated seconds for a tile, so that a bar shows progress and processes share the work
-# evenly; and minimum estimated seconds for a tile of a shared picture, because the overhead of
-# NumPy calls and of communication is significant in smaller tiles.
+# evenly.  Minimum estimated seconds for a tile of a shared picture: in smaller tiles, the overhead
+# of NumPy calls and of communication is significant.
 _MAX_TILE_SECONDS, _MIN_TILE_SECONDS = 0.2, 0.02
 
 # Number of samples per pixel for which the maximum time of a tile is halved.  With more samples, a
@@ -68,10 +67,10 @@ _TILES_PER_PROCESSOR = 4
 _SECONDS_PER_SAMPLE = 4e-8
 
 # Estimated number of samples in a pixel of an adaptive picture, if n x n samples are requested:
-# the first number, plus n + n^2 / (the fourth number) for each edge in the pixel.  The number of
-# edges is estimated as the second number divided by the square root of the number of pixels, plus
-# the third number times the density of pairs of silhouettes.  For 30 pictures of 80 x 45 to
-# 1280 x 720 pixels and n = 2 to 200, the measured time was 0.25 to 2.2 times the estimate.
+# `_ADAPTIVE_SAMPLES`, plus n + n^2 / `_SQUARE_DIVISOR` for each edge in the pixel.  The number of
+# edges is estimated as `_EDGE_FACTOR` / sqrt(number of pixels), plus `_PAIR_FACTOR` times the
+# density of pairs of silhouettes.  For 30 pictures of 80 x 45 to 1280 x 720 pixels and n = 2 to
+# 200, the measured time was 0.25 to 2.2 times the estimate.
 _ADAPTIVE_SAMPLES, _EDGE_FACTOR, _PAIR_FACTOR, _SQUARE_DIVISOR = 2.5, 330, 400, 100
 
 # Maximum estimated number of samples in a pixel of an adaptive picture, divided by n^2.  Pixels
@@ -314,8 +313,8 @@ class RenderJob:
     def _seconds_per_pixel(self) -> float:
         """Estimate the time, in seconds, that one process needs to render a pixel.
 
-        It is proportional to the number of samples in the pixel, to the number of lights, and to
-        the mean number of objects on a ray.
+        The time is proportional to the number of samples in the pixel, to the number of lights, and
+        to the mean number of objects on a ray.
         """
         scene, sample_count = self.prepared_scene, float(self._lattice.size)
         if self._is_adaptive:
@@ -334,8 +333,8 @@ class RenderJob:
         Parameters
         ----------
         is_shared : bool
-            Whether several processes render the tiles.  If so, the tiles may be smaller, so that
-            each processor gets several.
+            Whether several processes share the tiles.  If so, tiles may be smaller, so that each
+            processor gets several.
 
         Returns
         -------
@@ -345,12 +344,12 @@ class RenderJob:
         width, height = self.prepared_scene.frame.width, self.prepared_scene.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
         max_seconds = _MAX_TILE_SECONDS / (1 + self._samples_per_side**2 / _HALVING_SAMPLES)
-        tile_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
+        max_pixels = min(self._max_samples / self._lattice.size, max_seconds * pixels_per_second)
         if is_shared:
             fair_share = width * height / (_TILES_PER_PROCESSOR * count_processors())
-            tile_pixels = min(tile_pixels, max(_MIN_TILE_SECONDS * pixels_per_second, fair_share))
-        row_ranges = _divide_range(height, max(1, int(tile_pixels / width)))
-        return list(product(row_ranges, _divide_range(width, max(1, int(tile_pixels)))))
+            max_pixels = min(max_pixels, max(_MIN_TILE_SECONDS * pixels_per_second, fair_share))
+        row_ranges = _divide_range(height, max(1, int(max_pixels / width)))
+        return list(product(row_ranges, _divide_range(width, max(1, int(max_pixels)))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make pickle store only the job's arguments, not the prepared scene."""
@@ -394,8 +393,8 @@ class RenderJob:
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
         out : (rows, columns, 3) float array, optional
-            Array to store the radiance in.  It must contain only zeros, because pixels that show no
-            object are not written.
+            Array to store the radiance in.  It must contain only zeros, because black pixels may
+            not be written.
 
         Returns
         -------
@@ -406,7 +405,7 @@ class RenderJob:
         scene, (rows, columns) = self.prepared_scene, rectangle
         row_count, column_count = rows.stop - rows.start, columns.stop - columns.start
         radiance = np.zeros((row_count, column_count, 3)) if out is None else out
-        # The scene's window contains all pixels that show an object.
+        # Only pixels in the scene's window can show an object.
         visible_rows, visible_columns = map(_intersect_ranges, rectangle, scene.window)
         if visible_rows.start >= visible_rows.stop or visible_columns.start >= visible_columns.stop:
             return radiance
@@ -427,9 +426,9 @@ class RenderJob:
 
 @lru_cache(_MAX_CACHED_JOBS)
 def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
-    """Create a render job from its pickled arguments, or return it from the cache.
+    """Return the render job with the given pickled arguments.
 
-    This process caches its last jobs, because preparing a scene may take longer than rendering a
+    Each process caches its last jobs, because preparing a scene may take longer than rendering a
     tile.
 
     Parameters
