@@ -1,4 +1,4 @@
-"""Culling: objects that are not tested with a ray or a shadow segment change no picture.
+"""Culling: skipping objects that a ray or shadow segment cannot meet changes no picture.
 
 Other tests count how many objects are tested, and how large batches are.
 """
@@ -38,8 +38,7 @@ from tracer.world.prepared_scene import Lights, PreparedScene, Shape
 def render_by_brute_force(scene: Scene) -> Floats:
     """Render a scene by testing every ray, and every segment to a light, with every object.
 
-    The arithmetic of these tests is that of the tracer.  So the picture (height, width, 3) must be
-    the same to the last bit.
+    The arithmetic is that of the tracer, so the picture must be the same to the last bit.
     """
     window = slice(0, scene.height), slice(0, scene.width)
     with (
@@ -78,8 +77,8 @@ def _test_all_occluders(hits: Hits, lights: Lights, faces_light: Bools) -> Bools
 def assert_unchanged(scene: Scene) -> None:
     """Assert that the tracer renders the picture of `render_by_brute_force`, to the last bit.
 
-    The tracer renders with large packets, with short packets, and with packets of single hits.  It
-    traces rows of samples, and scattered samples.
+    The tracer uses large packets, short packets, and packets of single hits, for rows of samples
+    and for scattered samples.
     """
     expected = render_by_brute_force(scene)
     for packet_scale in (1e9, 1e-9, 0.2):
@@ -218,7 +217,7 @@ def test_lights_are_prepared_in_batches(monkeypatch):
 
 
 def test_threads_share_prepared_lights(monkeypatch):
-    # Preparing lights takes so long that meanwhile all threads request the same batch.
+    # While one thread slowly prepares a batch of lights, all other threads request it, too.
     scene = place_nine_lights(build_crowd(40, width=48, height=27))
     expected, prepared_scene, starts = render(scene), PreparedScene(scene), list[int]()
     prepare_lights = PreparedScene.prepare_lights

@@ -1,4 +1,4 @@
-"""Pictures shared with an executor: the picture is the same, whatever the workers do."""
+"""Pictures shared with an executor are the same, whatever the workers do."""
 
 import asyncio
 import multiprocessing
@@ -23,7 +23,7 @@ from tracer.picture import parallel
 from tracer.picture import render as render_module
 from tracer.picture.render import RenderJob
 
-# Numbers of random cases: some in the quick run, many in the slow one.
+# Number of random cases: some in the quick run, many in the slow run.
 some_or_many = pytest.mark.parametrize(
     "count", [5, pytest.param(200, marks=pytest.mark.slow)], ids=["some", "many"]
 )
@@ -32,8 +32,8 @@ some_or_many = pytest.mark.parametrize(
 pytestmark = pytest.mark.usefixtures("small_tiles")
 
 
-class Wrapped(Executor):
-    """An executor that passes calls to another one, stores futures, and waits for the first one."""
+class WaitingExecutor(Executor):
+    """An executor that passes calls to another one, and waits for the first future."""
 
     def __init__(self, executor: Executor) -> None:
         self.executor, self.futures = executor, list[Future[Any]]()
@@ -79,7 +79,7 @@ def start_executor(kind: str, stack: ExitStack) -> Executor:
 )
 def test_any_executor_renders_the_same_picture(kind, capfd):
     with ExitStack() as stack:
-        executor = Wrapped(start_executor(kind, stack))
+        executor = WaitingExecutor(start_executor(kind, stack))
         for size, samples in (((300, 200), 1), ((400, 3), 1), ((90, 60), 16)):
             scene = sphere_scene(*size)
             alone = render(scene, samples)
@@ -101,7 +101,7 @@ def test_without_an_executor_nothing_is_started():
 def test_a_small_picture_is_not_given_to_the_executor(monkeypatch):
     monkeypatch.undo()
     with Threads(1) as pool:
-        executor = Wrapped(pool)
+        executor = WaitingExecutor(pool)
         render(sphere_scene(40, 30), executor=executor)
         assert executor.futures == []
         render(sphere_scene(1280, 720), executor=executor)
@@ -109,20 +109,20 @@ def test_a_small_picture_is_not_given_to_the_executor(monkeypatch):
 
 
 def end_with(value: object) -> Callable[[Future[Any]], None]:
-    """Return a function that ends the future that it is given.
+    """Return a function that ends a future with a result or an exception.
 
     Parameters
     ----------
     value : object
-        The exception, or otherwise the result, of the future.
+        The result or the exception.
     """
     if isinstance(value, BaseException):
         return lambda future: future.set_exception(value)
     return lambda future: future.set_result(value)
 
 
-def refuse(error: Exception) -> Callable[[Future[Any]], None]:
-    """Return a function that ignores the future that it is given, and raises an error."""
+def fail_with(error: Exception) -> Callable[[Future[Any]], None]:
+    """Return a function that takes a future, but only raises an error."""
 
     def fail(_: Future[Any]) -> None:
         raise error
@@ -139,40 +139,40 @@ FAILURES: dict[str, list[Callable[[Future[Any]], object]]] = {
     "never begun": [lambda _: None],
     "never ended": [Future.set_running_or_notify_cancel],
     "refused": [
-        refuse(e) for e in (RuntimeError(), OSError(), TypeError(), Exception(), LookupError())
+        fail_with(e) for e in (RuntimeError(), OSError(), TypeError(), Exception(), LookupError())
     ],
 }
 
 
-class Unreliable(Executor):
+class UnreliableExecutor(Executor):
     """An executor whose calls fail at random, each in one of the given ways."""
 
     def __init__(self, failures: list[Callable[[Future[Any]], object]], seed: int) -> None:
         self.failures, self.random = failures, random.Random(seed)
-        self.share = self.random.random()
-        self.failed = self.succeeded = 0
+        self.failure_rate = self.random.random()
+        self.failure_count = self.success_count = 0
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future = Future[Any]()
-        if self.random.random() < self.share:
-            self.failed += 1
+        if self.random.random() < self.failure_rate:
+            self.failure_count += 1
             self.random.choice(self.failures)(future)
         else:
-            self.succeeded += 1
+            self.success_count += 1
             future.set_result(fn(*args, **kwargs))
         return future
 
 
 @pytest.mark.parametrize("kind", FAILURES)
 @some_or_many
-def test_calls_that_an_executor_fails_to_make_are_made_here(kind, count):
+def test_items_that_an_executor_fails_to_process_are_processed_here(kind, count):
     scene = sphere_scene(90, 60)
     alone = render(scene)
-    executors = [Unreliable(FAILURES[kind], seed) for seed in range(count)]
+    executors = [UnreliableExecutor(FAILURES[kind], seed) for seed in range(count)]
     for executor in executors:
         assert np.array_equal(render(scene, executor=executor), alone)
-    assert sum(executor.failed for executor in executors) > count / 2
-    assert sum(executor.succeeded for executor in executors) > 0
+    assert sum(executor.failure_count for executor in executors) > count / 2
+    assert sum(executor.success_count for executor in executors) > 0
 
 
 @pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt, SystemExit])
@@ -180,8 +180,8 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
     def fail(*_: Any, **__: Any) -> None:
         raise error
 
-    never = Unreliable(FAILURES["never ended"], 0)
-    never.share = 1
+    executor = UnreliableExecutor(FAILURES["never ended"], 0)
+    executor.failure_rate = 1
     for owner, name in (
         (render_module, "compute_radiance"),
         (parallel.Distribution, "_wait_for_executor"),
@@ -189,7 +189,7 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)
             with pytest.raises(error):
-                render(sphere_scene(), executor=never)
+                render(sphere_scene(), executor=executor)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -210,17 +210,17 @@ def test_renders_in_threads_may_share_the_pool_of_these_threads(count):
 
 
 @pytest.mark.parametrize("processors", [1, 2, 6, 100])
-def test_each_processor_has_two_calls_to_make_and_no_more(processors, monkeypatch):
+def test_two_items_per_processor_are_submitted(processors, monkeypatch):
     for module in (parallel, render_module):
         monkeypatch.setattr(module, "count_processors", lambda: processors)
-    never = Unreliable(FAILURES["never ended"], 0)
-    never.share = 1
-    assert np.array_equal(render(sphere_scene(), executor=never), render(sphere_scene()))
+    executor = UnreliableExecutor(FAILURES["never ended"], 0)
+    executor.failure_rate = 1
+    assert np.array_equal(render(sphere_scene(), executor=executor), render(sphere_scene()))
     tiles = len(RenderJob(sphere_scene()).divide(is_shared=True))
-    assert never.failed == min(2 * processors, tiles * processors // (processors + 1))
+    assert executor.failure_count == min(2 * processors, tiles * processors // (processors + 1))
 
 
-def test_a_call_that_takes_as_long_as_here_is_not_repeated():
+def test_an_item_that_takes_as_long_in_a_worker_as_here_is_not_repeated():
     calls: list[int] = []
 
     def wait(item: int) -> int:

@@ -46,16 +46,16 @@ def test_explanations_agree_with_the_picture(kind, seed):
             np.testing.assert_allclose(hit, pixel.point, rtol=1e-9, atol=1e-9)
         for source, light, term in zip(scene.lights, pixel.lights, terms, strict=False):
             to_light, to_eye = np.subtract((source.position, pixel.eye), pixel.point)
-            half = to_light / np.linalg.norm(to_light) + to_eye / np.linalg.norm(to_eye)
-            n_dot_half = light.n_dot_h * np.linalg.norm(half)
-            np.testing.assert_allclose(n_dot_half, half @ pixel.normal, atol=1e-6)
+            half_vector = to_light / np.linalg.norm(to_light) + to_eye / np.linalg.norm(to_eye)
+            n_dot_half = light.n_dot_h * np.linalg.norm(half_vector)
+            np.testing.assert_allclose(n_dot_half, half_vector @ pixel.normal, atol=1e-6)
             if light.occluders:
                 assert not any(term)
                 continue
             diffuse = np.multiply(light.intensity, pixel.kd) * light.n_dot_l
             np.testing.assert_allclose(diffuse, light.diffuse, rtol=1e-9, atol=1e-10)
-            power = max(light.n_dot_h, 0) ** pixel.exponent
-            specular = np.multiply(light.intensity, pixel.ks) * power
+            highlight = max(light.n_dot_h, 0) ** pixel.exponent
+            specular = np.multiply(light.intensity, pixel.ks) * highlight
             np.testing.assert_allclose(specular, light.specular, rtol=1e-7, atol=1e-9)
 
 
@@ -122,18 +122,18 @@ def test_a_warning_is_about_the_line_that_renders_the_scene():
     with pytest.warns(SceneWarning) as caught:
         render(replace(BALL, lights=()))
     message = "the scene has no light: the picture is black; add <light>"
-    assert [(str(each.message), each.filename) for each in caught] == [(message, __file__)]
+    assert [(str(warning.message), warning.filename) for warning in caught] == [(message, __file__)]
 
 
 def test_exposure_of_a_large_picture_is_estimated():
     image = np.zeros((1600, 40, 3))
     assert Exposure.from_radiance(image) == Exposure(64_000)
-    image[-1, -1] = 0.5  # is not among the examined pixels
+    image[-1, -1] = 0.5  # not among the examined pixels
     assert Exposure.from_radiance(image) == Exposure(64_000, lit_count=1)
     image[:800, :, 1] = 0.5
     image[:160, :, 2] = 1.5
-    part = Exposure.from_radiance(image)
-    assert part == pytest.approx((64_000, 32_000, 6_400), rel=0.01)
+    estimate = Exposure.from_radiance(image)
+    assert estimate == pytest.approx((64_000, 32_000, 6_400), rel=0.01)
     image[0::16, :, 1], image[0::16, :, 2] = 0, 0  # the estimate sees only black rows
     assert Exposure.from_radiance(image) == Exposure(64_000, lit_count=1)
 

@@ -15,16 +15,16 @@ from tracer.picture import png
 from tracer.picture.png import compress_tile, write_tiles
 
 
-def codes_of(values) -> np.ndarray:
-    """Encode any number of values, and return one code for each."""
+def encode_values(values) -> np.ndarray:
+    """Encode any number of values as 8-bit codes."""
     padded = np.resize(np.asarray(values, dtype=float), (1, -(-len(values) // 3), 3))
     return to_codes(padded).ravel()[: len(values)]
 
 
-def exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
-    """Compute the code round(255 clip(x, 0, 1)^(q/p)) of x in exact arithmetic.
+def compute_exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
+    """Compute the 8-bit code of x, round(255 clip(x, 0, 1)^(q / p)), in exact arithmetic.
 
-    The pair `gamma` = (p, q) is the numerator and the denominator of the gamma value.
+    The pair `gamma` = (p, q) stands for the gamma value p / q.
     """
     p, q = gamma
     power = Fraction(min(max(x, 0.0), 1.0)) ** q
@@ -33,7 +33,7 @@ def exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
 
 @pytest.mark.parametrize("gamma", [(11, 5), (12, 5), (9, 5)])
 def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
-    """At each threshold, the code changes at the right float64.  Only one constant has gamma."""
+    """The code changes at exactly the right float64, for any value of the constant `_GAMMA`."""
     monkeypatch.setattr(png, "_GAMMA", gamma)
     png._compute_code_tables.cache_clear()
     try:
@@ -45,19 +45,19 @@ def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
                 10.0 ** np.linspace(-320, 0, 300),
             ]
         )
-        assert codes_of(x).tolist() == [exact_code(value, gamma) for value in x]
+        assert encode_values(x).tolist() == [compute_exact_code(value, gamma) for value in x]
     finally:
         png._compute_code_tables.cache_clear()
 
 
 def test_the_power_function_agrees_away_from_the_thresholds():
     x = np.linspace(-0.1, 1.1, 600_000)
-    assert (codes_of(x) == np.rint(255 * np.clip(x, 0, 1) ** (1 / 2.2))).all()
+    assert (encode_values(x) == np.rint(255 * np.clip(x, 0, 1) ** (1 / 2.2))).all()
 
 
 def test_codes_of_values_outside_the_range():
     dark, bright = (0.0, -0.0, 5e-324, -1.0, -np.inf), (1.0, np.nextafter(1, 2), 1e308, np.inf)
-    assert codes_of(dark + bright).tolist() == [0] * 5 + [255] * 4
+    assert encode_values(dark + bright).tolist() == [0] * 5 + [255] * 4
 
 
 def test_codes_do_not_depend_on_the_layout_of_the_array():
@@ -81,14 +81,14 @@ def test_names_of_pictures(tmp_path, monkeypatch):
 
 
 def read_verified_codes(file) -> np.ndarray:
-    """Verify all checksums of a PNG file in memory, and return its codes (height, width, 3)."""
+    """Verify all checksums of a PNG file in memory, and return its 8-bit codes."""
     data = file.getvalue()
     Image.open(file).verify()
     # Pillow ignores the checksum of the compressed stream; zlib does not.
     remaining, stream = data[8:], b""
     while remaining:
-        size, kind = struct.unpack(">I4s", remaining[:8])
-        stream += remaining[8 : 8 + size] if kind == b"IDAT" else b""
+        size, chunk_type = struct.unpack(">I4s", remaining[:8])
+        stream += remaining[8 : 8 + size] if chunk_type == b"IDAT" else b""
         remaining = remaining[12 + size :]
     zlib.decompress(stream)
     with Image.open(file) as picture:

@@ -1,4 +1,4 @@
-"""Pictures that several processes render: tiles, and the pool of the command."""
+"""Pictures rendered by several processes: tiles, and the pool of the command."""
 
 import ctypes
 import multiprocessing
@@ -68,7 +68,7 @@ def test_the_estimated_time_grows_with_samples_and_lights():
 
 
 def test_a_worker_caches_the_jobs_of_several_pictures():
-    """Each of four pictures that are rendered alternately is prepared once."""
+    """Four pictures that are rendered alternately are prepared only once each."""
     jobs = [RenderJob(sphere_scene(), samples) for samples in (1, 4, 9, 16)]
     first, second = ([pickle.loads(pickle.dumps(job)) for job in jobs] for _ in range(2))
     assert [*map(id, first)] == [*map(id, second)]
@@ -102,8 +102,8 @@ def test_a_program_with_threads_is_not_forked():
 
 
 @pytest.mark.parametrize("y", [-1.5, 1.5])
-def test_a_picture_of_which_some_tiles_are_black_is_not_black(y, small_tiles, tmp_path, capsys):
-    """The first tile is black, or the last one, but not both."""
+def test_a_picture_with_some_black_tiles_is_not_black(y, small_tiles, tmp_path, capsys):
+    """Either the first tile or the last tile is black."""
     camera = Camera(view_point=(0, 0, 10), view_width=0.6, view_height=0.6)
     scene = scene_of(Sphere(center=(0, y, 0)), camera=camera, size=(90, 90), lights=(3, 4, 9))
     black = [not exposure.lit_count for _, exposure in render_tiles(RenderJob(scene))]
@@ -138,7 +138,7 @@ def limit_processes(limit: int) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have other limits")
 @pytest.mark.parametrize("limit", range(1, 7))
 def test_few_processes(limit, tmp_path):
-    """No process or thread is left for some part of the pool."""
+    """The system allows fewer processes and threads than the pool needs."""
     path = write_ball(tmp_path / "ball.xml", 2800, 2400)
     limited = partial(limit_processes, limit)
     assert run(path, "--quiet", "--processes", 2, preexec_fn=limited) == (0, "", "")
@@ -165,8 +165,8 @@ def test_a_lost_worker_costs_time_not_the_picture(sizes, seeds, tmp_path):
     """Kill or stop all workers at random moments, while they render one picture or many."""
     paths = [write_ball(tmp_path / f"{width}.xml", width, height) for width, height in sizes]
 
-    def take_pictures() -> list[bytes]:
-        """Read the codes of all pictures, and remove the files."""
+    def read_and_remove_pictures() -> list[bytes]:
+        """Read the 8-bit codes of all pictures, and remove the files."""
         codes = []
         for path in paths:
             with Image.open(picture_path := Path(f"{path}.png")) as picture:
@@ -176,7 +176,7 @@ def test_a_lost_worker_costs_time_not_the_picture(sizes, seeds, tmp_path):
 
     start = time.monotonic()
     assert run(*paths, "--quiet", "--processes", 1)[0] == 0
-    seconds, lost_count, expected = time.monotonic() - start, 0, take_pictures()
+    seconds, lost_count, expected = time.monotonic() - start, 0, read_and_remove_pictures()
     for seed in seeds:
         rng = random.Random(seed)
         with start_process(*paths, "--processes", 2) as process:
@@ -188,7 +188,7 @@ def test_a_lost_worker_costs_time_not_the_picture(sizes, seeds, tmp_path):
                     os.kill(worker, rng.choice([signal.SIGKILL, signal.SIGSTOP]))
             out, err = process.communicate(timeout=120)
         assert (process.returncode, err, out.count("\n")) == (0, "", len(paths))
-        assert take_pictures() == expected
+        assert read_and_remove_pictures() == expected
         wait_until(lambda ids=workers: not any(map(is_running, ids)))
         lost_count += len(workers)
     assert lost_count >= len(seeds) / 5
