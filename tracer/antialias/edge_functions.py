@@ -146,7 +146,7 @@ def compute_rays(
     Parameters
     ----------
     frame : CameraFrame
-        The rays of the camera.
+        The camera.
     center_right, center_down : (n,) float arrays
         Rightward and downward components of the ray through the centre of each cell.  The forward
         component is `frame.depth`.

@@ -37,9 +37,9 @@ class Boxes:
     min_pt, max_pt : (3, n) float arrays
         Corners with the smallest and with the largest coordinates x, y and z.
     planes : tuple of three (6, n) float arrays
-        Coefficients a, b and c of six planes through the eye and the silhouette of each box (see
-        `find_edge_planes`).  A ray with the direction (ray_right, ray_down, depth) meets the box
-        only if a * ray_right + b * ray_down + c >= 0 for all six planes.
+        Coefficients a, b and c of six planes for each box, through the eye and silhouette edges.  A
+        ray with the direction (ray_right, ray_down, depth) meets the box only if
+        a * ray_right + b * ray_down + c >= 0 for all six planes.
     """
 
     is_planar: ClassVar = True
@@ -61,7 +61,7 @@ class Boxes:
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera.
+            The camera.
         surfaces : Surfaces
             All surfaces of the scene.
 
@@ -74,8 +74,7 @@ class Boxes:
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
         normals = frame.vector_to_camera(find_edge_planes(low, high))
-        # If the eye is on a face, the plane of the face separates the rays that lead into the box
-        # from those that miss it.
+        # If the eye is on a face, the plane of that face bounds the rays that enter the box.
         is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
         for component, axis in zip(normals, frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
@@ -91,8 +90,7 @@ class Boxes:
         Returns
         -------
         low, high : (3, n) float arrays
-            Smallest and largest coordinates of each box: the fields `min_pt` and `max_pt`, not
-            copies.
+            Smallest and largest coordinates of each box.
         """
         return self.min_pt, self.max_pt
 
@@ -113,8 +111,8 @@ class Boxes:
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the interval of columns, in pixels from the left edge of the picture.  All rays
-            of the row that meet the box lie in this interval.  If there are none, left > right.
+            Range of columns, in pixels from the left edge of the picture.  It contains all rays of
+            the row that meet the box.  If no ray meets the box, left > right.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_down = frame.to_ray_down(top + height / 2)
@@ -123,11 +121,11 @@ class Boxes:
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane in range(6):
             a, b, c = (coefficients[plane].take(box_index) for coefficients in self.planes)
-            # A ray meets the box only if a * ray_right + b * ray_down + c >= 0.  Use the loosest
-            # of these bounds on `ray_right` for the rays of the row.
-            max_remainder = b * ray_down + np.abs(b) * margin + c
+            # A ray meets the box only if a * ray_right + b * ray_down + c >= 0.  Compute the bound
+            # on `ray_right` for the largest value of the last two terms in the row.
+            max_sum = b * ray_down + np.abs(b) * margin + c
             # If a is 0, the bound is infinite.  Adding 0 turns -0 into 0.
-            bound = -max_remainder / (a + 0.0)
+            bound = -max_sum / (a + 0.0)
             np.fmax(min_right, bound, out=min_right, where=a >= 0)
             np.fmin(max_right, bound, out=max_right, where=a < 0)
         return frame.to_column(min_right), frame.to_column(max_right)
@@ -141,9 +139,8 @@ class Boxes:
         the space between the planes of two opposite faces.  A ray that lies in the plane of a face
         hits the box.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  A span is a sequence
-        of rays in one row of the picture.  They have the same `ray_down`, and are tested with the
-        same box.
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of a span
+        lie in one row of the picture, and are tested with the same box.
 
         Parameters
         ----------
@@ -159,11 +156,11 @@ class Boxes:
         Returns
         -------
         t : (n,) float array
-            Multiple of the ray's direction at which the ray enters the box; infinity if it misses
-            the box.  If the eye is inside the box or on its surface, this is where the ray leaves.
+            Ray parameter: the ray enters the box at t times its direction; infinity if it misses.
+            If the eye is inside the box or on its surface, the ray leaves there.
         face_code : (n,) int8 array
-            The face that is hit: twice the axis (0, 1 or 2) to which it is perpendicular, plus 1 if
-            its normal towards the eye has a positive component.
+            Code of the face that is hit: twice the axis (0, 1 or 2) of its normal, plus 1 if the
+            normal towards the eye points in the positive direction of the axis.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         enter_ts, leave_ts, face_codes = [], [], []
@@ -203,7 +200,7 @@ class Boxes:
         return np.where(is_hit & (t > 0), t, np.inf), face_code
 
     def compute_tangent_planes(
-        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
+        self, object_index: Ints, run_length: Ints, hit: Floats, t: Floats, face_code: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the plane of the face on which each run of hits lies.
 
@@ -215,11 +212,11 @@ class Boxes:
             Index of each run's box among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        to_hit, t : (3, n) and (n,) float arrays
+        hit, t : (3, n) and (n,) float arrays
             Ignored: only `Spheres.compute_tangent_planes` uses them.
         face_code : (n,) int8 array
-            Second result of `intersect` for the ray through each hit: twice the axis of the face,
-            plus 1 if its normal has a positive component.
+            Code of the face of each hit: twice the axis of its normal, plus 1 if the normal points
+            in the positive direction of the axis.
 
         Returns
         -------
@@ -238,7 +235,7 @@ class Boxes:
         run_face_code = face_code.take(run_length.cumsum() - run_length)
         face_axis = run_face_code.astype(np.intp) >> 1
         normal_sign = np.where(run_face_code & 1, 1.0, -1.0)
-        low, high = (take_2d(pt, face_axis, box_index) for pt in (self.min_pt, self.max_pt))
+        low, high = (take_2d(corner, face_axis, box_index) for corner in (self.min_pt, self.max_pt))
         face_position = np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
         eye_height = normal_sign * (self.frame.eye[face_axis] - face_position)
         right, down, ahead = (np.asarray(normal_sign * axis[face_axis]) for axis in self.frame.axes)
@@ -263,21 +260,20 @@ class Boxes:
         return take(self.min_pt, box_index), take(self.max_pt, box_index)
 
     def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Test whether a light is inside each of n boxes.
+        """Determine on which side of each of n boxes a light lies.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each box among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of the light for each box, in scene axes.  Their shape broadcasts
-            with (n,).
+            Coordinates x, y and z of lights, in scene axes, broadcastable with (n,).
 
         Returns
         -------
         side : int8 array
             `INSIDE` if the light is inside the box; `OUTSIDE` if it is outside or on the surface.
-            The array has the broadcast shape of (n,) and the lights.
+            The shape is that of `object_index` and the lights, broadcast together.
         """
         distance = self.measure_distance(object_index, light)
         return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
@@ -290,15 +286,13 @@ class Boxes:
         object_index : (n,) int array
             Index of each box among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of the point for each box, in scene axes.  Their shape broadcasts
-            with (n,).
+            Coordinates x, y and z of points, in scene axes, broadcastable with (n,).
 
         Returns
         -------
         distance : float array
-            Largest signed distance from the planes of the six faces: negative inside the box.
-            Outside, the actual distance from the box may be larger.  The array has the broadcast
-            shape of (n,) and the points.
+            Largest signed distance from the planes of the six faces: negative inside the box.  The
+            shape is that of `object_index` and the points, broadcast together.
         """
         low, high = self.get_corners(object_index)
         plane_distances = *map_xyz(np.subtract, low, point), *map_xyz(np.subtract, point, high)
@@ -314,9 +308,9 @@ class Boxes:
     ) -> Bools:
         """Test whether each of n boxes blocks the segment from a hit to a light.
 
-        A box blocks a segment that crosses its surface strictly between the ends of the segment.
-        It does not block a segment that lies in the plane of a face.  Before the test, an end that
-        is within rounding error of the plane of a face is moved onto the plane.
+        A segment is blocked if it crosses the surface of the box strictly between its ends, but not
+        if it lies in the plane of a face.  Ends within rounding error of such a plane are moved
+        onto the plane before the test.
 
         Parameters
         ----------
@@ -327,7 +321,7 @@ class Boxes:
         light_side : (n,) int8 array
             Ignored: only `Spheres.occludes` uses it.
         growth : (n,) float array, optional
-            Distance by which the box grows on all sides before the test; negative to shrink it.
+            Distance by which the box is grown on all sides before the test; negative to shrink it.
             A box that shrinks to nothing blocks nothing.
 
         Returns
@@ -350,18 +344,17 @@ class Boxes:
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether each of n boxes blocks some or all segments in a capsule.
+        """Test whether each of n boxes blocks some or all of the segments in a capsule.
 
-        A capsule consists of all points within a given distance of its axis, which leads from
-        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The segments lead to `end` from
-        all points within this distance of `start`.  Both tests err on the safe side.
+        The segments start within a distance `capsule_radius` of `start`, and all lead to `end`
+        (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index, among all objects of the scene, of the box to test with each capsule.
         start, end : tuples of three (n,) float arrays
-            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
+            Coordinates x, y and z of the ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
             Radius of each capsule.
 
@@ -372,11 +365,11 @@ class Boxes:
         blocks_all : (n,) bool array
             True only if the box certainly blocks all segments.
         """
-        # Allow for the distance by which `occludes` moves ends of segments.
+        # Allow for the distance by which `occludes` moves the ends of a segment.
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
         capsule_radius = capsule_radius + 2 * SURFACE_TOLERANCE * coordinate_bound
-        # At these fractions of its length, the axis enters and leaves (1) the box grown by the
-        # capsule's radius on all sides, and (2) the box shrunk by the radius.
+        # Fractions of the axis at which it enters and leaves the box, grown or shrunk by the radius
+        # of the capsule.
         enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
         low, high = self.get_corners(object_index)
         # Coordinate i is x in the first pass, then y, then z.
@@ -406,19 +399,17 @@ def _intersect_slab(
     Parameters
     ----------
     low, high : (n,) float arrays
-        Coordinates of the two planes along the axis to which they are perpendicular, relative to
-        the point where the line starts.
+        Coordinates of the two planes along their normal, relative to the start of the line.
     direction : (n,) float array
-        Component of the line's direction along this axis.
+        Component of the line's direction along this normal.
     is_closed : bool
         Whether a line that lies in one of the planes counts as inside the slab.
 
     Returns
     -------
     enter_t, leave_t : (n,) float arrays
-        Positions along the line, as multiples of its direction.  A line parallel to the planes
-        enters at -inf and leaves at inf if it is inside the slab; otherwise it enters at inf and
-        leaves at -inf.
+        Positions along the line, as multiples of its direction.  A line parallel to the slab enters
+        at -inf and leaves at inf if it is inside; otherwise it enters at inf and leaves at -inf.
     """
     low_t, high_t = low / direction, high / direction
     enter_t, leave_t = np.minimum(low_t, high_t), np.maximum(low_t, high_t)
@@ -443,7 +434,7 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
     Returns
     -------
     crosses_surface : (n,) bool array
-        Whether the segment enters or leaves the box strictly between its ends.
+        Whether the segment enters or leaves the box strictly between the segment's ends.
     """
     enter_t, leave_t = np.array(-np.inf), np.array(np.inf)
     # Coordinate i is x in the first pass, then y, then z.
@@ -456,7 +447,7 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points that are close to the plane of a box face onto this plane.
+    """Move points onto the planes of box faces if they are close to these planes.
 
     Parameters
     ----------
@@ -470,11 +461,11 @@ def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) 
     Returns
     -------
     snapped_point : tuple of three (n,) float arrays
-        The new coordinates, which are unchanged for points that are not close to a plane.
+        The new coordinates.  Coordinates farther than the tolerance from every face are unchanged.
     """
 
     def snap_coordinate(x: Floats, low_x: Floats, high_x: Floats) -> Floats:
-        """Replace each x that is within the tolerance of `low_x` or `high_x` by this bound."""
+        """Replace x by `low_x` or `high_x` where the difference is within the tolerance."""
         is_on_low, is_on_high = np.abs(x - low_x) <= tolerance, np.abs(x - high_x) <= tolerance
         return np.where(is_on_low, low_x, np.where(is_on_high, high_x, x))
 
@@ -487,31 +478,31 @@ def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> Screen
     Parameters
     ----------
     frame : CameraFrame
-        The rays of the camera.
+        The camera.
     low, high : (3, n) float arrays
         Vectors from the eye to opposite corners of each box, in scene axes.
 
     Returns
     -------
     bounds : ScreenBounds
-        The rectangle of each box.  It is infinite if the box is partly behind the eye, and empty
-        if the box is entirely behind the eye.
+        The rectangle of each box: infinite if the box is partly behind the eye, and empty if it is
+        entirely behind the eye.
     """
-    # Along each axis, corner i is at `high` if bit number `axis` of i is 1, otherwise at `low`.
+    # Bit `axis` of i decides whether corner i has the coordinate `high` or `low` along that axis.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
     right, down, ahead = frame.vector_to_camera((x, y, z))
-    is_partly_behind, is_partly_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
+    has_corner_behind, has_corner_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
 
     def find_slope_range(component: Floats) -> tuple[Floats, Floats]:
-        """Return the smallest and the largest slope of the eight corners of each box.
+        """Return the smallest and the largest slope (n,) among the corners of each box.
 
-        The slope of a corner is its `component`, in an (8, n) array, divided by its depth.  Both
-        results are (n,) arrays.  A box partly behind the eye has the slopes -inf and inf; a box
-        entirely behind the eye has -inf twice.
+        The slope of a corner is its component (8, n) to the right or down, divided by its depth.
+        The range is -inf to inf for a box partly behind the eye, and -inf to -inf for a box
+        entirely behind the eye.
         """
         slope = component / ahead
-        minimum = np.where(is_partly_behind, -np.inf, slope.min(axis=0))
-        maximum_behind = np.where(is_partly_ahead, np.inf, -np.inf)
-        return minimum, np.where(is_partly_behind, maximum_behind, slope.max(axis=0))
+        min_slope = np.where(has_corner_behind, -np.inf, slope.min(axis=0))
+        max_slope_behind = np.where(has_corner_ahead, np.inf, -np.inf)
+        return min_slope, np.where(has_corner_behind, max_slope_behind, slope.max(axis=0))
 
     return ScreenBounds.from_slopes(frame, find_slope_range(down), find_slope_range(right))

@@ -77,12 +77,12 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Components x, y and z of the vectors, in arrays of one shape.
+            Components x, y and z of the vectors, in arrays of equal shape.
 
         Returns
         -------
-        rotated : tuple of three float arrays
-            Rightward, downward and forward components, in arrays of the same shape.
+        rotated_vector : tuple of three float arrays
+            Rightward, downward and forward components, in arrays of that shape.
         """
         right, down, ahead = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
         return right, down, ahead
@@ -93,12 +93,12 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Rightward, downward and forward components, in arrays of one shape.
+            Rightward, downward and forward components, in arrays of equal shape.
 
         Returns
         -------
-        rotated : tuple of three float arrays
-            Components x, y and z, in arrays of the same shape.
+        rotated_vector : tuple of three float arrays
+            Components x, y and z, in arrays of that shape.
         """
         x, y, z = (self.project_onto_axis(vector, axis) for axis in range(3))
         return x, y, z
@@ -109,32 +109,31 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         from_eye : tuple of three float arrays
-            Rightward, downward and forward components of the vectors from the eye to the points, in
-            arrays of one shape.
+            Rightward, downward and forward components of the vectors from the eye to the points.
 
         Returns
         -------
         point : tuple of three float arrays
-            Coordinates x, y and z of the points, in arrays of the same shape.
+            Coordinates x, y and z of the points.
         """
         eye_x, eye_y, eye_z = self.eye.tolist()
         x, y, z = self.vector_to_scene(from_eye)
         return eye_x + x, eye_y + y, eye_z + z
 
     def project_onto_axis(self, vector: Triple, axis: int) -> Floats:
-        """Compute the component of vectors along one axis of the scene.
+        """Compute the components of vectors along one axis of the scene.
 
         Parameters
         ----------
         vector : tuple of three float arrays
-            Rightward, downward and forward components of the vectors, in arrays of one shape.
+            Rightward, downward and forward components of the vectors, in arrays of equal shape.
         axis : int
             Axis of the scene: 0 for x, 1 for y, 2 for z.
 
         Returns
         -------
         component : float array
-            Component of each vector along this axis, in an array of the same shape.
+            Component of each vector along this axis, in an array of that shape.
         """
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))
@@ -142,8 +141,7 @@ class CameraFrame(NamedTuple):
     def to_ray_right(self, column: Floats) -> Floats:
         """Compute the rightward component of the rays through given columns of the picture.
 
-        The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
-        camera axes, which point to the right, down and ahead.
+        Every ray has the direction (ray_right, ray_down, depth), in camera axes.
 
         Parameters
         ----------
@@ -160,13 +158,12 @@ class CameraFrame(NamedTuple):
     def to_ray_down(self, row: Floats) -> Floats:
         """Compute the downward component of the rays through given rows of the picture.
 
-        The ray through a position in the picture has the direction (ray_right, ray_down, depth), in
-        camera axes, which point to the right, down and ahead.
+        Every ray has the direction (ray_right, ray_down, depth), in camera axes.
 
         Parameters
         ----------
         row : float array
-            Distances from the upper border of the picture, in pixels.  They need not be integers.
+            Distances from the top edge of the picture, in pixels.  They need not be integers.
 
         Returns
         -------
@@ -178,13 +175,12 @@ class CameraFrame(NamedTuple):
     def to_column(self, ray_right: Floats) -> Floats:
         """Compute the column of the picture through which each ray passes.
 
-        This is the inverse of the method `ray_right`.
+        This is the inverse of `to_ray_right`.
 
         Parameters
         ----------
         ray_right : float array
-            Rightward component of each ray's direction (ray_right, ray_down, depth), in camera
-            axes.
+            Rightward component of each ray's direction (ray_right, ray_down, depth).
 
         Returns
         -------
@@ -197,17 +193,17 @@ class CameraFrame(NamedTuple):
     def to_row(self, ray_down: Floats) -> Floats:
         """Compute the row of the picture through which each ray passes.
 
-        This is the inverse of the method `ray_down`.
+        This is the inverse of `to_ray_down`.
 
         Parameters
         ----------
         ray_down : float array
-            Downward component of each ray's direction (ray_right, ray_down, depth), in camera axes.
+            Downward component of each ray's direction (ray_right, ray_down, depth).
 
         Returns
         -------
         row : float array
-            Distance of each ray from the upper border of the picture, in pixels; same shape as
+            Distance of each ray from the top edge of the picture, in pixels; same shape as
             `ray_down`.
         """
         return (ray_down - self.center_down) / self.pixel_height + self.height / 2
@@ -215,9 +211,9 @@ class CameraFrame(NamedTuple):
     def assign_layer(self, depth: Floats, packet_width: float) -> Ints:
         """Assign each of n points to a depth layer.
 
-        Packets are groups of neighbouring hits.  Near a horizon, neighbours in the picture may be
-        far apart in the scene, so packets are confined to one layer.  A layer's thickness is
-        `_LAYER_ASPECT` times the width of a packet at its depth.
+        Neighbouring hits are grouped into packets.  Neighbours in the picture may be far apart in
+        the scene, so a packet contains only hits in the same layer.  The thickness of a layer is
+        `_LAYER_ASPECT` times the width of a packet at that depth.
 
         Parameters
         ----------
@@ -232,7 +228,7 @@ class CameraFrame(NamedTuple):
             Layer number of each point; larger for layers farther from the eye.
         """
         relative_thickness = min(_LAYER_ASPECT * packet_width * self.pixel_width / self.depth, 1.0)
-        # The bits of a float, read as an integer, grow almost linearly with its logarithm: they
+        # Read as an integer, the bits of a float grow almost linearly with its logarithm: they
         # increase by 2^52 when the float doubles.
         return depth.view(np.int64) // max(1, int(2**52 * relative_thickness))
 
@@ -257,12 +253,12 @@ def compute_frame(
     width, height : int
         Size of the picture, in pixels.
     offset : (float, float)
-        Displacement of every ray to the right and down, in pixels.
+        Shift of every ray to the right and down, in pixels.
 
     Returns
     -------
     frame : CameraFrame
-        The rays of the camera.
+        The eye, the axes and the pixel grid.
     """
     view_direction = normalize(camera.view_dir)
     # Shirley's axes point right, up and back; those of a CameraFrame point right, down and ahead.
@@ -308,13 +304,13 @@ class ScreenBounds(NamedTuple):
     ) -> ScreenBounds:
         """Compute the bounding rectangles of n objects from the slopes of the rays that meet them.
 
-        The y slope of a ray is its downward component divided by its forward component.  The x
-        slope is its rightward component divided by its forward component.
+        The y slope of a ray is its downward component divided by its forward component, the x slope
+        its rightward component divided by its forward component.
 
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera.
+            The camera.
         y_slopes, x_slopes : pairs of (n,) float arrays
             The smallest and the largest slope of the rays that meet each object.
 
@@ -350,7 +346,7 @@ class ScreenBounds(NamedTuple):
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera, with the size of the picture.
+            The camera, with the size of the picture.
 
         Returns
         -------
@@ -368,7 +364,7 @@ class ScreenBounds(NamedTuple):
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera, with the size of the picture.
+            The camera, with the size of the picture.
 
         Returns
         -------
@@ -378,10 +374,10 @@ class ScreenBounds(NamedTuple):
         visible_bounds = self.take(self.in_picture(frame))
 
         def find_covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
-            """Return the slice of pixels along one axis of the picture that covers all intervals.
+            """Return a slice of pixels, numbered from 0, that covers all intervals.
 
             Interval i leads from starts[i] to stops[i], in pixels.  A margin of one pixel at each
-            end allows for rounding errors.  The axis has `pixel_count` pixels.
+            end allows for rounding errors.  There are `pixel_count` pixels.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
@@ -392,22 +388,22 @@ class ScreenBounds(NamedTuple):
         )
 
     def compute_depth_complexity(self, frame: CameraFrame) -> float:
-        """Compute an upper bound on the mean number of objects that the rays of a row meet.
+        """Compute an upper bound on the mean number of objects that a ray meets.
 
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera, with the size of the picture.
+            The camera, with the size of the picture.
 
         Returns
         -------
         depth_complexity : float
-            The bound, which holds for every row of the picture.  Hidden objects are counted, too.
+            The bound on the mean over a row of pixels, for every row.  Hidden objects count, too.
         """
-        visible, width = self.take(self.in_picture(frame)), frame.width
-        covered_width = np.clip(visible.right + 1, 0, width) - np.clip(visible.left - 1, 0, width)
+        bounds, width = self.take(self.in_picture(frame)), frame.width
+        covered_width = np.clip(bounds.right + 1, 0, width) - np.clip(bounds.left - 1, 0, width)
         # From row to row, add the widths of objects that begin and subtract those that end.
-        order = np.append(visible.top - 1, visible.bottom + 1).argsort()
+        order = np.append(bounds.top - 1, bounds.bottom + 1).argsort()
         width_change = np.append(covered_width, -covered_width)[order]
         return float(width_change.cumsum().max(initial=0) / width)
 
@@ -419,14 +415,15 @@ class ScreenBounds(NamedTuple):
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera, with the size of the picture.
+            The camera, with the size of the picture.
 
         Returns
         -------
         pair_count : float
-            Mean number of such pairs of objects per pixel.  Pairs (i, j) and (j, i) both count.
+            Mean number of pairs of objects whose silhouettes cross the same pixel.  The pairs
+            (i, j) and (j, i) both count.
         """
         top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
-        # The silhouette of an object that is as tall as wide crosses about 4 * height pixels.
+        # A silhouette that is as tall as it is wide crosses about 4 * height pixels.
         crossing_probability = 4 * np.maximum(bottom - top, 0) / (frame.width * frame.height)
         return float(crossing_probability.sum() ** 2 - (crossing_probability**2).sum())

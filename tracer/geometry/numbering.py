@@ -15,7 +15,7 @@ from tracer.scene.model import Surfaces
 
 
 class ObjectRange(NamedTuple):
-    """The consecutive indices of all objects of one shape.
+    """The consecutive indices of the objects of one shape.
 
     Attributes
     ----------
@@ -64,19 +64,18 @@ class ObjectRange(NamedTuple):
         Parameters
         ----------
         object_index : (n,) int array
-            Indices, among all objects of the scene, of objects of this shape.
+            Indices among all objects of the scene.  The objects must have this shape.
 
         Returns
         -------
         local_index : (n,) int array
-            Indices in arrays that contain only the objects of this shape.  This is `object_index`
-            itself, not a copy, if the shape comes first in the scene.
+            Indices in arrays of this shape only.  The result may be `object_index` itself.
         """
         return object_index - self.start if self.start else object_index
 
 
 def get_sphere_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the index range of a scene's spheres, among all its objects.
+    """Return the indices of a scene's spheres.
 
     Parameters
     ----------
@@ -85,14 +84,14 @@ def get_sphere_range(surfaces: Surfaces) -> ObjectRange:
 
     Returns
     -------
-    objects : ObjectRange
-        The range starts at 0, because spheres come before boxes.
+    sphere_range : ObjectRange
+        Indices among all objects of the scene.  They start at 0: spheres come before boxes.
     """
     return ObjectRange(0, len(surfaces.radius))
 
 
 def get_box_range(surfaces: Surfaces) -> ObjectRange:
-    """Return the index range of a scene's boxes, among all its objects.
+    """Return the indices of a scene's boxes.
 
     Parameters
     ----------
@@ -101,7 +100,7 @@ def get_box_range(surfaces: Surfaces) -> ObjectRange:
 
     Returns
     -------
-    objects : ObjectRange
-        The range starts after the last sphere.
+    box_range : ObjectRange
+        Indices among all objects of the scene.  They start after the last sphere.
     """
     return ObjectRange(len(surfaces.radius), len(surfaces.min_pt))

@@ -104,13 +104,13 @@ def determine_side(distance: Floats, tolerance: Floats) -> NDArray[np.int8]:
 def compute_hit_tolerance(coordinate_bound: Floats, hit: Triple, eye: Floats) -> Floats:
     """Compute the maximum distance at which each of n hits counts as on a surface.
 
-    A hit is the point where a ray from the eye meets a surface.  Its rounding error grows with
-    its distance from the eye and with the coordinates of the surface.
+    A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit grows
+    with its distance from the eye and with the coordinates of the surface.
 
     Parameters
     ----------
     coordinate_bound : (n,) float array
-        Upper bound on |x| + |y| + |z| for all points of the surface of each hit.
+        For each hit, an upper bound on |x| + |y| + |z| for all points of the surface.
     hit : tuple of three (n,) float arrays
         Coordinates x, y and z of the hits, in scene axes.
     eye : (3,) float array

@@ -12,35 +12,34 @@ from tracer.arrays import Floats, Triple, cross, dot
 
 
 def find_edge_planes(low: Floats, high: Floats) -> Triple:
-    """Compute the planes through an apex (the eye or a light) and the silhouettes of boxes.
+    """Compute the planes through an apex (the eye or a light) and the silhouette edges of boxes.
 
-    Seen along a coordinate axis, a box is a rectangle.  Its edges parallel to the axis are the
-    corners of the rectangle.  Two of these edges belong to the silhouette: those where tangents
-    from the apex touch the rectangle.  There are none if the apex is inside the rectangle.
+    Up to two edges parallel to each axis belong to the silhouette of a box.
 
     Parameters
     ----------
     low, high : (3, n) float arrays
-        Vectors from the apex to opposite corners of each of n boxes, in scene axes.
+        Smallest and largest coordinates of each of n boxes, in scene axes, relative to the apex.
 
     Returns
     -------
     normals : tuple of three (6, n) float arrays
         Components x, y and z of the normals of six planes for each box.  Planes 2 k and 2 k + 1
-        belong to edges parallel to axis k; the normals are 0 if there are no such edges.  For
-        every direction d from the apex to a point of the box, d . normal >= 0.
+        belong to edges parallel to axis k.  A normal is 0 if there is no such edge.  All other
+        normals point towards the box.
     """
     # For each axis: 1 if the box lies above the apex, -1 if it lies below, and otherwise 0.
-    side = (low > 0).astype(np.int8) - (high < 0)
+    box_side = (low > 0).astype(np.int8) - (high < 0)
     x, y, z = normals = np.zeros((3, 6, low.shape[1]))
     for axis, is_mirrored in np.ndindex(3, 2):
         u, v = (axis + 1) % 3, (axis + 2) % 3
-        # In the plane of the axes u and v, find the rectangle's last corner in counterclockwise
-        # order, as seen from the apex.  The first corner is the last one of the mirror image.
-        side_u, side_v = side[u], -side[v] if is_mirrored else side[v]
+        # Along the axis, the box looks like a rectangle, and two of its corners are silhouette
+        # edges: the last one in counterclockwise order, as seen from the apex, and the first one,
+        # which is the last one of the mirror image.
+        side_u, side_v = box_side[u], -box_side[v] if is_mirrored else box_side[v]
         corner_u = np.where((side_v < 0) | ((side_v == 0) & (side_u < 0)), high[u], low[u])
-        takes_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))
-        corner_v = np.where(takes_high_v ^ bool(is_mirrored), high[v], low[v])
+        is_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))
+        corner_v = np.where(is_high_v ^ bool(is_mirrored), high[v], low[v])
         sign = np.where((side_u != 0) | (side_v != 0), 1 - 2 * is_mirrored, 0)
         plane = 2 * axis + is_mirrored
         # Coordinates of corners have no cancellation errors.
@@ -51,8 +50,8 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
 def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
     """Evaluate the edge functions of boxes for rays from an apex (the eye or a light).
 
-    Each function belongs to one edge of a box's silhouette.  Its sign changes where a ray
-    crosses the plane through the apex and the edge.
+    Each function belongs to one edge of a box's silhouette.  Its sign changes where the ray crosses
+    the plane through the apex and this edge.
 
     Parameters
     ----------
@@ -64,7 +63,8 @@ def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
     Returns
     -------
     values : (m, 6, n) float array
-        Dot product of each ray and each normal: positive if the ray is on the side of the box.
+        Dot product of each ray and each normal: positive if the ray is on the box's side of the
+        plane.
     """
     return np.array([dot(normal, ray) for normal in zip(*normals, strict=True)]).swapaxes(0, 1)
 
@@ -89,8 +89,8 @@ def evaluate_sphere_edges(ray: Triple, center: Triple, radius: Floats) -> Floats
         Angle between the ray and the nearest tangent, in radians: negative if the ray meets the
         sphere; NaN if the apex is inside the sphere.
     """
-    perpendicular, distance = cross(center, ray), np.sqrt(dot(center, center))
-    center_angle = np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(center, ray))
+    cross_product, distance = cross(center, ray), np.sqrt(dot(center, center))
+    center_angle = np.arctan2(np.sqrt(dot(cross_product, cross_product)), dot(center, ray))
     tangent_length = np.sqrt((distance - radius) * (distance + radius))
     angle: Floats = center_angle - np.arctan2(radius, tangent_length)
     return angle

@@ -47,7 +47,7 @@ class Spheres:
     is_planar : bool
         Whether objects of this shape consist of planar faces.
     frame : CameraFrame
-        The rays of the camera.
+        The camera.
     objects : ObjectRange
         Indices of the spheres among all objects of the scene.
     center : (3, n) float array
@@ -90,7 +90,7 @@ class Spheres:
         Parameters
         ----------
         frame : CameraFrame
-            The rays of the camera.
+            The camera.
         surfaces : Surfaces
             All surfaces of the scene.
 
@@ -108,12 +108,12 @@ class Spheres:
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (right, down, ahead), radius2 = from_eye, radius * radius
         slopes = (
-            _find_slope_range(lateral, ahead, radius2, lateral * lateral + ahead * ahead - radius2)
-            for lateral in (down, right)
+            _find_slope_range(across, ahead, radius2, across * across + ahead * ahead - radius2)
+            for across in (down, right)
         )
         objects, coordinate_bound = get_sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
-        return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
+        seen_from_eye = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
+        return cls(frame, objects, center, radius, *seen_from_eye, 1 / radius, coordinate_bound)
 
     def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
         """Compute the axis-aligned bounding boxes of all n spheres, in scene axes.
@@ -137,14 +137,13 @@ class Spheres:
         top : (n,) float array
             Top edge of the row for each sphere, in pixels from the top of the picture.
         height : float
-            Height of the rows, in pixels.  If it is 0, each row is a line, and the result is exact
-            except for rounding errors.  Otherwise the interval may be too large, but not too small.
+            Height of the rows, in pixels; 0 if each row is a line.
 
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the interval of columns, in pixels from the left edge of the picture.  If no
-            ray of the row meets the sphere, left > right or both are NaN.
+            Range of columns, in pixels from the left edge of the picture.  It contains all rays of
+            the row that meet the sphere.  If no ray meets it, left > right or both are NaN.
         """
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.
@@ -162,11 +161,11 @@ class Spheres:
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Compute the discs that planes of rays cut out of n spheres.
+        """Compute the discs in which n spheres intersect planes of rays.
 
         A ray has the direction (ray_right, ray_down, depth), in camera axes.  All rays with the
-        same `ray_down` lie in one plane through the eye.  In this plane, points have coordinates
-        to the right, along a row of the picture, and ahead, perpendicular to the row.
+        same `ray_down` lie in one plane through the eye.  In this plane, points have two
+        coordinates: to the right, along a row of the picture, and ahead.
 
         Parameters
         ----------
@@ -175,7 +174,7 @@ class Spheres:
         radius : (n,) float array
             Radius to use instead of the sphere's own radius.
         ray_down : (n,) float array
-            Downward component of the rays in the plane for each sphere.
+            Downward component of the rays in the plane that intersects each sphere.
 
         Returns
         -------
@@ -198,9 +197,8 @@ class Spheres:
     ) -> tuple[Floats, Floats]:
         """Compute where rays from the eye hit spheres.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  A span is a sequence
-        of rays in one row of the picture.  They have the same `ray_down`, and are tested with the
-        same sphere.
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of a span
+        lie in one row of the picture, and are tested with the same sphere.
 
         Parameters
         ----------
@@ -216,40 +214,38 @@ class Spheres:
         Returns
         -------
         t : (n,) float array
-            Multiple of the ray's direction at which the ray enters the sphere; infinity if it
-            misses the sphere.  If the eye is inside the sphere or on its surface, this is where the
-            ray leaves the sphere.
-        sqrt_term : (n,) float array
-            |n . d| radius, with the unit normal n at the hit and the ray's direction d;
-            `compute_tangent_planes` needs it.
+            Ray parameter: the ray enters the sphere at t times its direction; infinity if it
+            misses.  If the eye is inside the sphere or on its surface, the ray leaves there.
+        radial_dot : (n,) float array
+            Absolute dot product of the ray's direction and the vector from the sphere's centre to
+            the hit.
         """
         sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
         ray_ahead, center_right, center_ahead, disc_radius2 = discs
         length2 = repeat_runs(ray_down * ray_down + depth * depth, ray_count)
         length2 = ray_right * ray_right + length2
-        # Solve A t^2 - 2 B t + C = 0 in the plane of the rays of a span, which cuts a disc out of
-        # the sphere.  A is `length2`, B is the dot product of the ray and the vector to the disc's
-        # centre, and C is `power`.  The nearer root is C / (B + sqrt(B^2 - A C)) (Haines, Günther
-        # and Akenine-Möller, Precision improvements for ray/sphere intersection, Ray Tracing Gems,
-        # ch. 7).
+        # Solve A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The
+        # nearer root is C / (B + sqrt(B^2 - A C)).  For precision, the square root is computed from
+        # the disc in the plane of the span (Haines, Günther and Akenine-Möller, Precision
+        # improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
         cross_product = repeat_runs(center_right * ray_ahead, ray_count)
         cross_product -= repeat_runs(center_ahead, ray_count) * ray_right
-        sqrt_term = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
+        radial_dot = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
         dot_product = repeat_runs(center_right, ray_count) * ray_right
         dot_product += repeat_runs(center_ahead * ray_ahead, ray_count)
-        divisor = dot_product + sqrt_term
+        divisor = dot_product + radial_dot
         power = self.power[sphere_index]
         is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
         t = power / divisor
         if not is_eye_outside_all:  # the farther root, in the form with less cancellation
-            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - sqrt_term))
+            far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - radial_dot))
             t = np.where(power > 0, t, far_t)
         # t is NaN if there is no root, and negative if the sphere is behind the eye.
-        return np.where(t > 0, t, np.inf), sqrt_term
+        return np.where(t > 0, t, np.inf), radial_dot
 
     def compute_tangent_planes(
-        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, sqrt_term: Floats
+        self, object_index: Ints, run_length: Ints, hit: Floats, t: Floats, radial_dot: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the tangent plane of the sphere at each of n hits.
 
@@ -261,9 +257,9 @@ class Spheres:
             Index of each run's sphere among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        to_hit : (3, n) float array
+        hit : (3, n) float array
             Vectors from the eye to the hits, in camera axes.
-        t, sqrt_term : (n,) float arrays
+        t, radial_dot : (n,) float arrays
             The results of `intersect` for the rays through the hits.
 
         Returns
@@ -271,7 +267,7 @@ class Spheres:
         face_axis : (runs,) int array
             `NO_FACE` for each run.
         normal_sign, face_position : 0-dimensional float arrays
-            Meaningless, because spheres have no faces: see `Boxes.compute_tangent_planes`.
+            Placeholders for results of `Boxes.compute_tangent_planes`: spheres have no faces.
         normal : tuple of three (n,) float arrays
             Unit normals that face the eye, in camera axes.
         eye_height : (n,) float array
@@ -282,29 +278,29 @@ class Spheres:
         eye_side = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
         signed_curvature = repeat_runs(1 / (eye_side * self.radius[sphere_index]), run_length)
         centers = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
-        components = zip(to_hit, centers, strict=True)
-        right, down, ahead = ((hit - center) * signed_curvature for hit, center in components)
+        components = zip(hit, centers, strict=True)
+        right, down, ahead = ((point - center) * signed_curvature for point, center in components)
         face_axis = np.full(sphere_index.size, NO_FACE)
-        eye_height = sqrt_term * np.abs(signed_curvature) * t
+        eye_height = radial_dot * np.abs(signed_curvature) * t
         return face_axis, np.ones(()), np.zeros(()), (right, down, ahead), eye_height
 
     # Tests of shadow segments: segments from hits to lights.
 
     def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Determine whether a light is outside, on or inside each of n spheres.
+        """Determine on which side of each of n spheres a light lies.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each sphere among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of the light for each sphere, in scene axes.  Their shape
-            broadcasts with (n,).
+            Coordinates x, y and z of lights, in scene axes, broadcastable with (n,).
 
         Returns
         -------
         side : int8 array
-            `OUTSIDE`, `ON` or `INSIDE`.  The array has the broadcast shape of (n,) and the lights.
+            `OUTSIDE`, `ON` or `INSIDE`.  The shape is that of `object_index` and the lights,
+            broadcast together.
         """
         tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
         return determine_side(self.measure_distance(object_index, light), tolerance)
@@ -317,14 +313,13 @@ class Spheres:
         object_index : (n,) int array
             Index of each sphere among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of the point for each sphere, in scene axes.  Their shape
-            broadcasts with (n,).
+            Coordinates x, y and z of points, in scene axes, broadcastable with (n,).
 
         Returns
         -------
         distance : float array
-            Distance from the surface, negative inside.  The array has the broadcast shape of (n,)
-            and the points.
+            Distance from the surface, negative inside.  The shape is that of `object_index` and the
+            points, broadcast together.
         """
         sphere_index = self.objects.to_local(object_index)
         to_center = map_xyz(np.subtract, take(self.center, sphere_index), point)
@@ -340,8 +335,8 @@ class Spheres:
     ) -> Bools:
         """Test whether each of n spheres blocks the segment from a hit to a light.
 
-        A sphere blocks a segment that crosses its surface strictly between the ends of the segment.
-        An end within rounding error of the surface counts as on the surface.  If the hit is on the
+        A segment is blocked if it crosses the surface of the sphere strictly between its ends.
+        Ends within rounding error of the surface count as on the surface.  If the hit is on the
         sphere, the segment starts on the eye's side of the surface.
 
         Parameters
@@ -353,7 +348,7 @@ class Spheres:
         light_side : (n,) int8 array
             Side of the sphere on which the light lies: the result of `find_light_side`.
         growth : (n,) float array, optional
-            Distance by which the sphere grows before the test; negative to shrink it.  A sphere
+            Distance by which the sphere is grown before the test; negative to shrink it.  A sphere
             that shrinks to nothing blocks nothing.
 
         Returns
@@ -367,8 +362,8 @@ class Spheres:
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
-        # If both ends are outside, the sphere blocks the segment if the point of the line closest
-        # to the centre lies inside the sphere and between the ends.
+        # If both ends are outside, the sphere blocks the segment if the line's closest point to the
+        # centre lies inside the sphere and between the ends.
         projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
         closest_t = projection / length2
         perpendicular = map_xyz(lambda center, step: center - closest_t * step, to_center, to_light)
@@ -378,33 +373,32 @@ class Spheres:
         tolerance = compute_hit_tolerance(self.coordinate_bound[sphere_index], hit, self.frame.eye)
         hit_side = determine_side(hit_height, tolerance)
         # If an end is on the surface or inside the sphere, the sides of both ends decide.
-        special_index = find((hit_side != OUTSIDE) | (light_side != OUTSIDE))
-        if special_index.size:
-            hit_side, light_side = hit_side[special_index], light_side[special_index]
-            projection, length2 = projection[special_index], length2[special_index]
-            is_eye_inside = self.is_eye_inside[sphere_index[special_index]]
+        touch_index = find((hit_side != OUTSIDE) | (light_side != OUTSIDE))
+        if touch_index.size:
+            hit_side, light_side = hit_side[touch_index], light_side[touch_index]
+            projection, length2 = projection[touch_index], length2[touch_index]
+            is_eye_inside = self.is_eye_inside[sphere_index[touch_index]]
             leaves_sphere = (projection < 0) | (light_side == OUTSIDE)
             blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
             blocks_to_surface = (hit_side == OUTSIDE) & (projection < length2)
             blocks_otherwise = np.where(light_side == ON, blocks_to_surface, hit_side != light_side)
-            blocked[special_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
+            blocked[touch_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
         return blocked
 
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
-        """Test whether each of n spheres blocks some or all segments in a capsule.
+        """Test whether each of n spheres blocks some or all of the segments in a capsule.
 
-        A capsule consists of all points within a given distance of its axis, which leads from
-        `start` to `end` (Haines and Wallace, Shaft culling, 1991).  The segments lead to `end` from
-        all points within this distance of `start`.  Both tests err on the safe side.
+        The segments start within a distance `capsule_radius` of `start`, and all lead to `end`
+        (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index, among all objects of the scene, of the sphere to test with each capsule.
         start, end : tuples of three (n,) float arrays
-            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
+            Coordinates x, y and z of the ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
             Radius of each capsule.
 
@@ -431,20 +425,20 @@ class Spheres:
         starts_outside = start_distance2 > outer_radius2
         ends_outside = end_distance2 > outer_radius2
         # Whether the centre projects to a point before the start of the axis, or past its end.
-        is_before, is_past_end = projection < 0, projection > length2
+        is_before_start, is_past_end = projection < 0, projection > length2
         contains_capsule = np.maximum(start_distance2, end_distance2) < inner_radius2
         # If the axis is a single point, `line_distance2` is NaN, and `blocks_all` is False.
-        is_off_line = line_distance2 > outer_radius2
-        misses = is_off_line | (starts_outside & is_before) | (ends_outside & is_past_end)
+        misses_line, cuts_line = line_distance2 > outer_radius2, line_distance2 < inner_radius2
+        misses = misses_line | (starts_outside & is_before_start) | (ends_outside & is_past_end)
         may_block = ~(misses | contains_capsule)
-        blocks_all = starts_outside & ~(is_before | is_past_end) & (line_distance2 < inner_radius2)
+        blocks_all = starts_outside & ~(is_before_start | is_past_end) & cuts_line
         return may_block, blocks_all
 
 
 def _find_slope_range(
     center_right: Floats, center_ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the slopes of the two rays from the origin that touch each of n discs in a plane.
+    """Compute the range of slopes of the rays from the origin that meet each of n discs in a plane.
 
     The slope of a ray in the direction (right, ahead) is right / ahead.
 
@@ -461,17 +455,17 @@ def _find_slope_range(
     Returns
     -------
     low_slope, high_slope : (n,) float arrays
-        Range of the slopes of rays that lead ahead and meet the disc; NaN if there is no disc.
+        Smallest and largest slope of the rays that lead ahead; NaN if there is no disc.
     """
     # The tangents make equal angles with the direction of the centre.  The angle is infinite if the
     # origin is inside the disc, and pi / 2 if it is within rounding error of the border.
     center_distance2 = center_right * center_right + center_ahead * center_ahead
-    power_bound = np.maximum(power - MIN_POWER * center_distance2, 0)
-    half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(power_bound))
+    min_power = np.maximum(power - MIN_POWER * center_distance2, 0)
+    half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(min_power))
     center_angle = np.arctan2(center_right, center_ahead)
     half_angle[power < 0] = np.inf
     angle = np.array([center_angle - half_angle, center_angle + half_angle])
     angle = angle.clip(-np.pi / 2, np.pi / 2)
-    # The computed tangent of pi / 2 is 1.6e16, but the slopes of rays may be larger.
+    # `np.tan` returns only 1.6e16 for pi / 2, but the slopes of rays may be larger.
     slope = np.where(abs(angle) < np.pi / 2, np.tan(angle), np.copysign(np.inf, angle))
     return slope[0], slope[1]
