@@ -159,7 +159,7 @@ def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) 
     certificate : Certificate
         The picture, with bounds on the mean radiance of each pixel.
     permitted_error : Fraction
-        The error of a pixel's mean radiance that the user permits.
+        Largest error that the user permits in the mean radiance of a pixel.
 
     Returns
     -------

@@ -420,7 +420,7 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
 
 
 def shows_surface(picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
-    """Guess which pixels show a surface, if only the reference picture is known, not its scene.
+    """Guess which pixels show a surface, because the scene of the reference picture is unavailable.
 
     A pixel counts as background if it is black in the reference picture, but not in the submitted
     picture.

@@ -118,8 +118,8 @@ PICTURE_FORMULAS = parse_formulas(
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     """List the mistakes that a tracer may make when it renders a scene.
 
-    A row of the table whose sentence contains ``{surface}`` or ``{light}`` is repeated for each
-    surface or light.  The index of the surface or light replaces ``{k}`` in the row.
+    A row of `_MISTAKES` is repeated for each surface or light if its sentence contains
+    ``{surface}`` or ``{light}``.  The index of the surface or light replaces ``{k}`` in the row.
 
     Parameters
     ----------

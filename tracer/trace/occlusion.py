@@ -455,7 +455,7 @@ def _test_footprints(
 def _test_segments(
     hits: Hits, lights: Lights, shape: Shape, candidates: Ints, growth: Floats | None = None
 ) -> Bools:
-    """Test exactly whether each object blocks the segment from its hit to its light.
+    """Test exactly whether an object blocks the segment from a hit to a light, for each candidate.
 
     Parameters
     ----------
