@@ -218,14 +218,12 @@ class Distribution(Generic[_Item, _Result]):
 class WorkerPool:
     """The worker processes of a command, which are started when the first work is submitted.
 
-    Use this only from the command line.  On Linux, the pool forks the calling process if that has a
-    single thread; a forked worker already has all modules, and all data that the calling process
-    has prepared.  Closing the pool kills all children of the calling process that
-    `multiprocessing` has started.
+    Use this only from the command line.  On Linux, a calling process with a single thread is
+    forked, so workers start with all its modules and data.  Closing the pool kills all processes
+    that `multiprocessing` has started.
 
-    Workers end by themselves if the calling process has ended.  They ignore SIGINT: when the user
-    presses Ctrl-C, the terminal sends SIGINT to all processes, and the calling process ends the
-    workers.
+    Workers end when the calling process ends.  They ignore SIGINT, which the terminal sends to all
+    processes when the user presses Ctrl-C: then the calling process ends the workers.
 
     Parameters
     ----------

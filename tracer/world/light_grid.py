@@ -393,7 +393,7 @@ def _split_by_octant(
     vector_min, vector_max : (3, lights, n) float arrays
         Smallest and largest components of the vectors in each box.
     patch_of_octant : (8 * lights,) int array
-        Index of the patch of each light's octants.  Octants with a negative index are skipped.
+        Index of the patch in each octant of each light; octants with a negative index are skipped.
     is_active : (lights, n) or (1, 1) bool array
         Whether to split the box; other boxes are skipped.
 

@@ -110,7 +110,7 @@ class PreparedScene:
         Whether the object is equal to an object earlier in the file.  Such an object is never
         visible, and its shadow is that of the other object.
     depth_complexity : float
-        Upper bound, over all rows of the picture, on the mean number of objects on a ray.
+        Upper bound on the mean number of objects on a ray, for the rays of any row of pixels.
     window : (slice, slice)
         Rows and columns of pixels that contain all visible objects.
     light_count : int
