@@ -31,7 +31,7 @@ from reference.command import SCENES, build_path
 from reference.judges import plain
 from reference.judges.arrays import Floats
 from reference.judges.certificate import certify
-from reference.judges.sampling import render_supersampled, root_mean_square_error
+from reference.judges.sampling import compute_rms_error, render_supersampled
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from reference.measured.measurements import time_alternately
 from reference.measured.workloads import build_crowd, resize_picture
@@ -140,7 +140,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     reference_image = certify(scene, permitted_error).image
     # An error is shown only if it exceeds that of a less accurate reference picture.
     less_accurate_image = certify(scene, 4 * permitted_error).image
-    min_error = root_mean_square_error(less_accurate_image, reference_image)
+    min_error = compute_rms_error(less_accurate_image, reference_image)
     povray_picture = build_path("povray.ppm")
     finished_tasks: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
     for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
@@ -153,7 +153,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
         for (method, factor), timing in time_alternately(tasks, _ROUNDS).items():
             result = tasks[method, factor]()
             image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
-            error = root_mean_square_error(image, reference_image)
+            error = compute_rms_error(image, reference_image)
             if error > min_error:
                 yield (name, method, factor * 4**level, error, *timing)
             if timing.median > _MAX_SECONDS or error <= min_error:

@@ -174,9 +174,8 @@ def estimate_means(
         The radiance that each unsettled light adds to a face in a cell.  A light is unsettled if it
         may reach only a part of the face.
     is_skipped : (c,) bool array
-        Cells in which no sample is traced.  Their mean is half of the maximum radiance in the cell,
-        and their error the other half.  Black cells, and cells with too many edges, are treated in
-        the same way.
+        Cells in which to trace no sample.  Half of a cell's maximum radiance serves as its mean,
+        and as the error of this mean.  Cells with too many edges are skipped, too.
 
     Returns
     -------
@@ -199,7 +198,7 @@ def estimate_means(
     regions = divide_into_regions(strips._replace(cell=new_index[strips.cell]), sampled_cell.size)
     regions = regions._replace(cell=sampled_cell[regions.cell])
     sample_error = _bound_sample_errors(strips, regions, cell_count)
-    radiance = _enclose_regions(analysis, contributions, regions)
+    radiance = _enclose_region_radiance(analysis, contributions, regions)
     region_mean = (radiance.coef[:UNKNOWN] * regions.mean[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
     region_error = np.minimum(radiance.radius + sample_error, max_error).max(axis=0)
@@ -242,7 +241,7 @@ def _enclose_edges(
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump of radiance across the edge.
 
-    A strip is the part of a cell between two parallel lines.  Edges are where edge functions are
+    A strip is the part of a cell between two parallel lines.  An edge is where an edge function is
     zero.
 
     Parameters
@@ -250,10 +249,10 @@ def _enclose_edges(
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  It bounds the jump at
-        shadow edges and terminators.  A light is unsettled if it may reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell: the maximum jump at shadow
+        edges and terminators.  A light is unsettled if it may reach only a part of the face.
     max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell.  It bounds the jump at all other edges.
+        Upper bound on the radiance in each cell: the maximum jump at all other edges.
     is_skipped : (c,) bool array
         Cells whose edges are ignored.
 
@@ -264,14 +263,14 @@ def _enclose_edges(
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
     pair, light, functions = analysis.collect_edge_functions()
-    # Numbers that identify the contributions.
+    # A key identifies the pair and the light of a contribution.
     keys = contributions.pair * light_count + contributions.light
     contribution, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
     # Index -1 selects the appended 0, for lights without a contribution.
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
-    index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
-    return enclose_in_strips(cell[index], functions[index], jump[index])
+    edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
+    return enclose_in_strips(cell[edge_index], functions[edge_index], jump[edge_index])
 
 
 def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
@@ -295,7 +294,7 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
     -------
     sample_error : (n,) float array
         For each region, the sum of the jumps of all strips that contain its centroid.  Infinite if
-        the region is so small that its centroid is mostly rounding error.
+        the region is too small for an accurate centroid.
     """
     _, x, y, *_ = regions.mean
     strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
@@ -308,7 +307,7 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
     return sample_error
 
 
-def _enclose_regions(
+def _enclose_region_radiance(
     analysis: CellAnalysis, contributions: Contributions, regions: Regions
 ) -> Enclosures:
     """Enclose the radiance of each region by tracing one sample at its centroid.
@@ -342,7 +341,7 @@ def _enclose_regions(
     radiance[..., pair < 0] = 0
     light_count = analysis.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
-    # Numbers that identify the contributions.
+    # A key identifies the pair and the light of a contribution.
     keys = contributions.pair * light_count + contributions.light
     contribution = find_in_sorted(keys, pair[region] * light_count + light)
     add_at_sorted_index(radiance, region, contributions.radiance[contribution].coef)
@@ -353,7 +352,7 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     """Trace samples in cells, and find the visible faces and the lights that reach them.
 
     A pair consists of a cell and a face in it.  A light is unsettled for a pair if it may reach
-    only a part of the face.
+    only a part of the face.  Other lights are not tested.
 
     Parameters
     ----------
@@ -369,7 +368,7 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     pair : (n,) int array
         For each sample, the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether the light is unsettled, and reaches the visible face at the sample.
+        Whether an unsettled light reaches the visible face at the sample; False for others.
 
     Raises
     ------
@@ -464,7 +463,7 @@ class _Picture:
             Indices into the flattened array `error_bound`.  For a cell that covers several pixels,
             the index of the upper left one.
         """
-        # From the centre of a cell to a point in its upper left pixel.
+        # Distance from a cell's centre to a point in its upper left pixel, along both axes.
         shift = cells.width / 2 if cells.width > 1 else 0
         row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.error_bound.shape[1] + column)
@@ -484,10 +483,11 @@ class _Picture:
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
         upper_left = self.find_pixels(cells)[cell_index][:, None, None]
         row, column = np.divmod(upper_left, self.error_bound.shape[1])
-        down, across = np.indices((pixels_across, pixels_across))
-        pixels = row + down, column + across
-        # Means of 1, X, Y, X^2, X Y and Y^2 over each pixel in a cell, or over a cell in a pixel.
-        x, y = ((2 * position + 1) / pixels_across - 1 for position in (across, down))
+        row_offset, column_offset = np.indices((pixels_across, pixels_across))
+        pixels = row + row_offset, column + column_offset
+        # X and Y run from -1 to 1 in a cell.  Compute the means of 1, X, Y, X^2, X Y and Y^2 over
+        # each pixel of a wide cell, or over all of a narrow one.
+        x, y = ((2 * position + 1) / pixels_across - 1 for position in (column_offset, row_offset))
         variance = 1 / (3 * pixels_across * pixels_across)
         means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
@@ -495,10 +495,10 @@ class _Picture:
         np.add.at(self.error_bound, pixels, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
-        """Add sufficiently accurate cells to the picture, and return the others.
+        """Add the cells that are accurate enough to the picture, and return the others.
 
-        A cell wider than a pixel is accurate enough if it shows a single face, and if each light
-        reaches all of this face or none of it.  Other cells are tested by `is_final`.
+        A cell is accurate enough if it shows a single face, and each light reaches all of this face
+        or none of it.  Cells that are at most one pixel wide are also tested by `is_final`.
 
         Parameters
         ----------
@@ -508,7 +508,7 @@ class _Picture:
         Returns
         -------
         pending : Cells
-            The cells that must be divided, without irrelevant pairs and triples.
+            The cells that must be divided.
 
         Raises
         ------
@@ -520,35 +520,35 @@ class _Picture:
         cells = analysis.cells
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # cells without pairs are black
-        is_alone = pair_count[cells.pair_cell] == 1
-        is_only_face = cells.covers_cell & is_alone & (cells.width <= MAX_WIDTH)
+        is_only_pair = pair_count[cells.pair_cell] == 1
+        fills_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         settled_error = _SETTLED_ERROR * self.permitted_error
-        contributions = analysis.shade(is_only_face | (cells.width <= 1), settled_error)
-        smooth_pair = np.flatnonzero(is_only_face & cells.is_settled.all(axis=1))
-        is_pending[cells.pair_cell[smooth_pair]] = False
-        self.add_cells(cells, cells.pair_cell[smooth_pair], cells.radiance[smooth_pair])
+        contributions = analysis.shade(fills_cell | (cells.width <= 1), settled_error)
+        finished_pair = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
+        is_pending[cells.pair_cell[finished_pair]] = False
+        self.add_cells(cells, cells.pair_cell[finished_pair], cells.radiance[finished_pair])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_final = self.is_final(cells, estimates.error, is_pending)
-            finished_index = np.flatnonzero(is_pending & is_final)
+            finished_cell = np.flatnonzero(is_pending & is_final)
             means = enclose_constants(estimates.mean, estimates.error)
-            self.add_cells(cells, finished_index, means[finished_index])
-            is_pending[finished_index] = False
+            self.add_cells(cells, finished_cell, means[finished_cell])
+            is_pending[finished_cell] = False
         return cells.select_cells(is_pending)
 
-    def is_final(self, cells: Cells, error: Floats, is_pending: Bools) -> Bools:
-        """Decide which cells are added to the picture without further division.
+    def is_final(self, cells: Cells, cell_error: Floats, is_pending: Bools) -> Bools:
+        """Decide which cells to add to the picture without further division.
 
-        If all pending cells of a pixel can be added without exceeding the permitted error, they are
-        added.  Otherwise a cell is added if its error is at most the remaining error of its pixel,
-        divided by the area of the pixel's pending cells.  Cells of the minimum width, and cells in
-        pixels with at least `_MAX_PENDING_CELLS` cells, are always added.
+        All pending cells of a pixel are added if their errors together do not exceed the error that
+        the pixel can still afford.  Otherwise, a cell is added if its error is at most the average
+        that the pixel can afford.  The smallest cells are always added, and so are the cells of a
+        pixel with at least `_MAX_PENDING_CELLS` cells.
 
         Parameters
         ----------
         cells : Cells
             The c cells, at most one pixel wide.
-        error : (c,) float array
+        cell_error : (c,) float array
             Bound on the error of each cell's mean radiance, in any channel.
         is_pending : (c,) bool array
             Whether the cell has not been added yet.
@@ -561,11 +561,11 @@ class _Picture:
         area = is_pending * np.float64(cells.width**2)
         pixel, pixel_number = np.unique(self.find_pixels(cells), return_inverse=True)
         remaining_error = self.permitted_error - self.error_bound.reshape(-1)[pixel]
-        total_error = sum_by_index(pixel_number, area * error, pixel.size)
+        total_error = sum_by_index(pixel_number, area * cell_error, pixel.size)
         average_error = remaining_error / sum_by_index(pixel_number, area, pixel.size)
         max_error = np.where(total_error <= remaining_error, np.inf, average_error)
         max_error[np.bincount(pixel_number) >= _MAX_PENDING_CELLS] = np.inf
-        return np.asarray((error <= max_error[pixel_number]) | (cells.width <= _MIN_WIDTH))
+        return np.asarray((cell_error <= max_error[pixel_number]) | (cells.width <= _MIN_WIDTH))
 
 
 @np.errstate(all="ignore")
@@ -574,16 +574,16 @@ def certify(
 ) -> Certificate:
     """Render a scene, and prove bounds on the mean radiance of every pixel.
 
-    The picture is divided into cells, and the cells into quarters, until second-order affine
-    arithmetic proves that the mean radiance of each pixel is accurate enough.
+    The picture is divided into cells, and the cells into quarters, until the bounds are narrow
+    enough.  The bounds are computed by second-order affine arithmetic.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     error : float
-        Permitted error of each pixel's mean linear radiance; more than 0.  The error of pixels
-        where edges touch each other may be larger: see `Certificate.error`.
+        Permitted error of each pixel's mean linear radiance; more than 0.  The error may be
+        larger where edges touch each other: see `Certificate.error`.
     progress : callable
         Called repeatedly with the finished fraction of the picture.
 
@@ -595,10 +595,10 @@ def certify(
     Raises
     ------
     ValueError
-        If (1) `error` is not positive, (2) the eye is on a surface, or (3) the distance of a light
-        is more than 1e14 times the size of the smallest object.
+        If `error` is not positive, the eye is on a surface, or the distance of a light is more than
+        1e14 times the size of the smallest object.
     RuntimeError
-        If a sample contradicts the bounds, which means that the certificate or the tracer is wrong.
+        If a sample contradicts the bounds: the certificate or the tracer is wrong.
     """
     if not error > 0:
         raise ValueError(f"the error must be more than 0, not {error}")

@@ -68,8 +68,7 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
     """Intersect rays with a sphere by projecting the sphere's centre onto each ray.
 
     The error grows linearly with the distance to the sphere (Haines, Günther and Akenine-Möller,
-    Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).  The stable
-    form of the roots avoids cancellation for huge spheres (Press et al., Numerical Recipes, 5.6).
+    Precision Improvements for Ray/Sphere Intersection, Ray Tracing Gems, chapter 7).
 
     Parameters
     ----------
@@ -81,12 +80,13 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
     Returns
     -------
     near, far : (n,) arrays
-        t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
+        The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     to_center = center - origin
     length2, projection = _dot(direction, direction), _dot(to_center, direction)
     perpendicular = to_center - projection / length2 * direction
     half_chord = np.sqrt(length2 * (radius * radius - _dot(perpendicular, perpendicular)))
+    # Nothing cancels in this sum (Press et al., Numerical Recipes, 5.6).
     stable_sum = np.where(projection < 0, projection - half_chord, projection + half_chord)
     t = stable_sum / length2
     other_t = (_dot(to_center, to_center) - radius * radius) / stable_sum
@@ -94,7 +94,7 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
 
 
 def intersect_by_formula(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula, as most textbooks do.
+    """Intersect rays with a sphere by the quadratic formula of most textbooks.
 
     The error grows with the square of the distance from the origin to the sphere.
 
@@ -108,7 +108,7 @@ def intersect_by_formula(origin: Array, direction: Array, center: Array, radius:
     Returns
     -------
     near, far : (n,) arrays
-        t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
+        The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     from_center = origin - center
     linear_coef = 2 * _dot(from_center, direction)
@@ -117,11 +117,11 @@ def intersect_by_formula(origin: Array, direction: Array, center: Array, radius:
 
 
 def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula, with one square multiplied out.
+    """Intersect rays with a sphere by the quadratic formula, in an expanded form.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
-    with the square of the distance from the ray's origin to the sphere.  It also grows with the
-    square of the distance of both from the point (0, 0, 0).
+    with the square of the distance between origin and sphere, and with the square of their distance
+    from the point (0, 0, 0).
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def intersect_by_expansion(origin: Array, direction: Array, center: Array, radiu
     Returns
     -------
     near, far : (n,) arrays
-        t of the intersections origin + t direction, near <= far; NaN if the ray misses the sphere.
+        The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     distance2 = _dot(origin, origin) - 2 * _dot(origin, center) + _dot(center, center)
     linear_coef = 2 * (_dot(origin, direction) - _dot(center, direction))
@@ -218,7 +218,7 @@ class _PlainTracer:
         Converts numbers, or arrays of numbers, to the number type.
     intersect_sphere, start_shadow_rays : callables
         The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
-    skips_own_object, shows_last : bool
+    skips_own_object, prefers_last : bool
         Whether shadow rays skip the surface from which they start (method "exact"); whether the
         last of several equally close surfaces is visible instead of the first.
     eye : (3, 1) array
@@ -263,7 +263,7 @@ class _PlainTracer:
         """
         to_numbers, relative_tolerance = ARITHMETICS[arithmetic]
         self.scene, self.surfaces, self.to_numbers = scene, scene.surfaces[:], to_numbers
-        self.skips_own_object, self.shows_last = shadow_method == "exact", ties == "last"
+        self.skips_own_object, self.prefers_last = shadow_method == "exact", ties == "last"
         self.intersect_sphere = SPHERE_METHODS[sphere_method]
         self.start_shadow_rays = SHADOW_METHODS[shadow_method]
         self.eye = to_numbers(scene.camera.view_point)[:, None]
@@ -315,15 +315,15 @@ class _PlainTracer:
         Returns
         -------
         distance : (n,) array
-            Positive outside the surface, 0 on it, negative inside.  For a box, this is the maximum
-            over the planes of its sides.  Near edges and corners, it is less than the distance from
-            the box.
+            Positive outside the surface, 0 on it, negative inside.  For a box, this is the largest
+            of the signed distances from the planes of its sides.
         """
-        center_or_low, radius_or_high = self.shapes[surface]
         if self.is_sphere[surface]:
-            distance = _norm(points - center_or_low) - radius_or_high[0]
+            center, radius = self.shapes[surface]
+            distance = _norm(points - center) - radius[0]
         else:
-            distance = np.maximum(center_or_low - points, points - radius_or_high).max(axis=0)
+            low, high = self.shapes[surface]
+            distance = np.maximum(low - points, points - high).max(axis=0)
         return self.snap_to_zero(distance, self.scene_size)
 
     def compute_ray_directions(self, x: Array, y: Array) -> Array:
@@ -369,8 +369,8 @@ class _PlainTracer:
         Returns
         -------
         near, far : (3, n) arrays
-            t where each ray enters and leaves the slab along each axis; near > far if the ray
-            misses the slab.
+            For each axis, the ray enters the slab at origin + near direction, and leaves it at
+            origin + far direction.  If the ray misses the slab, near > far.
         """
         corners = (corner - origin for corner in self.shapes[box])
         low, high = (self.snap_to_zero(corner, self.scene_size) for corner in corners)
@@ -397,8 +397,8 @@ class _PlainTracer:
         Returns
         -------
         near, far : (n,) arrays
-            Values of t at the two intersections.  If the ray misses the surface, near > far, or
-            both are NaN.
+            The ray meets the surface at origin + t direction for t = near and far.  If it misses
+            the surface, near > far, or both are NaN.
         """
         if self.is_sphere[surface]:
             center, radius = self.shapes[surface]
@@ -427,8 +427,8 @@ class _PlainTracer:
         normals = np.zeros_like(points)
         for i in np.unique(visible_surface).tolist():
             ray_index = np.flatnonzero(visible_surface == i)
-            rays = points.take(ray_index, 1), direction.take(ray_index, 1)
-            points[:, ray_index], normals[:, ray_index] = self.project_onto_surface(i, *rays)
+            hits = points.take(ray_index, 1), direction.take(ray_index, 1)
+            points[:, ray_index], normals[:, ray_index] = self.project_onto_surface(i, *hits)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
@@ -443,7 +443,7 @@ class _PlainTracer:
         return TracedRays(radiance, surface, is_lit)
 
     def find_closest(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Find the closest intersection of each camera ray with all surfaces.
+        """Find the closest intersection of each camera ray with any surface.
 
         Parameters
         ----------
@@ -460,7 +460,7 @@ class _PlainTracer:
         ray_count, direction_length = direction.shape[1], _norm(direction)
         closest_t, surface = self.to_numbers(np.full(ray_count, np.inf)), np.full(ray_count, -1)
         order = range(len(self.shapes))
-        for i in reversed(order) if self.shows_last else order:
+        for i in reversed(order) if self.prefers_last else order:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
             t = far if self.is_eye_inside[i] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
@@ -478,14 +478,14 @@ class _PlainTracer:
         surface : int
             Index of the surface in the scene.
         points, direction : (3, n) arrays
-            Points where camera rays meet the surface, and the rays' directions.
+            Points where camera rays meet the surface, and the directions of these rays.
 
         Returns
         -------
         points : (3, n) array
             The points on the surface.
         normals : (3, n) array
-            Unit normals, which point to the side of the eye.
+            Unit normals on the side of the surface that is visible to the eye.
         """
         is_eye_inside, shape = self.is_eye_inside[surface], self.shapes[surface]
         if self.is_sphere[surface]:
@@ -494,10 +494,10 @@ class _PlainTracer:
             return center + radius * outward, -outward if is_eye_inside else outward
         low, high = shape
         near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
-        # At an edge or a corner, the side along the first (or the last) axis is visible.
+        # At an edge or a corner, the visible side is that along the first (or the last) axis.
         side_t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
         is_tied = np.asarray(np.abs(side_t - visible_t) * _norm(direction) <= self.tolerance)
-        axis = 2 - is_tied[::-1].argmax(axis=0) if self.shows_last else is_tied.argmax(axis=0)
+        axis = 2 - is_tied[::-1].argmax(axis=0) if self.prefers_last else is_tied.argmax(axis=0)
         ray_index = np.arange(direction.shape[1])
         is_forward = direction[axis, ray_index] > 0
         points[axis, ray_index] = np.where(is_forward == is_eye_inside, high[axis, 0], low[axis, 0])
@@ -569,8 +569,8 @@ class _PlainTracer:
         near, far = self.intersect(surface, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
         if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface]:
-            # If the light or the point is on the sphere, one intersection is known exactly.  Both
-            # are equally far from the point at t = middle_t, which is closest to the centre.
+            # If the light or the point is on the sphere, one intersection is known exactly.  The
+            # other follows from symmetry: t = middle_t is halfway between them.
             middle_t = _dot(self.shapes[surface][0] - points, direction)
             blocks_light_on_sphere = is_between(2 * middle_t - distance)
             is_light_on_sphere = self.compute_signed_distance(surface, light) == 0
@@ -658,9 +658,9 @@ def render(scene: Scene, offset: Sequence[float] = (0, 0), **methods: str) -> Ar
     scene : Scene
         The scene.
     offset : sequence of two floats
-        Shift of all samples from the centres of their pixels, in pixels to the right and down.
+        Shift of all samples from the centres of their pixels, in pixels right and down.
     **methods : str
-        The number type and the methods: keyword arguments of `trace`.
+        Keyword arguments of `trace`: the number type and the methods.
 
     Returns
     -------

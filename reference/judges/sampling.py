@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from tracer import Scene, render
 
 
-def root_mean_square_error(
-    image: NDArray[np.float64], reference_image: NDArray[np.float64]
-) -> float:
+def compute_rms_error(image: NDArray[np.float64], reference_image: NDArray[np.float64]) -> float:
     """Compute the root mean square error of an image.
 
     Parameters

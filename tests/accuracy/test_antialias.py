@@ -18,8 +18,8 @@ from scene_files import HARD_SCENES, NAMES, hard_scenes, scene_parameters
 
 from reference.command import SCENES
 from reference.judges.certificate import certify
+from reference.judges.sampling import compute_rms_error as rmse
 from reference.judges.sampling import render_supersampled
-from reference.judges.sampling import root_mean_square_error as rmse
 from reference.measured.workloads import build_crowd
 from tracer import (
     Box,

@@ -22,7 +22,7 @@ from reference.judges.certificate import CellEstimates, certify
 from reference.judges.enclosures import CONSTANT, RADIUS, UNKNOWN, Enclosures
 from reference.judges.faces import Faces
 from reference.judges.regions import Strips, divide_into_regions
-from reference.judges.sampling import render_supersampled, root_mean_square_error
+from reference.judges.sampling import compute_rms_error, render_supersampled
 from reference.measured.workloads import build_crowd, resize_picture
 from tracer import Box, Camera, Scene, Sphere, render
 from tracer.trace.radiance import compute_radiance
@@ -229,7 +229,7 @@ def assert_means_are_certified(scene: Scene, sample_count: int) -> None:
     assert (certified.image <= certified.high).all()
     assert sampled_image.max() > 0.3
     assert np.abs(certified.image - sampled_image).max() < 0.01
-    assert root_mean_square_error(certified.image, sampled_image) < 1e-3
+    assert compute_rms_error(certified.image, sampled_image) < 1e-3
 
 
 @pytest.mark.parametrize("name", ["room", "highlights", "many-objects", "touching"])

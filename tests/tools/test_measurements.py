@@ -11,7 +11,7 @@ from scene_files import small_scene
 from converters.variant import LLVM, use_variant
 from reference import benchmark, command, speed_accuracy
 from reference.judges.certificate import certify
-from reference.judges.sampling import root_mean_square_error
+from reference.judges.sampling import compute_rms_error
 from reference.measured import measurements
 from reference.measured.measurements import Task, Timing
 from tracer import render
@@ -113,7 +113,7 @@ def test_speed_accuracy_of_a_small_picture(monkeypatch, tmp_path):
     assert sorted(ours)[:5] == [1, 4, 9, 16, 36]
     assert ours[1] > ours[4] > ours[9] >= ours[16] >= ours[36]
     reference_image = certify(scene, 1 / 1024).image
-    error = root_mean_square_error(render(scene, 9), reference_image)
+    error = compute_rms_error(render(scene, 9), reference_image)
     assert ours[9] == pytest.approx(error, rel=1e-5)
     certified = {int(row[2]): float(row[3]) for row in rows if row[1].endswith("certified")}
     assert sorted(certified) == [8, 32, 128]
