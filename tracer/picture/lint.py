@@ -20,8 +20,8 @@ from tracer.scene.schema import format_number
 from tracer.trace.visibility import find_nearest_hits
 from tracer.world.prepared_scene import PreparedScene
 
-# A colour of integers looks like one from 0 to 255 if its largest component is at least this.
-_MIN_MAX_COMPONENT = 10
+# A colour of integers looks like 0 to 255 if its peak (largest component) is at least this.
+_MIN_PEAK = 10
 
 # Pixels look stretched by mistake if their width and height differ by more than this factor.
 _MAX_ASPECT = 1.05
@@ -333,7 +333,7 @@ def _check_color_ranges(scene: Scene) -> Iterator[str]:
         if isinstance(shader, Phong):
             colors.append(("specularColor", shader.specular, "surface", surface_index))
     for tag, color, kind, index in colors:
-        if max(color) >= _MIN_MAX_COMPONENT and all(value == int(value) <= 255 for value in color):
+        if max(color) >= _MIN_PEAK and all(value == int(value) <= 255 for value in color):
             element = scene.lights[index] if kind == "light" else surfaces[index]
             name = name_element(kind, index, element.line)
             old_color = " ".join(map(format_number, color))

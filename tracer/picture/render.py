@@ -42,7 +42,7 @@ from tracer.world.prepared_scene import PreparedScene
 
 # Infinities and NaN are valid results in NumPy operations of the tracer: for example, the distance
 # at which a ray parallel to a plane meets the plane.
-_QUIET = np.errstate(all="ignore")
+_IGNORE_FLOAT_ERRORS = np.errstate(all="ignore")
 
 # Maximum number of samples in a tile, to limit memory.  In an adaptive picture it is multiplied by
 # the factor: few pixels are divided there, and the arrays of their samples should be long, too.
@@ -80,8 +80,8 @@ _ADAPTIVE_SAMPLES, _EDGE_FACTOR, _PAIR_FACTOR, _SQUARE_DIVISOR = 2.5, 330, 400, 
 _MAX_ADAPTIVE_FACTOR = 2
 
 MIN_POOL_SECONDS, MIN_SHARED_SECONDS = 0.1, 0.03
-"""Minimum estimated time of rendering, in seconds, for which starting a pool is worth it, and for
-which sharing a picture with an executor that runs already is worth it."""
+"""Minimum estimated seconds of rendering that make it worth starting a pool, and worth sharing a
+picture with a running executor."""
 
 # Maximum number of samples per pixel.
 _MAX_SAMPLES = 999_999_999
@@ -287,7 +287,7 @@ class RenderJob:
         If `samples` is less than 1 or more than 999,999,999, or `offset` is not two finite numbers.
     """
 
-    @_QUIET
+    @_IGNORE_FLOAT_ERRORS
     def __init__(
         self,
         scene: Scene,
@@ -384,7 +384,7 @@ class RenderJob:
         data = encode(radiance, is_leftmost=rectangle[1].start == 0)
         return data, Exposure.from_radiance(radiance)
 
-    @_QUIET
+    @_IGNORE_FLOAT_ERRORS
     def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
         """Render a tile and return its linear RGB radiance.
 
