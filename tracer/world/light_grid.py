@@ -177,7 +177,7 @@ class LightGrid(NamedTuple):
         centers : (3, n) float array
             Centres of the balls, in scene axes.
         radii : (n,) or (3, 1, n) float array
-            Radii of the balls.  Boxes can be passed instead of balls: half their widths along each
+            Radii of the balls.  To search around boxes instead, pass half their widths along each
             axis.
         own_object_index : (n,) int array
             Index of the object on whose surface the points of each ball lie.  It is not returned.
@@ -560,8 +560,8 @@ def _find_overlaps(
 ) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
     """Find all cells that each rectangle overlaps, and yield (rectangle, cell) pairs in batches.
 
-    Each rectangle belongs to a patch, which is a square array of cells.  Rectangles are clipped to
-    their patches; the cells at the border stand for everything beyond it.
+    Each rectangle belongs to a patch, which is a square array of cells.  The cells at the border of
+    a patch also cover everything beyond the border.
 
     Parameters
     ----------
