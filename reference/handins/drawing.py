@@ -20,8 +20,9 @@ from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
 
-# Maximum size of the cached values in bytes, in addition to those of the reference picture.
-_MAX_CACHED_BYTES = 60_000_000
+# Maximum size of the cached values and recipes in bytes, in addition to those of the reference
+# picture; and approximate size of a recipe.
+_MAX_CACHED_BYTES, _BYTES_PER_RECIPE = 60_000_000, 500
 
 
 def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
@@ -123,10 +124,11 @@ class FormulaCache:
         self._inputs, self._fitting_cache = inputs, fitting_cache
         self._values: dict[int, Any] = dict(enumerate(inputs.values()))
         self._recipes: list[Any] = [None] * len(inputs)
+        self._cached_bytes = 0
         self._version_by_recipe: dict[Any, int] = {}
         self._reference_versions = {name: version for version, name in enumerate(inputs)}
         self._reference_versions = self._find_versions(REFERENCE_FORMULAS)
-        self._reference_recipe_count, self._cached_bytes = len(self._recipes), 0
+        self._reference_recipe_count = len(self._recipes)
 
     def _find_versions(self, replacements: Formulas) -> dict[str, int]:
         """Find the version of each formula's value when some formulas are replaced.
@@ -158,6 +160,7 @@ class FormulaCache:
             versions[name] = self._version_by_recipe.setdefault(recipe, len(self._recipes))
             if versions[name] == len(self._recipes):
                 self._recipes.append(recipe)
+                self._cached_bytes += _BYTES_PER_RECIPE
         return versions
 
     def can_compute_codes(self, replacements: Formulas) -> bool:
@@ -202,6 +205,11 @@ class FormulaCache:
             radiance_sum = sum(self.get_value("clipped", replacements | make_sample_formulas(x, y))
                                for x in positions for y in positions)  # fmt: skip
             replacements["clipped"] = _make_constant_function(radiance_sum / samples_per_side**2)
+        if self._cached_bytes > _MAX_CACHED_BYTES:  # keep only what the reference picture needs
+            del self._recipes[self._reference_recipe_count :]
+            self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
+            self._version_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
+            self._cached_bytes = 0
         return self._compute_value(self._find_versions(replacements)[name])
 
     def _compute_value(self, version: int) -> Any:
@@ -219,9 +227,6 @@ class FormulaCache:
             arguments = [cached[k] if k in cached else self._compute_value(k) for k in versions]
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
-            if self._cached_bytes > _MAX_CACHED_BYTES:  # keep only values of the reference picture
-                self._values = {k: cached[k] for k in cached if k < self._reference_recipe_count}
-                self._cached_bytes = 0
             self._values[version] = value
         return self._values[version]
 
