@@ -46,10 +46,10 @@ _MIN_COSINE_RATIO = 1e-3
 
 
 def compute_footprints(hits: Hits, cell_width: float) -> Floats:
-    """Compute the radius of the part of a surface that is visible in each hit's cell.
+    """Compute the radius of the footprint of each hit.
 
-    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
-    the cell meets the surface.
+    The footprint is the part of the surface that is visible in a cell (a pixel, or a square part of
+    a pixel).  The hit is where the ray through the centre of the cell meets the surface.
 
     Parameters
     ----------
@@ -61,19 +61,19 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
     Returns
     -------
     footprint : (n,) float array
-        Radius of the visible part around each hit, in the scene's unit of length.
+        Radius of the footprint around each hit, in the scene's unit of length.
     """
-    angle = _compute_cell_angle(hits.scene.frame, cell_width)
-    all_radii, distance = hits.from_eye[2] * angle, hits.distance
+    cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
+    all_cell_radii, distance = hits.from_eye[2] * cell_angle, hits.distance
     footprint = np.empty(distance.size)
     for group in hits.groups:
-        cell_radius = all_radii[group.interval]
+        cell_radius = all_cell_radii[group.interval]
         cosine = group.expand_to_hits(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            footprint[group.interval] = _compute_footprint_on_face(cell_radius, cosine, angle)
+            footprint[group.interval] = _compute_face_footprint(cell_radius, cosine, cell_angle)
             continue
-        # However oblique the view, a strip of width r along the silhouette of a sphere of radius R
-        # shows a part of the sphere that is at most sqrt(2 r R) wide.
+        # A strip of width r along the silhouette of a sphere of radius R shows a part of the sphere
+        # that is at most sqrt(2 r R) wide.
         curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
         max_footprint = np.sqrt(2 * cell_radius / curvature)
         footprint[group.interval] = np.fmin(cell_radius / cosine, max_footprint)
@@ -93,31 +93,31 @@ def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
     Returns
     -------
     angle : float
-        The angle in radians, for a cell at the point of the image plane that is nearest to the eye.
-        Cells elsewhere subtend smaller angles.
+        The angle in radians, for a cell straight ahead of the eye.  All other cells subtend smaller
+        angles.
     """
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
 
 
-def _compute_footprint_on_face(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
-    """Compute the radius of the part of a planar face that is visible in each of n cells.
+def _compute_face_footprint(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
+    """Compute the radius of the footprint of each of n hits on planar faces.
 
-    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
-    the cell meets the face.
+    The footprint is the part of the face that is visible in a cell (a pixel, or a square part of a
+    pixel).  The hit is where the ray through the centre of the cell meets the face.
 
     Parameters
     ----------
     cell_radius : (n,) float array
-        Half the diagonal of the cell at the distance of the hit, in the scene's unit of length.
+        Radius of the circle around the cell at the depth of the hit, in the scene's unit of length.
     cosine : (n,) float array
-        Cosine of the angle at the hit between the normal of the face and the direction to the eye.
+        Cosine of the angle between the normal of the face and the direction to the eye.
     cell_angle : float
         Angle that half the diagonal of the cell subtends at the eye, in radians.
 
     Returns
     -------
     footprint : (n,) float array
-        Radius of the visible part around each hit, in the scene's unit of length.
+        Radius of the footprint around each hit, in the scene's unit of length.
     """
     # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))
@@ -128,8 +128,8 @@ def find_silhouette_pixels(
 ) -> tuple[Ints, Ints, Ints]:
     """Find the pixels that the silhouette of each object may cross.
 
-    An object is convex.  So if it covers the upper and the lower side of a pixel, it covers the
-    whole pixel.  Its silhouette may cross all other pixels that it overlaps.
+    All objects are convex.  So an object that covers the upper and the lower side of a pixel covers
+    the whole pixel.  Its silhouette may cross all other pixels that it overlaps.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def find_silhouette_pixels(
     row, column : (n,) int arrays
         Position in the picture of the pixel in each of n (pixel, object) pairs.
     object_index : (n,) int array
-        Index of the object whose silhouette may cross this pixel.
+        Index of the object in each pair.
     """
     borders = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # between rows of pixels
     top, bottom = scene.bounds.top, scene.bounds.bottom
@@ -153,7 +153,7 @@ def find_silhouette_pixels(
     for shape in scene.shapes:
         spans = find_object_spans(shape, scene, borders[:-1], column_limits, height=1.0)
         object_index, row, left, right = spans
-        # Find the columns in which the object covers both the upper and the lower side of the row.
+        # Find the columns in which the object covers the upper and the lower side of the row.
         covered_start, covered_stop = left, right
         for border_index in (row, row + 1):
             border_left, border_right = shape.find_columns(object_index, borders[border_index], 0.0)
@@ -162,7 +162,7 @@ def find_silhouette_pixels(
         covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])
         covers_row &= covered_start < covered_stop
         start, stop = np.floor(left), np.floor(right) + 1
-        # Round to the pixels that are covered entirely.  Empty intervals lie at the end.
+        # Exclude pixels that are covered in part.  Empty intervals lie at the end.
         covered_start, covered_stop = np.ceil(covered_start), np.floor(covered_stop)
         covered_start = np.where(covers_row, covered_start, stop).clip(start, stop)
         covered_stop = np.where(covers_row, covered_stop, stop).clip(covered_start, stop)
@@ -178,11 +178,10 @@ def find_silhouette_pixels(
 def evaluate_silhouettes(
     scene: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Yield the edge functions of silhouettes of objects, seen from the eye or from lights.
+    """Yield the silhouettes of objects, seen from the eye or from lights, that may cross cells.
 
-    An edge function is a smooth function on the picture that is zero at an edge.  It is evaluated
-    at six points of a cell (a pixel, or a square part of a pixel), in the order of `compute_rays`.
-    The point from which an object is seen is called the apex.
+    A cell is a pixel, or a square part of a pixel.  The eye or the light is called the apex.  Each
+    silhouette is given by its edge function, a smooth function that is zero at the silhouette.
 
     Parameters
     ----------
@@ -191,56 +190,55 @@ def evaluate_silhouettes(
     apex_position : (m, 3) float array
         Positions of the apexes, in scene axes.
     triples : (3, n) int array
-        Row 0 contains apex indices, row 1 cell indices, and row 2 indices of objects whose
-        silhouette may cross the cell.
+        Row 0 contains apex indices, row 1 cell indices, and row 2 object indices.
     ray : tuple of three (6, n) float arrays
-        Directions from the apex to the visible surface at the six points of each cell, in camera
-        axes.  An array with a single row applies to all six points.
+        Directions from the apex to the visible surface at six points of each cell, in camera axes.
+        An array with a single row applies to all six points.
 
     Yields
     ------
     cell_index : (k,) int array
         Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge of
-        its outline.  Those that miss the cell are excluded.
+        its outline.
     values : (6, k) float array
-        Values of each silhouette's edge function at the six points of the cell.
+        Values of the edge function at the six points of the cell.
     """
     frame, spheres, boxes = scene.frame, scene.spheres, scene.boxes
     apex_index, cell_index, object_index = triples
-    sphere_triple = find(spheres.objects.contains(object_index))
-    if sphere_triple.size:
-        sphere_index = spheres.objects.to_local(object_index[sphere_triple])
-        sphere_ray = map_xyz(lambda component: component[:, sphere_triple], ray)
-        sphere_apex = take(frame.points_to_camera(apex_position), apex_index[sphere_triple])
+    sphere_columns = find(spheres.objects.contains(object_index))
+    if sphere_columns.size:
+        sphere_index = spheres.objects.to_local(object_index[sphere_columns])
+        sphere_ray = map_xyz(lambda component: component[:, sphere_columns], ray)
+        sphere_apex = take(frame.points_to_camera(apex_position), apex_index[sphere_columns])
         center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), sphere_apex)
         values = evaluate_sphere_edges(sphere_ray, center, spheres.radius[sphere_index])
-        yield cell_index[sphere_triple], values
-    box_triple = find(boxes.objects.contains(object_index))
-    if box_triple.size:
+        yield cell_index[sphere_columns], values
+    box_columns = find(boxes.objects.contains(object_index))
+    if box_columns.size:
         # Compute the planes once for each (apex, box) pair.
-        box_index, box_count = boxes.objects.to_local(object_index[box_triple]), boxes.objects.size
-        pair_key = apex_index[box_triple] * box_count + box_index
+        box_index, box_count = boxes.objects.to_local(object_index[box_columns]), boxes.objects.size
+        pair_key = apex_index[box_columns] * box_count + box_index
         distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
         pair_apex, pair_box = np.divmod(distinct_key, box_count)
         apex = apex_position.T[:, pair_apex]
         low, high = boxes.min_pt[:, pair_box] - apex, boxes.max_pt[:, pair_box] - apex
         normals = frame.vector_to_camera(find_edge_planes(low, high))
-        box_ray = map_xyz(lambda component: component[:, box_triple], ray)
+        box_ray = map_xyz(lambda component: component[:, box_columns], ray)
         values = evaluate_box_edges(map_xyz(lambda part: part[:, pair_index], normals), box_ray)
         variation, center_value = bound_variation(values), values[0]
-        # An edge of the outline ends where the planes through its neighbours become negative.
+        # An edge of the outline ends where the value for a neighbouring edge becomes negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
-        # A plane of zeros bounds nothing.  If all six are zeros, the outline may be anywhere.
+        # Exclude planes of zeros, unless all six are zeros: then the outline may be anywhere.
         may_cross &= (variation > 0) | ~(variation > 0).any(axis=0)
-        yield cell_index[box_triple[may_cross.nonzero()[1]]], values[:, may_cross]
+        yield cell_index[box_columns[may_cross.nonzero()[1]]], values[:, may_cross]
 
 
 class CellSurfaces(NamedTuple):
     """The surfaces that are visible in cells (pixels, or square parts of pixels), at n hits.
 
-    A hit is where the ray through the centre of a cell meets a surface.  The methods yield those
-    edges on the surfaces that may cross the cells, each described by its edge function: a smooth
-    function on the picture that is zero at the edge.
+    A hit is where the ray through the centre of a cell meets a surface.  The methods yield the
+    edges that may cross the cells, each described by its edge function: a smooth function on the
+    picture that is zero at the edge.
 
     Attributes
     ----------
@@ -251,7 +249,7 @@ class CellSurfaces(NamedTuple):
     cell : (n,) int array
         Index of the cell of each hit.
     footprint : (n,) float array
-        Radius, around each hit, of the part of the surface that is visible in its cell.
+        Radius, around each hit, of the part of the surface that is visible in the cell.
     cell_width : float
         Width of the cells, in pixels.
     """
@@ -265,13 +263,13 @@ class CellSurfaces(NamedTuple):
     def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
         """Compute rays through six points of cells, and intersect them with the visible surfaces.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  All rays through
-        the cell are intersected with the surface of this hit.
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  All six rays are
+        intersected with the surface of this hit.
 
         Parameters
         ----------
         hit_index : (k,) int array
-            Indices of the hits whose cells to use.
+            Index of the hit at the centre of each of k cells.
 
         Returns
         -------
@@ -294,16 +292,15 @@ class CellSurfaces(NamedTuple):
         Parameters
         ----------
         hidden_hits : Hits
-            Hits on other surfaces, behind the visible hits of the same samples.
+            Hits behind the visible hits, on the same rays.
 
         Yields
         ------
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
-            ray meets the two surfaces at t1 * ray and t2 * ray.
+            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
+            1 / t1 - 1 / t2, where the two surfaces are at t1 * ray and t2 * ray.
         """
         sample = self.hits.sample
         hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
@@ -312,10 +309,10 @@ class CellSurfaces(NamedTuple):
         # Surfaces that meet within the cell are at most this far apart along the ray.
         max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
-        hidden_depth = InverseDepth.from_hits(hidden_hits)
+        hidden_surfaces = InverseDepth.from_hits(hidden_hits)
         for hidden_index in split_indices(find(is_close)):
             ray, inverse_t = self.trace_rays(visible_index[hidden_index])
-            hidden_inverse_t = hidden_depth.take(hidden_index).compute_inverse_t(ray)
+            hidden_inverse_t = hidden_surfaces.take(hidden_index).compute_inverse_t(ray)
             yield self.cell[visible_index[hidden_index]], inverse_t - hidden_inverse_t
         yield from self._intersect_other_faces(hidden_hits, visible_index, is_close)
 
@@ -325,9 +322,8 @@ class CellSurfaces(NamedTuple):
         """Yield the edges where a visible surface may meet the faces of a box behind it.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The same
-        ray has a hidden hit on a face of a box.  Another face of this box may emerge from the
-        visible surface within the cell, between the samples.  The face of the hidden hit is tested
-        again, so its edge may be yielded a second time.
+        ray has a hidden hit behind the visible hit.  If the hidden hit is on a box, other faces of
+        the box may also meet the visible surface within the cell.
 
         Parameters
         ----------
@@ -336,28 +332,26 @@ class CellSurfaces(NamedTuple):
         visible_index : (n,) int array
             Index of the visible hit in front of each hidden hit, on the same ray.
         is_close : (n,) bool array
-            Whether the face of the hidden hit may meet the visible surface in the cell.  Other hits
-            are skipped, except for those on boxes that contain the eye.
+            Whether to search around the hidden hit.  Boxes around the eye are always searched.
 
         Yields
         ------
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
-            ray meets the visible surface at t1 * ray and the face at t2 * ray.
+            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
+            1 / t1 - 1 / t2, where the visible surface is at t1 * ray and the face at t2 * ray.
         """
         scene, hit_object = hidden_hits.scene, hidden_hits.hit_object
         frame, boxes = scene.frame, scene.boxes
         cell_angle = _compute_cell_angle(frame, self.cell_width)
-        is_candidate = is_close | scene.is_eye_inside[hit_object]
-        box_hit = find(is_candidate & boxes.objects.contains(hit_object))
-        hit_object, front_hit = hit_object[box_hit], visible_index[box_hit]
-        from_eye, distance = take(hidden_hits.from_eye, box_hit), hidden_hits.distance[box_hit]
-        visible_distance, footprint = self.hits.distance[front_hit], self.footprint[front_hit]
-        box_index = boxes.objects.to_local(hit_object)
         is_eye_inside = scene.is_eye_inside[hit_object]
+        hidden_index = find((is_close | is_eye_inside) & boxes.objects.contains(hit_object))
+        hit_object, is_eye_inside = hit_object[hidden_index], is_eye_inside[hidden_index]
+        box_index, visible_index = boxes.objects.to_local(hit_object), visible_index[hidden_index]
+        from_eye = take(hidden_hits.from_eye, hidden_index)
+        distance, footprint = hidden_hits.distance[hidden_index], self.footprint[visible_index]
+        visible_distance = self.hits.distance[visible_index]
         for axis in range(3):
             hit_offset = frame.project_onto_axis(from_eye, axis)
             low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
@@ -366,9 +360,9 @@ class CellSurfaces(NamedTuple):
             # The ray meets the plane at plane_t times the vector from the eye to the hidden hit.
             plane_t = plane_offset / hit_offset
             cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
-            max_gap = footprint + _compute_footprint_on_face(cell_radius, cosine, cell_angle)
+            max_gap = footprint + _compute_face_footprint(cell_radius, cosine, cell_angle)
             may_meet = np.abs(plane_t * distance - visible_distance) <= max_gap
-            yield from self._intersect_planes(axis, front_hit, plane_offset, may_meet)
+            yield from self._intersect_planes(axis, visible_index, plane_offset, may_meet)
 
     def find_creases(self) -> Iterator[EdgeValues]:
         """Yield the creases (edges between two visible faces of a box) that may cross cells.
@@ -380,12 +374,11 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each crease.
         values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
-            ray meets the planes of the two faces at t1 * ray and t2 * ray.
+            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
+            1 / t1 - 1 / t2, where the planes of the two faces are at t1 * ray and t2 * ray.
         """
         scene, frame = self.hits.scene, self.hits.scene.frame
-        corners = scene.boxes.min_pt, scene.boxes.max_pt
+        face_positions = scene.boxes.min_pt, scene.boxes.max_pt
         for group, axis in product(self.hits.groups, range(3)):
             is_other_face = group.face != axis
             if not group.shape.is_planar or not np.any(is_other_face):
@@ -393,9 +386,9 @@ class CellSurfaces(NamedTuple):
             hit_index = np.arange(group.interval.start, group.interval.stop)
             hit_offset = frame.project_onto_axis(take(self.hits.from_eye, group.interval), axis)
             box_index = scene.boxes.objects.to_local(group.run_object)
-            for corner, sign in zip(corners, (-1, 1), strict=True):
-                run_offset = corner[axis, box_index] - frame.eye[axis]
-                is_visible = scene.is_eye_inside[group.run_object] | (sign * run_offset < 0)
+            for face_position, normal_sign in zip(face_positions, (-1, 1), strict=True):
+                run_offset = face_position[axis, box_index] - frame.eye[axis]
+                is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * run_offset < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
                 plane_offset = group.repeat_runs(run_offset)
                 may_meet = np.abs(hit_offset - plane_offset) < self.footprint[group.interval]
@@ -405,14 +398,14 @@ class CellSurfaces(NamedTuple):
     def _intersect_planes(
         self, axis: int, hit_index: Ints, plane_offset: Floats, may_meet: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where visible surfaces may meet the planes of box faces.
+        """Yield the edges where visible surfaces may meet planes perpendicular to one axis.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
 
         Parameters
         ----------
         axis : int
-            Axis of the scene to which all planes are perpendicular: 0, 1 or 2.
+            The axis of the scene: 0, 1 or 2.
         hit_index : (n,) int array
             Index of the visible hit for each of n planes.
         plane_offset : (n,) float array
@@ -425,37 +418,35 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `compute_rays`.  The function is 1 / t1 - 1 / t2, where the
-            ray meets the visible surface at t1 * ray and the plane at t2 * ray.
+            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
+            1 / t1 - 1 / t2, where the visible surface is at t1 * ray and the plane at t2 * ray.
         """
         for batch in split_indices(find(may_meet)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
-            face_component = self.hits.scene.frame.project_onto_axis(ray, axis)
-            yield self.cell[hit_index[batch]], inverse_t - face_component / plane_offset[batch]
+            axis_component = self.hits.scene.frame.project_onto_axis(ray, axis)
+            yield self.cell[hit_index[batch]], inverse_t - axis_component / plane_offset[batch]
 
     def evaluate_shadow_edges(
         self, light_position: Floats, edge_triples: Ints
     ) -> Iterator[EdgeValues]:
-        """Yield the edges of shadows: the silhouettes of occluders, seen from the lights.
+        """Yield the edges of shadows that may cross cells.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The edge of a
+        shadow is the silhouette of an occluder, seen from a light.
 
         Parameters
         ----------
         light_position : (m, 3) float array
             Positions of the lights, in scene axes.
         edge_triples : (3, n) int array
-            Row 0 contains light indices, row 1 hit indices, and row 2 indices of occluders.  The
-            edge of the occluder's shadow may be visible in the cell of the hit.
+            Row 0 contains light indices, row 1 hit indices, and row 2 indices of occluders.
 
         Yields
         ------
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `compute_rays`.
+            Values of the edge function, which is zero at the edge, at the points of `compute_rays`.
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.points_to_camera(light_position)
@@ -480,19 +471,17 @@ class CellSurfaces(NamedTuple):
         light_position : (m, 3) float array
             Positions of the lights, in scene axes.
         n_dot_l : (m, n) float array
-            n . l for each light and each hit, with the unit normal n at the hit and the vector l
-            from the hit to the light.
+            Dot product of the unit normal at each hit and the vector to each light.
         length2 : (m, n) float array
-            l . l: the squared distance of the light from the hit.
+            Squared length of the vector from each hit to each light.
 
         Yields
         ------
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function (a smooth function that is zero at the edge) at six points
-            of the cell, in the order of `compute_rays`.  The function is the cosine of the angle
-            between n and l.
+            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
+            the cosine of the angle between the normal and the direction to the light.
         """
         scene, spheres = self.hits.scene, self.hits.scene.spheres
         hit_object = self.hits.hit_object
