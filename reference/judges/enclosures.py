@@ -317,7 +317,8 @@ class Enclosures:
 
 
 def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
-    """Compute z^exponent for positive z (n,); use the fast square root if the exponent is -0.5."""
+    """Compute z^exponent for positive z (n,)."""
+    # A square root is faster than a power.
     if isinstance(exponent, float) and exponent == -0.5:
         return np.asarray(1 / np.sqrt(z))
     return np.asarray(z**exponent)

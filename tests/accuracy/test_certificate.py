@@ -49,7 +49,7 @@ class EnclosureSampler:
         self.max_excess, self.sample_count, self.rng = -np.inf, 0, np.random.default_rng(0)
         shade, estimate_means = CellAnalysis.shade, certificate.estimate_means
 
-        def checked_shade(analysis: CellAnalysis, *args: object) -> Contributions:
+        def shade_and_check(analysis: CellAnalysis, *args: object) -> Contributions:
             contributions, cells = shade(analysis, *args), analysis.cells
             is_alone = np.bincount(cells.pair_cell, minlength=cells.x.size)[cells.pair_cell] == 1
             pair = np.flatnonzero(is_alone & cells.covers_cell & cells.is_settled.all(axis=1))
@@ -57,17 +57,17 @@ class EnclosureSampler:
                 self.compare(cells.radiance[pair], *self.sample(analysis, cells.pair_cell[pair]))
             return contributions
 
-        def checked_estimate_means(analysis: CellAnalysis, *args: object) -> CellEstimates:
+        def estimate_and_check(analysis: CellAnalysis, *args: object) -> CellEstimates:
             estimates = estimate_means(analysis, *args)
             for _ in range(4):
                 self.check_estimates(analysis, estimates)
             return estimates
 
-        monkeypatch.setattr(CellAnalysis, "shade", checked_shade)
-        monkeypatch.setattr(certificate, "estimate_means", checked_estimate_means)
+        monkeypatch.setattr(CellAnalysis, "shade", shade_and_check)
+        monkeypatch.setattr(certificate, "estimate_means", estimate_and_check)
 
     def sample(self, analysis: CellAnalysis, cell: Ints) -> tuple[Floats, Floats, Floats]:
-        """Compute the radiance (3, n) at random points of cells; also return their X and Y."""
+        """Compute the radiance (3, n) at one random point of each cell, and return its X and Y."""
         x, y = self.rng.uniform(-1, 1, (2, cell.size))
         half_width, radiance = analysis.cells.width / 2, np.empty((3, cell.size))
         positions = analysis.cells.x[cell] + half_width * x, analysis.cells.y[cell] + half_width * y
@@ -79,10 +79,10 @@ class EnclosureSampler:
     def compare(
         self, enclosures: Enclosures, radiance: Floats, x: Floats, y: Floats, extra_error: float = 0
     ) -> None:
-        """Compare samples with enclosures, which may be exceeded by an extra error."""
+        """Compare samples with enclosures whose error bounds are increased by `extra_error`."""
         powers = np.array([np.ones(x.size), x, y, x * x, x * y, y * y])
-        center = (enclosures.coef[:UNKNOWN] * powers[:, None]).sum(axis=0)
-        excess = np.abs(radiance - center) - enclosures.radius - extra_error
+        estimate = (enclosures.coef[:UNKNOWN] * powers[:, None]).sum(axis=0)
+        excess = np.abs(radiance - estimate) - enclosures.radius - extra_error
         self.max_excess = excess.max(initial=self.max_excess)
 
     def check_estimates(self, analysis: CellAnalysis, estimates: CellEstimates) -> None:
@@ -119,7 +119,7 @@ def make_scenes(kinds: list[str], seeds: range, light_scale: float = 1.0) -> Ite
         yield replace(scene, lights=lights)
 
 
-def check_points(monkeypatch: Patch, scenes: Iterator[Scene], error: float = 1 / 32) -> int:
+def check_samples(monkeypatch: Patch, scenes: Iterator[Scene], error: float = 1 / 32) -> int:
     """Certify scenes, skip those that cannot be certified, and return the number of samples."""
     sampler = EnclosureSampler(monkeypatch)
     for scene in scenes:
@@ -134,30 +134,30 @@ def check_points(monkeypatch: Patch, scenes: Iterator[Scene], error: float = 1 /
 
 @pytest.mark.parametrize("kind", KINDS_WITHOUT_CROWD)
 def test_points(kind: str, monkeypatch: Patch) -> None:
-    assert check_points(monkeypatch, make_scenes([kind], range(6))) > 400
+    assert check_samples(monkeypatch, make_scenes([kind], range(6))) > 400
 
 
 @pytest.mark.parametrize("light_scale", [1e4, 1e12])
 def test_points_lit_by_distant_lights(light_scale: float, monkeypatch: Patch) -> None:
     scenes = make_scenes(["scattered", "touching", "rooms"], range(3), light_scale)
-    assert check_points(monkeypatch, scenes) > 1000
+    assert check_samples(monkeypatch, scenes) > 1000
 
 
 def test_points_of_crowds(monkeypatch: Patch) -> None:
     small_scenes = small_scene("sunflower", 6, 6), small_scene("many-objects", 16, 9)
     scenes = resize_picture(build_crowd(80), 16, 9), *small_scenes
-    assert check_points(monkeypatch, iter(scenes)) > 100_000
+    assert check_samples(monkeypatch, iter(scenes)) > 100_000
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_of_many_scenes(kind: str, monkeypatch: Patch) -> None:
     seed_end = {"crowd": 16, "grazing": 26}.get(kind, 126)
-    assert check_points(monkeypatch, make_scenes([kind], range(6, seed_end))) > 10_000
+    assert check_samples(monkeypatch, make_scenes([kind], range(6, seed_end))) > 10_000
 
 
 def scale_field(name: str, factor: float) -> Callable[..., Strips]:
-    """Return a function that multiplies a field of strips by a factor."""
+    """Make a function that multiplies a field of strips by a factor."""
     return lambda strips, *_: strips._replace(**{name: getattr(strips, name) * factor})
 
 
@@ -199,7 +199,7 @@ DEFECTS: dict[str, tuple[object, str, Callable[..., object]]] = {
     "occluders missing": (Faces, "find_occluders", remove_some_occluders),
     "faces hidden too early": (Enclosures, "subtract_independent", lower_enclosures),
 }
-"""Functions of the certificate, each with a change to its results that makes bounds unsound."""
+"""Defects of the certificate: each changes the results of a function so that bounds are unsound."""
 
 
 @pytest.mark.parametrize("name", DEFECTS)
@@ -210,7 +210,7 @@ def test_unsound_bounds_are_detected(name: str, monkeypatch: Patch) -> None:
     own_names = "room", "highlights", "touching", "sticks-perspective"
     random_scenes = make_scenes(KINDS_WITHOUT_CROWD, range(40))
     with pytest.raises((AssertionError, RuntimeError), match=r"contradicts|<= 1e-09"):
-        check_points(monkeypatch, chain(map(small_scene, own_names), random_scenes), 1 / 128)
+        check_samples(monkeypatch, chain(map(small_scene, own_names), random_scenes), 1 / 128)
 
 
 def test_a_region_has_a_sample_error_if_its_centroid_is_in_a_strip() -> None:

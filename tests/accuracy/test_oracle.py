@@ -121,7 +121,7 @@ def test_pixels_next_to_edges_and_nearly_coinciding_surfaces_are_not_certain():
 
 
 @pytest.mark.parametrize("scale", [1e-60, 1e60])
-def test_the_oracle_sees_scenes_of_any_size(scale):
+def test_the_oracle_renders_scenes_of_any_size(scale):
     scene = small_scene("one-sphere", 16, 12)
     exact_image = plain.render(scene, arithmetic="decimal")
     assert exact_image.max() > 0.5
@@ -276,8 +276,8 @@ def test_ground_radius_over_height(ratio, height):
 
     def make_ground_scene() -> Scene:
         pitch, heading = math.radians(rng.uniform(20, 70)), rng.uniform(0, 2 * math.pi)
-        level = math.cos(pitch)
-        ahead = (level * math.cos(heading), -math.sin(pitch), level * math.sin(heading))
+        horizontal = math.cos(pitch)
+        ahead = (horizontal * math.cos(heading), -math.sin(pitch), horizontal * math.sin(heading))
         camera = Camera(view_point=(0, height, 0), view_dir=ahead, view_width=0.3, view_height=0.3)
         lights = rgb_lights(*(random_direction(rng) * radius for _ in range(3)))
         surface = Sphere(center=(0, -radius, 0), radius=radius)
