@@ -14,9 +14,9 @@ linear in the ray's direction, plus a square root if the face is a sphere: the *
     smooth_part + root_factor * root_term,
 
 where the first two are polynomials of degree two or less in the ray's direction.  Polynomials with
-error bounds (see `enclosures`) enclose all three, and so the function.  Near a silhouette, the root
-term has an infinite slope.  There, smooth_part^2 - (root_factor * root_term)^2 is a better edge
-function: it contains only the square of the root term, and has the same zeros, and perhaps others.
+error bounds (see `enclosures`) enclose all three parts, and therefore the function.  Near a
+silhouette, the root term is too steep.  There, smooth_part^2 - (root_factor * root_term)^2 is a
+better edge function.  It has the same zeros, and perhaps others, but no root.
 
 Why the result is right: a question counts as decided only if the enclosure of its function has one
 sign, and every other function is listed as an edge.
@@ -309,7 +309,7 @@ class CellAnalysis:
         possible_edges = []
         for claim_index, functions, has_edge in conditions:
             enclosures = self._enclose_functions(functions)
-            low, high = enclosures.bounds()
+            low, high = enclosures.find_bounds()
             is_false[claim_index[high <= 0]] = True
             is_true[claim_index[~(low > 0)]] = False
             # Indices of functions that may have both signs.
@@ -445,7 +445,7 @@ class CellAnalysis:
         cell, face = self.cells.pair_cell, self.cells.pair_face
         file_index = faces.prepared_scene.surfaces.file_index[faces.object_index[face]]
         covering_pair = np.flatnonzero(covers_cell)
-        min_inverse_distance = inverse_distance[covering_pair].bounds()[0]
+        min_inverse_distance = inverse_distance[covering_pair].find_bounds()[0]
         order = np.lexsort((-file_index[covering_pair], min_inverse_distance, cell[covering_pair]))
         cell_occluder = np.full(self.cells.x.size, -1)
         # If a cell has several covering pairs, the last one remains.
@@ -455,8 +455,8 @@ class CellAnalysis:
         occluder, plane_id = pair_occluder[pair], faces.plane_id[:, face]
         is_in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
         difference = inverse_distance[pair].subtract_independent(inverse_distance[occluder])
-        is_behind, comes_later = difference.bounds()[1] < 0, file_index[pair] > file_index[occluder]
-        is_hidden = np.zeros(cell.size, np.bool_)
+        is_behind, is_hidden = difference.find_bounds()[1] < 0, np.zeros(cell.size, np.bool_)
+        comes_later = file_index[pair] > file_index[occluder]
         is_hidden[pair] = np.where(is_in_same_plane, comes_later, is_behind)
         return is_hidden
 
@@ -511,7 +511,7 @@ class CellAnalysis:
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
         center_ray, spread = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
         low_ray, high_ray = center_ray - spread, center_ray + spread
-        min_inverse, max_inverse = self.inverse_distance.bounds()
+        min_inverse, max_inverse = self.inverse_distance.find_bounds()
         near, far = 1 / max_inverse, np.where(min_inverse > 0, 1 / min_inverse, np.inf)
         low, high = faces.bounding_box[:, :, face]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))

@@ -143,7 +143,7 @@ class CellEstimates(NamedTuple):
         Enclosures (8, 3, n) of the radiance at all points of each region that lie in no strip.
     sample_error : (n,) float array
         Additional error of the radiance everywhere in a region: the sum of the jumps of all strips
-        that contain the region's centroid, through which a sample is traced.
+        that contain the region's centroid.
     max_radiance : (3, c) float array
         Upper bound on the radiance anywhere in a cell.
     mean, error : (3, c) and (c,) float arrays
@@ -229,7 +229,7 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     max_radiance : (3, c) float array
         Upper bounds in each channel: the maximum over the faces in the cell, or 0 without faces.
     """
-    face_bound, max_radiance = cells.radiance.bounds()[1], np.zeros((3, cells.x.size))
+    face_bound, max_radiance = cells.radiance.find_bounds()[1], np.zeros((3, cells.x.size))
     add_at_sorted_index(face_bound, contributions.pair, contributions.radiance.max_abs)
     for channel, channel_bound in zip(max_radiance, face_bound, strict=True):
         np.maximum.at(channel, cells.pair_cell, channel_bound)

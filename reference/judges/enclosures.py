@@ -93,7 +93,7 @@ class Enclosures:
         abs_coef = np.abs(self.coef)
         return np.asarray(abs_coef[X_SQUARED:].sum(axis=0) / np.maximum(abs_coef[X], abs_coef[Y]))
 
-    def bounds(self) -> tuple[Floats, Floats]:
+    def find_bounds(self) -> tuple[Floats, Floats]:
         """Bound each quantity by two numbers that are valid everywhere in its cell.
 
         Returns
@@ -132,7 +132,7 @@ class Enclosures:
         return Enclosures(coef)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
-        """Subtract other enclosures about the same surfaces, which share the same unknown Z."""
+        """Subtract enclosures with the same unknown Z."""
         return self + other * -1.0
 
     def subtract_independent(self, other: Enclosures) -> Enclosures:
@@ -184,8 +184,7 @@ class Enclosures:
         coef[X_SQUARED] += a[X] * b[X]
         coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
         coef[Y_SQUARED] += a[Y] * b[Y]
-        # The error bound covers all other products: all products of terms with X, Y or Z, except
-        # those of two linear terms.
+        # The error bound covers all other products of two terms with X, Y or Z.
         a, b = np.abs(a), np.abs(b)
         a_spread, b_spread = a[X:RADIUS].sum(axis=0), b[X:RADIUS].sum(axis=0)
         a_size, b_size = a[CONSTANT] + a_spread, b[CONSTANT] + b_spread
@@ -214,7 +213,7 @@ class Enclosures:
         power : Enclosures
             Enclosures (8, n) of the powers.
         """
-        low, high = (np.clip(end, minimum, maximum) for end in self.bounds())
+        low, high = (np.clip(end, minimum, maximum) for end in self.find_bounds())
         center, half_width = 0.5 * (low + high), 0.5 * (high - low)
         f_low, f_high, f_center = (_raise_to_power(z, exponent) for z in (low, high, center))
         # The Taylor polynomial is expanded around the centre.  The third derivative of f has the
@@ -244,8 +243,8 @@ class Enclosures:
         """Enclose f(z) = z^exponent, where z is the enclosed quantity, by a line.
 
         The graph of f lies between its chord and the parallel tangent.  The line is parallel to
-        them, and two thirds of the way from the chord to the tangent.  A parabola has the same mean
-        as this line.
+        them, and two thirds of the way from the chord to the tangent.  If f is a parabola, the line
+        has the same mean.
 
         Parameters
         ----------
@@ -306,7 +305,7 @@ class Enclosures:
         quarter = np.arange(constant.shape[-1]) % 4
         # The quarter's centre, in the coordinates of the cell.
         center_x, center_y = (quarter & 1) - 0.5, (quarter >> 1) - 0.5
-        # Each new coefficient is a sum of at most six terms, whose rounding error ROUNDING exceeds.
+        # Each new coefficient is a sum of at most six terms.  ROUNDING exceeds its rounding error.
         radius = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
         value = constant + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
         value = value + center_y * (coef_y + center_y * coef_yy)

@@ -143,9 +143,8 @@ class Faces:
         self._set_face_attributes(low, high)
         self.to_center = self.center[:, None] - self.light_position.T[:, :, None]
         self._set_shadow_volumes(low, high)
-        # `side` is positive for a light outside an object, and negative inside.  A light on a side
-        # of a box counts as outside.  But if the eye is in the box, the light reaches other objects
-        # in the box.
+        # `side` is positive for a light outside an object, negative inside, 0 on a side of a box.
+        # In `lights.side`, a light on a side counts as outside.
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box_index = boxes.objects.list_indices()
         side[:, box_index] *= boxes.measure_distance(box_index, (x, y, z)) != 0

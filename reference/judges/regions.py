@@ -126,8 +126,8 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     f_tt = 2 * (coef_xx * q * q - coef_xy * p * q + coef_yy * p * p)
     f_tn = 2 * (coef_yy - coef_xx) * p * q + coef_xy * (p * p - q * q)
     f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
-    max_distance = np.abs(p) + np.abs(q)
-    max_t, max_n = max_distance + np.abs(p * y - q * x), max_distance + np.abs(p * x + q * y)
+    half_extent = np.abs(p) + np.abs(q)  # of the cell, along both coordinates
+    max_t, max_n = half_extent + np.abs(p * y - q * x), half_extent + np.abs(p * x + q * y)
     # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
     max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
     # The last term differs from f_tt max_t^2 / 6 by at most |f_tt| max_t^2 / 3.
