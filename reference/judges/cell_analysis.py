@@ -298,7 +298,7 @@ class CellAnalysis:
             Set to True, in place, for each claim that is false everywhere in its cell.  This is
             done after each condition, so that the next conditions can skip these claims.
         conditions : iterable of _Condition
-            Conditions, each for some of the claims.  If `has_edge` is False, there is no edge.
+            Conditions, each for some of the claims.  Those without `has_edge` give no edges.
 
         Returns
         -------
@@ -339,7 +339,7 @@ class CellAnalysis:
         Returns
         -------
         enclosures : Enclosures
-            The same object.  It now contains the replacements with a smaller `relative_width`.
+            Enclosures (8, n), with a replacement wherever its `relative_width` is smaller.
         """
         # On sides of boxes, the coefficient of the unknown Z is 0.
         sphere_index = np.flatnonzero(enclosures.coef[UNKNOWN])
@@ -499,7 +499,7 @@ class CellAnalysis:
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Compute a bounding box of each face's part that may be visible in a cell.
+        """Bound the part of each face that may be visible in a cell by a box.
 
         Returns
         -------
@@ -650,7 +650,9 @@ class CellAnalysis:
         self._decide_claims(-1, np.zeros(pair.size, np.bool_), [condition])
 
     def collect_edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
-        """Collect the edge functions.  The picture can have an edge only where one of them is zero.
+        """Collect the edge functions of all cells.
+
+        The picture can have an edge only where one of these functions is zero.
 
         Returns
         -------
@@ -669,14 +671,14 @@ class CellAnalysis:
     def shade(self, is_requested: Bools, permitted_error: float) -> Contributions:
         """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
 
-        A pair consists of a cell and a face in it.  A light is settled for a pair if it has no
-        possible edge in the cell, and if its radiance is accurate enough.  Then its radiance is
-        added to `cells.radiance`, and it is marked in `cells.is_settled`.
+        A pair consists of a cell and a face in it.  A light is settled for a pair if none of
+        its edges can cross the cell, and if its radiance is accurate enough.  The radiance is added
+        to `cells.radiance`, and the light is marked in `cells.is_settled`.
 
         Parameters
         ----------
         is_requested : (p,) bool array
-            For each pair, whether to shade it.
+            For each pair, whether to compute its radiance.
         permitted_error : float
             Permitted error of the radiance due to all settled lights of a pair together, in any
             channel.  Each light may cause an equal part of it.

@@ -368,7 +368,7 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     pair : (n,) int array
         For each sample, the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether an unsettled light reaches the visible face at the sample; False for others.
+        Whether an unsettled light reaches the visible face at the sample; False for settled lights.
 
     Raises
     ------
