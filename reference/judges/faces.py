@@ -166,18 +166,18 @@ class Faces:
         # The positions of the planes of the boxes' sides, and their offsets from the eye.  All
         # arrays for boxes end with three axes: x, y or z; low or high side; index of the box.
         offset = np.stack([low, high], axis=1)
-        position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
+        side_position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
         inward = np.where(scene.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         light_or_eye = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
-        height = np.sign(offset) * (position - light_or_eye[:, :, None, None])
+        height = np.sign(offset) * (side_position - light_or_eye[:, :, None, None])
         side_height = np.array([*np.zeros((3, *height.shape)), height, np.abs(height)])
         half_space = np.empty((5, *offset.shape))  # half-spaces whose intersection is the box
         half_space[:3] = axes[:, :, None, None] * [[1], [-1]]
         half_space[3:] = offset * [[-1], [1]], np.abs(offset)
         rim = half_space[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
-        side_plane = np.array([np.broadcast_to([[[0]], [[1]], [[2]]], position.shape), position])
+        side_plane = np.array([np.indices(side_position.shape)[0], side_position])
 
         def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
             """Join the values of spheres and of box sides, as an array (..., f)."""
@@ -195,7 +195,7 @@ class Faces:
         self.object_index = append_sides(sphere_index, box_index)
         self.is_planar = self.object_index >= sphere_count
         sphere_bounds = scene.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
-        object_bounds = np.append(sphere_bounds, position.swapaxes(0, 1), axis=2)
+        object_bounds = np.append(sphere_bounds, side_position.swapaxes(0, 1), axis=2)
         self.bounding_box = object_bounds[:, :, self.object_index]
         may_be_visible = append_sides(np.full(sphere_count, True), (offset * inward > 0) & has_area)
         self.may_be_visible = may_be_visible & ~scene.is_duplicate[self.object_index]
