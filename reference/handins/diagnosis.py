@@ -164,7 +164,7 @@ class Reference:
         """
         codes = self.codes
         if not self.scene:
-            surface_index = codes.any(axis=2).ravel() - 1  # 0, or -1 for black pixels
+            surface_index = codes.any(axis=2).ravel() - np.int8(1)  # 0, or -1 for black pixels
             return MistakeRenderer(codes, to_columns(codes), surface_index, width, PICTURE_FORMULAS)
         scene = replace(self.scene, width=width, height=height)
         codes = codes if codes.shape[:2] == (height, width) else _render_codes(scene)
