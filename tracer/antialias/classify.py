@@ -92,8 +92,8 @@ class Cells(NamedTuple):
         cell_index : (k,) int array
             Index of the cell (a pixel, or a square part of a pixel) that contains each point.
         point_in_cell : (k,) complex array
-            Points x + iy relative to the centres of their cells, in widths of the cell: x and y are
-            between -1/2 and 1/2.
+            Points x + iy relative to the centre of the cell, with x and y between -1/2 and 1/2 of
+            the cell's width.
 
         Returns
         -------
@@ -115,8 +115,8 @@ class Cells(NamedTuple):
         -------
         quarters : Cells
             The 4 k quarters: the four of the first cell, then the four of the second cell, and so
-            on.  Each quarter is paired with the same objects as its cell.  It has half the width
-            and half the number of samples along each side, rounded up.
+            on.  Each quarter has half the width and half the samples along each side, rounded up.
+            It is paired with the same objects as the divided cell.
         """
         quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
         x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
@@ -136,7 +136,7 @@ class Classification(NamedTuple):
     ----------
     cells : Cells
         The cells.
-    center : CenterSamples
+    center_samples : CenterSamples
         Radiance and id of the samples through the centres of the cells.
     lines : Lines
         Straight lines that divide the cells, at most `MAX_LINES` for each cell, sorted by cell.
@@ -147,7 +147,7 @@ class Classification(NamedTuple):
     """
 
     cells: Cells
-    center: CenterSamples
+    center_samples: CenterSamples
     lines: Lines
     is_unresolved: Bools
     is_crowded: Bools
@@ -161,7 +161,7 @@ def classify_cells(
     A cell is a pixel, or a square part of a pixel.  Edges are silhouettes, creases between faces,
     intersections of surfaces, shadow edges, and terminators (where a surface turns away from a
     light).  Silhouettes are computed for all (cell, object) pairs in `cells`.  The other edges are
-    searched for around the hit of a sample through the centre of each cell.
+    searched for around the hit of each sample.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ def classify_cells(
     Returns
     -------
     classification : Classification
-        The n cells, with the radiance and id of the sample through each centre, and with at most
-        `MAX_LINES` straight edges each.  Cells that may contain other edges are unresolved.  Cells
-        in which finding all edges would cost more than a lattice of samples are crowded.
+        The cells, their samples, and at most `MAX_LINES` straight edges in each cell.  A cell that
+        may contain other edges is unresolved.  A cell is crowded if finding all its edges would
+        cost more than a lattice of samples.
     """
     cell_count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
@@ -204,24 +204,24 @@ def classify_cells(
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
     lines = lines.limit_per_cell(MAX_LINES)
-    center = CenterSamples(radiance, center_id)
-    return Classification(cells, center, lines, is_unresolved, is_crowded)
+    center_samples = CenterSamples(radiance, center_id)
+    return Classification(cells, center_samples, lines, is_unresolved, is_crowded)
 
 
 def _add_lights(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add lights to the radiance of hits, and find the edges that these lights cause.
+    """Add the light of some lights to the radiance of hits, and find edges caused by these lights.
 
-    The edges are shadow edges and terminators (where a surface turns away from a light).  They are
-    searched for in the cell of each hit: a pixel, or a square part of a pixel.
+    A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The edges that may
+    cross it are shadow edges and terminators (where a surface turns away from a light).
 
     Parameters
     ----------
     shading : Shading
-        The radiance reflected by the hits, summed over lights, to which this function adds.
+        The sum of the radiance that the hits reflect.  This function adds to it.
     surfaces : CellSurfaces
-        The visible surface at the centre of each cell, with its hit.
+        The hit in each cell, and the surface around the hit.
     lights : Lights
         The lights to add.
     tolerance : float
@@ -230,18 +230,17 @@ def _add_lights(
     Returns
     -------
     light_lines : Lines
-        Straight lines along the edges.
+        Straight lines that represent the edges.
     unresolved_index : (k,) int array
         Indices of cells that may contain a narrow highlight, or an edge that no line represents.
         An index may be repeated.
     crowded_index : (j,) int array
-        Indices of cells in which finding all shadow edges would cost more than a lattice of
-        samples.
+        Indices of cells in which finding all edges would cost more than a lattice of samples.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
-    # Cells with wide footprints are divided in any case, so their shadow edges are not needed.
+    # Cells with wide footprints are always divided, so their shadow edges are not needed.
     has_wide_footprint = np.any(geometry.distance2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(has_wide_footprint, 0, footprint)
     is_blocked, edge_triples, is_crowded = find_shadow_edges(
@@ -255,13 +254,13 @@ def _add_lights(
     light_lines, curved_index = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, faces_light, footprint)
     highlight_indices = [hit_cell[hit_index] for hit_index in highlights]
-    incomplete_index = hit_cell[has_wide_footprint | is_crowded]
-    unresolved_index = np.concatenate([incomplete_index, curved_index, *highlight_indices])
+    unsearched_index = hit_cell[has_wide_footprint | is_crowded]
+    unresolved_index = np.concatenate([unsearched_index, curved_index, *highlight_indices])
     return light_lines, unresolved_index, hit_cell[is_crowded]
 
 
 def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield the silhouettes, seen from the eye, that may cross cells.
+    """Yield the silhouettes that may cross cells, seen from the eye.
 
     A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function, a
     smooth function on the picture that is zero at the silhouette.
@@ -271,13 +270,13 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
     scene : PreparedScene
         The scene, prepared for the camera.
     cells : Cells
-        The cells.  Their (cell, object) pairs list the objects whose silhouettes may cross them.
+        The cells, and the (cell, object) pairs to search.
 
     Yields
     ------
     cell_index : (k,) int array
-        Index of the cell that each silhouette may cross.  A box has up to six silhouettes, one for
-        each edge of its outline.
+        Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge of
+        its outline.
     values : (6, k) float array
         Values of the edge function at six points of the cell, in the order of `compute_rays`.
     """

@@ -41,7 +41,7 @@ from tracer.trace.hits import Hits
 EdgeValues: TypeAlias = tuple[Ints, Floats]
 
 # The six points of a cell relative to its centre, in units of the cell's width: the centre; the
-# centres of the right, left, lower and upper side; and the lower right corner.
+# centres of the right, left, lower and upper sides; and the lower right corner.
 _POINT_X = np.array([[0.0], [0.5], [-0.5], [0.0], [0.0], [0.5]])
 _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 
@@ -141,7 +141,7 @@ def compute_rays(
     """Compute the rays from the eye through six points of each of n cells.
 
     A cell is a pixel, or a square part of a pixel.  The six points are, in this order: the centre;
-    the centres of the right, left, lower and upper side; and the lower right corner.
+    the centres of the right, left, lower and upper sides; and the lower right corner.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def compute_rays(
     ray_right, ray_down : (6, n) float arrays
         Rightward and downward components of the rays.
     ray_forward : (1, n) float array
-        Forward component of the rays, which is the same for all six points.
+        Forward component of the rays, the same for all six points.
     """
     offset_right = _POINT_X * (frame.pixel_width * cell_width)
     offset_down = _POINT_Y * (frame.pixel_height * cell_width)
@@ -167,23 +167,22 @@ def compute_rays(
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Compute how far the values of edge functions in a cell can differ from those at its centre.
+    """Bound how far each edge function in a cell differs from its value at the centre.
 
     A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
-    picture that is zero at an edge.  The bound holds for the quadratic polynomial through six
-    values of the function.
+    picture that is zero at an edge.  It is approximated by the quadratic polynomial through six
+    values.
 
     Parameters
     ----------
     values : (6, ...) float array
-        Values of each edge function at six points of a cell: the centre; the centres of the right,
-        left, lower and upper side; and the lower right corner.
+        Values of each edge function at six points of a cell, in the order of `compute_rays`.
 
     Returns
     -------
     max_difference : (...) float array
-        Upper bound on the absolute difference between the polynomial at any point of the cell and
-        the polynomial at the centre.
+        Upper bound on the absolute difference between the polynomial at the centre and at any other
+        point of the cell.
     """
     center, right, left, lower, upper, corner = values
     linear_part = np.abs(right - left) + np.abs(lower - upper)
@@ -210,82 +209,81 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     Returns
     -------
     lines : Lines
-        One line for each edge that crosses its cell.  Edges that turn by more than `_MAX_TURN`
-        radians have no line.
-    curved_cell : (k,) int array
-        Index of the cell of each edge that may cross it, and that no line represents within the
-        tolerance.  An edge with unknown values counts as such an edge.
+        One line for each edge that crosses its cell, but not for edges that turn by more than
+        `_MAX_TURN` radians.
+    curved_index : (k,) int array
+        Index of the cell of each curved edge.  An edge counts as curved if no line represents it
+        within the tolerance, or if values are unknown.
     """
     no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
     fits = (_fit_batch(*batch, tolerance) for batch in chain([no_edges], edges))
-    lines, curved_cell = zip(*fits, strict=True)
-    return Lines.concatenate(lines), np.concatenate(curved_cell)
+    batch_lines, curved_index = zip(*fits, strict=True)
+    return Lines.concatenate(batch_lines), np.concatenate(curved_index)
 
 
-def _fit_batch(cell: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
+def _fit_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each of n edges, and list the cells of curved edges.
 
-    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f, a
-    smooth function on the picture that is zero at the edge.  The line is the tangent of the edge
-    at a point near the centre of the cell, shifted by the mean distance of the edge from it.
+    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
+    smooth function f on the picture that is zero at the edge.  The line is a tangent of the edge
+    near the centre of the cell, shifted to the mean position of the edge.
 
     Parameters
     ----------
-    cell : (n,) int array
+    cell_index : (n,) int array
         Index of the cell that each edge may cross.
     values : (6, n) float array
-        Values of the edge functions at six points of the cells, in the order of
-        `compute_rays`.  Unknown values are NaN.
+        Values of each edge function at six points of the cell, in the order of `compute_rays`.
+        Unknown values are NaN.
     tolerance : float
         Maximum error of the mean radiance of a cell.
 
     Returns
     -------
     lines : Lines
-        One line for each edge that crosses its cell.  Edges that turn by more than `_MAX_TURN`
-        radians have no line.
-    curved_cell : (k,) int array
-        Index of the cell of each edge that may cross it, and that no line represents within the
-        tolerance.  An edge with unknown values counts as such an edge.
+        One line for each edge that crosses its cell, but not for edges that turn by more than
+        `_MAX_TURN` radians.
+    curved_index : (k,) int array
+        Index of the cell of each curved edge.  An edge counts as curved if no line represents it
+        within the tolerance, or if values are unknown.
     """
     # Scale the values so that powers of the derivatives are finite in any unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
-    # Near the centre, f(x) = c + g . x + x . H x / 2, with the gradient g = (a, b) and a matrix H.
+    # Near the centre, f(p) = c + g . p + p . H p / 2 with the gradient g = (a, b) and the matrix H
+    # of second derivatives.
     a, b = right - left, lower - upper
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
     h_xy = 4 * (corner - right - lower + center)
     gradient2 = a * a + b * b
-    # At the point s g, f is c + s g^2 + s^2 (g . H g) / 2.  Find the zero nearest to the centre,
-    # and move it into the cell.
+    # Find the point p = s g nearest to the centre where f is zero, and move it into the cell.
     h_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / gradient2
     sqrt_term = np.sqrt(np.abs(gradient2 * (gradient2 - 2 * center * h_across)))
     s = -2 * center / (gradient2 + sqrt_term)
     s_at_border = 0.5 / np.maximum(np.abs(a), np.abs(b))
     s = np.clip(s, -s_at_border, s_at_border)
     x, y = s * a, s * b
-    # At this point, replace f by its tangent plane c + a x + b y.
+    # Replace f by its tangent plane c + a x + b y at this point.
     c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
     c -= a * x + b * y
     gradient2 = a * a + b * b
-    # At the distance u from the point along the line with the unit vector t, f differs from the
-    # plane by u^2 (t . H t) / 2.  Add the mean for -1/2 < u < 1/2 to c.
+    # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
     h_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / gradient2
-    max_slope_term = 0.5 * (np.abs(a) + np.abs(b))
+    max_change = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
-    lines = Lines(cell, *scale((a, b, c + h_along / 24), sign / max_slope_term))
-    # Over a length of 1, the edge turns by |t . H t| / |g| radians.  If the gradient changes much
+    lines = Lines(cell_index, *scale((a, b, c + h_along / 24), sign / max_change))
+    # Over a length of 1, the edge turns by |h_along| / |g| radians.  If the gradient changes much
     # across the edge, the cell may contain both sides of a small object.
     turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(gradient2)
-    has_line, crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
+    has_line, line_crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  The comparison is True for NaN.
-    may_cross = np.where(has_line, crosses, ~(np.abs(center) > 1))
+    may_cross = np.where(has_line, line_crosses, ~(np.abs(center) > 1))
     is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
-    return lines.take(find(has_line & crosses)), cell[find(is_curved)]
+    return lines.take(find(has_line & line_crosses)), cell_index[find(is_curved)]
 
 
 class InverseDepth(NamedTuple):
-    """The surfaces at n hits, given by 1 / t as a function of the ray that meets them at t * ray.
+    """The surfaces at n hits, in a form that is fast to intersect with rays from the eye.
 
     A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2):
 
@@ -306,10 +304,10 @@ class InverseDepth(NamedTuple):
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
-        """Describe the surface at each of n hits, so that other rays can be intersected with it.
+        """Compute the coefficients of the surfaces at n hits.
 
         A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2).
-        This method computes the vector k and the number w of each surface.
+        The coefficients are the vector k and the number w.
 
         Parameters
         ----------
@@ -325,15 +323,15 @@ class InverseDepth(NamedTuple):
         spheres = hits.scene.spheres
         k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
-            batch = group.interval
+            interval = group.interval
             # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
-            k[:, batch] = [group.expand_to_hits(part / -group.eye_height) for part in group.normal]
+            k[:, interval] = [group.expand_to_hits(n / -group.eye_height) for n in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
                 power = spheres.power[sphere_index]
                 center = np.array(take(spheres.from_eye, sphere_index))
-                w[batch] = np.where(power != 0, 1 / power, 0)
-                k[:, batch] = np.where(power != 0, center / power, k[:, batch])
+                w[interval] = np.where(power != 0, 1 / power, 0)
+                k[:, interval] = np.where(power != 0, center / power, k[:, interval])
         return cls((k[0], k[1], k[2]), w)
 
     def take(self, surface_index: Ints) -> InverseDepth:
@@ -354,15 +352,15 @@ class InverseDepth(NamedTuple):
     def compute_inverse_t(self, ray: Triple) -> Floats:
         """Compute 1 / t for six rays per surface, where the point t * ray lies on the surface.
 
-        For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the vector k and the number w of
-        the surface.  Planes have w = 0, and no square root.  A ray that misses a sphere is treated
-        as if it touched the sphere.
+        With the coefficients k and w of the surface, a ray d has
+        1 / t = k . d + sqrt((k . d)^2 - w d^2), without the square root for planes.  A ray that
+        misses a sphere is treated as a tangent.
 
         Parameters
         ----------
         ray : tuple of three (6, n) float arrays
-            Components of rays from the eye, in camera axes.  Column i contains six rays for surface
-            i.  An array with a single row applies to all six rays.
+            Components of rays from the eye, in camera axes.  Column i contains the six rays of
+            surface i.  An array with a single row applies to all six rays.
 
         Returns
         -------

@@ -178,7 +178,7 @@ def find_silhouette_pixels(
 def evaluate_silhouettes(
     scene: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Yield the silhouettes of objects, seen from the eye or from lights, that may cross cells.
+    """Yield the silhouettes that may cross cells, seen from the eye or from lights.
 
     A cell is a pixel, or a square part of a pixel.  The eye or the light is called the apex.  Each
     silhouette is given by its edge function, a smooth function that is zero at the silhouette.
@@ -460,7 +460,7 @@ class CellSurfaces(NamedTuple):
             yield from evaluate_silhouettes(scene, light_position, triples, light_ray)
 
     def find_terminators(
-        self, light_position: Floats, n_dot_l: Floats, length2: Floats
+        self, light_position: Floats, n_dot_l: Floats, distance2: Floats
     ) -> Iterator[EdgeValues]:
         """Yield the terminators: the edges where spheres turn away from lights.
 
@@ -472,8 +472,8 @@ class CellSurfaces(NamedTuple):
             Positions of the lights, in scene axes.
         n_dot_l : (m, n) float array
             Dot product of the unit normal at each hit and the vector to each light.
-        length2 : (m, n) float array
-            Squared length of the vector from each hit to each light.
+        distance2 : (m, n) float array
+            Squared distance of each light from each hit.
 
         Yields
         ------
@@ -488,7 +488,7 @@ class CellSurfaces(NamedTuple):
         light_from_eye = scene.frame.points_to_camera(light_position)
         # The normal turns by at most this angle within the footprint, in radians.
         max_turn = self.footprint * scene.curvature[hit_object]
-        for pair_index in split_indices(find(n_dot_l**2 < max_turn * max_turn * length2)):
+        for pair_index in split_indices(find(n_dot_l**2 < max_turn * max_turn * distance2)):
             light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
             # The ray meets the sphere at ray / inverse_t.  Multiply all vectors by inverse_t.

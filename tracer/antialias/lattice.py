@@ -33,9 +33,9 @@ Points2D: TypeAlias = NDArray[np.complex128]
 # quarter turn maps the lattice onto itself.
 _COLUMN_STEPS = {5: 2, 13: 5, 25: 7, 65: 18}
 
-# Number of points of a lattice that replaces an upright grid, divided by that of the grid.  The
-# mean error of most pictures needs fewer points; this many are needed for the largest error, and
-# for edges that are parallel to lines of the lattice.
+# Number of points of a lattice that replaces an upright grid, divided by that of the grid.  For the
+# mean error of most pictures fewer points are enough, but not for the largest error, or for edges
+# parallel to lines of the lattice.
 _POINTS_PER_GRID_POINT = 2.5
 
 
@@ -60,26 +60,25 @@ class Lattice(NamedTuple):
 
     @classmethod
     def choose(cls, grid_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Choose the smallest rotated lattice that can replace an upright grid of points.
+        """Choose the smallest rotated lattice to sample a pixel instead of an upright grid.
 
         Parameters
         ----------
         grid_side : int
             Number of points along each side of the grid; at least 1.
         ratio : float
-            Minimum number of lattice points for each grid point; at most 5.  With the default, the
+            Minimum ratio of lattice points to grid points; at most 5.  With the default, the
             lattice is usually more accurate than the grid.
 
         Returns
         -------
         lattice : Lattice
-            A rank-1 lattice of 13, 25 or 65 points, or a rank-1 lattice of 5 points that is
-            repeated in both directions.
+            A rank-1 lattice of 13, 25 or 65 points, or copies of a rank-1 lattice of 5 points.
         """
         repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
         candidates = *(cls(1, count) for count in (13, 25, 65)), *repeated_lattices
-        large_lattices = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
-        return min(large_lattices, key=lambda lattice: lattice.size)
+        large_enough = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
+        return min(large_enough, key=lambda lattice: lattice.size)
 
     @property
     def size(self) -> int:
@@ -99,7 +98,7 @@ class Lattice(NamedTuple):
         Returns
         -------
         samples : Rows
-            The lattice points as samples of the picture.  Their rows extend across the rectangle.
+            All lattice points, in rows that extend across the rectangle.
         """
         sample_row = np.arange(self.rows * rows.start, self.rows * rows.stop)
         sample_column = np.arange(self.columns * columns.start, self.columns * columns.stop)
@@ -108,13 +107,13 @@ class Lattice(NamedTuple):
         return Rows(y, x, shift / self.columns, (self.columns, self.rows))
 
     def list_points(self) -> Points2D:
-        """Return the lattice points of a single pixel, row by row.
+        """List the lattice points of a single pixel, row by row.
 
         Returns
         -------
         points : (size,) complex array
-            Points x + iy relative to the centre of the pixel, in widths of the pixel: x and y are
-            between -1/2 and 1/2.  The y-axis points down.
+            Points x + iy relative to the centre of the pixel, with x and y between -1/2 and 1/2.
+            The y-axis points down.
         """
         x, y = self.place(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
@@ -136,14 +135,14 @@ class Lattice(NamedTuple):
         """
         sample_radiance = radiance.reshape(3, -1, self.rows, width, self.columns)
         # Add row by row.  NumPy's order of summation along an axis depends on the width, so the
-        # last digits of a pixel would depend on the rectangle.
+        # last digits of the mean would depend on the rectangle.
         row_sum = sample_radiance[:, :, 0].copy()
         for sample_row in range(1, self.rows):
             row_sum += sample_radiance[:, :, sample_row]
         return np.moveaxis(row_sum.sum(axis=3) / self.size, 0, 2)
 
     def _compute_row_shift(self, sample_row: Ints) -> Floats:
-        """Compute how far each row of sample points is shifted sideways from a regular grid.
+        """Compute how far each row of sample points is shifted sideways from an upright grid.
 
         Parameters
         ----------
@@ -153,16 +152,16 @@ class Lattice(NamedTuple):
         Returns
         -------
         shift : (n,) float array
-            Shift of each row to the right, as a fraction of the distance between the columns of the
-            grid: between -1/2 and 1/2.
+            Shift of each row to the right, between -1/2 and 1/2 of the distance between the columns
+            of the grid.
         """
-        # A rank-1 lattice of m points lies on a grid of m x m.  The middle row is not shifted.
-        size = self.rows // self.columns
-        middle = size // 2
-        column = (_COLUMN_STEPS.get(size, 0) * (sample_row - middle) + middle) % size
-        # So an edge is parallel to lines of the lattice in about half of the pixels it crosses.
+        # The middle row of a rank-1 lattice is not shifted.
+        point_count = self.rows // self.columns
+        middle = point_count // 2
+        column = (_COLUMN_STEPS.get(point_count, 0) * (sample_row - middle) + middle) % point_count
+        # If all pixels had the same lattice, an edge could be parallel to its lines in all of them.
         is_mirrored = sample_row // self.rows % 2
-        return np.where(is_mirrored, middle - column, column - middle) / size
+        return np.where(is_mirrored, middle - column, column - middle) / point_count
 
 
 # One point in each pixel: the centre.

@@ -84,8 +84,8 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
     Returns
     -------
     is_cheaper : bool
-        True if many pairs of silhouettes cross the same pixel, compared with the number of samples
-        per pixel.
+        Whether the number of pairs of silhouettes that cross the same pixel is large for this
+        number of samples.
     """
     pairs_per_pixel = scene.bounds.estimate_silhouette_density(scene.frame)
     return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
@@ -94,9 +94,9 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
 def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:
     """Choose how to refine cells that edges cross: by lattices of samples, or by division.
 
-    A cell is a pixel, or a square part of a pixel.  It is refined in two steps.  In the first step,
-    it is sampled on a lattice, and finished if the samples do not reveal an edge that was missed.
-    In the second step, it is sampled on another lattice or divided into quarters.
+    A cell is a pixel, or a square part of a pixel.  In a first step, it is sampled on a lattice.
+    If the samples reveal an edge that was missed, the cell is sampled on another lattice, or
+    divided into quarters, in a second step.
 
     Parameters
     ----------
@@ -116,19 +116,18 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
         return None, False, None
     if cells.samples_per_side > _MAX_SAMPLED_SIDE:
-        return Lattice(1, 25), False, None  # without the first step: 1.1 times the time
-    if cells.width == 1:  # without the first step: up to 1.7 times the error
+        return Lattice(1, 25), False, None  # Without the first step, times are 1.1 times as long.
+    if cells.width == 1:  # Without the first step, errors are up to 1.7 times as large.
         return Lattice(1, 5), False, Lattice.choose(cells.samples_per_side)
     # Without the first step, such cells take 1.6 to 2.2 times as long.  Without the second step,
-    # they have up to 1.5 times the error.
+    # their errors are up to 1.5 times as large.
     return Lattice(1, 13), True, Lattice.choose(5)
 
 
 def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    Pixels that edges cross are divided or sampled.  The root-mean-square error should not exceed
-    that of grid_side x grid_side uniform samples in each pixel.
+    The root-mean-square error should not exceed that of a uniform grid of samples in each pixel.
 
     Parameters
     ----------
@@ -137,14 +136,14 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     rows, columns : slice
         Rows and columns of the rectangle's pixels.  Neither range is empty.
     grid_side : int
-        Number of samples requested along each side of a pixel, at least 2.
+        Number of samples along each side of this grid, at least 2.
 
     Returns
     -------
     pixel_mean : (rows, columns, 3) float array
         Mean linear RGB radiance of each pixel.
     """
-    # Add one pixel on every side: `estimate_pixel_means` needs the neighbours of each pixel.
+    # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
     samples = CENTERS.place(slice(top, top + height), slice(first_column, first_column + width))
@@ -154,75 +153,75 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     tolerance = _TOLERANCE / grid_side**1.5
     center_x, center_y = samples.get_positions(pixel_index)
     pixels = Cells(1.0, grid_side, tolerance, center_x, center_y, pair_pixel, pair_object)
-    classes = classify_cells(scene, pixels, samples, pixel_index)
-    estimate = estimate_pixel_means(classes.center, width)
+    classification = classify_cells(scene, pixels, samples, pixel_index)
+    estimate = estimate_pixel_means(classification.center_samples, width)
     is_inner = np.pad(np.ones((height - 2, width - 2), dtype=np.bool_), 1).ravel()
-    is_refinable = is_inner & ~classes.is_crowded
-    pixel_mean = _compute_cell_means(scene, classes, estimate, is_refinable)
-    crowded_index = find(is_inner & classes.is_crowded)
+    is_refinable = is_inner & ~classification.is_crowded
+    pixel_mean = _compute_cell_means(scene, classification, estimate, is_refinable)
+    crowded_index = find(is_inner & classification.is_crowded)
     lattice = Lattice.choose(grid_side, ratio=1)
-    pixel_mean[:, crowded_index], _ = _sample_cells(scene, classes, crowded_index, lattice)
+    pixel_mean[:, crowded_index], _ = _sample_cells(scene, classification, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
 
 
 def _compute_cell_means(
-    scene: PreparedScene, classes: Classification, estimate: SmoothMeans, is_refinable: Bools
+    scene: PreparedScene, classification: Classification, estimate: SmoothMeans, is_refinable: Bools
 ) -> Floats:
-    """Compute the mean radiance of cells, and refine those that edges may cross.
+    """Compute the mean radiance of cells, and refine the cells that edges may cross.
 
-    A cell is a pixel, or a square part of a pixel.  If no edge was found in a cell, and its
-    estimated error is within the tolerance, the estimated mean is used.  All other cells are
-    sampled on a lattice or divided into quarters.
+    A cell is a pixel, or a square part of a pixel.  A cell without edges has its estimated mean, if
+    the estimated error is within the tolerance.  All other cells are sampled on a lattice or
+    divided into quarters.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    classes : Classification
+    classification : Classification
         The n cells, and the edges that may cross them.
     estimate : SmoothMeans
         Estimated mean radiance of each cell, valid if no edge crosses the cell.
     is_refinable : (n,) bool array
-        If False, the estimated mean of the cell is used in any case.
+        Whether the cell may be refined.  All other cells have their estimated mean.
 
     Returns
     -------
     cell_mean : (3, n) float array
         Mean linear RGB radiance of each cell.
     """
-    cells, cell_mean = classes.cells, estimate.radiance.copy()
+    cells, cell_mean = classification.cells, estimate.radiance.copy()
     first_lattice, includes_unresolved, second_lattice = _choose_lattices(cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
-    has_lines[classes.lines.cell] = True
-    # An unknown error (NaN) makes a cell neither accurate nor inaccurate.
+    has_lines[classification.lines.cell] = True
+    # If the error is unknown (NaN), both are False.
     is_accurate, is_inaccurate = estimate.error <= cells.tolerance, estimate.error > cells.tolerance
-    is_pending = is_refinable & (has_lines | classes.is_unresolved | ~is_accurate)
+    is_pending = is_refinable & (has_lines | classification.is_unresolved | ~is_accurate)
     if first_lattice is not None:
-        has_only_lines = is_pending & has_lines & ~(classes.is_unresolved | is_inaccurate)
-        sampled_index = find(is_pending if includes_unresolved else has_only_lines)
-        sampled_mean, misses_edge = _sample_cells(scene, classes, sampled_index, first_lattice)
-        finished_index = sampled_index[~misses_edge]
+        has_only_lines = is_pending & has_lines & ~(classification.is_unresolved | is_inaccurate)
+        cell_index = find(is_pending if includes_unresolved else has_only_lines)
+        sampled_mean, misses_edge = _sample_cells(scene, classification, cell_index, first_lattice)
+        finished_index = cell_index[~misses_edge]
         cell_mean[:, finished_index] = sampled_mean[:, ~misses_edge]
         is_pending[finished_index] = False
     pending_index = find(is_pending)
     if second_lattice is not None:
         cell_mean[:, pending_index], _ = _sample_cells(
-            scene, classes, pending_index, second_lattice
+            scene, classification, pending_index, second_lattice
         )
         return cell_mean
-    for batch_index in split_indices(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
-        cell_mean[:, batch_index] = _refine_quarters(scene, classes, estimate.error, batch_index)
+    for batch in split_indices(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
+        cell_mean[:, batch] = _refine_quarters(scene, classification, estimate.error, batch)
     return cell_mean
 
 
 def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
-    """Choose how many cells to sample together, to limit the use of memory.
+    """Choose how many cells to sample together within the limit of memory.
 
     Parameters
     ----------
     scene : PreparedScene
-        The scene.  The more its objects overlap in the picture, the fewer cells are sampled.
+        The scene.  If many of its objects overlap in the picture, fewer cells are sampled together.
     samples_per_cell : int
         Number of samples in each cell (a pixel, or a square part of a pixel).
 
@@ -235,18 +234,18 @@ def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
 
 
 def _sample_cells(
-    scene: PreparedScene, classes: Classification, cell_index: Ints, lattice: Lattice
+    scene: PreparedScene, classification: Classification, cell_index: Ints, lattice: Lattice
 ) -> tuple[Floats, Bools]:
     """Estimate the mean radiance of cells from a lattice of samples in each cell.
 
-    A cell is a pixel, or a square part of a pixel.  Lines along its edges divide it into regions.
-    The weights of the samples in a region add up to the exact area of the region.
+    A cell is a pixel, or a square part of a pixel.  Straight lines along edges divide it into
+    regions.  The samples in a region are weighted by the area of the region.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    classes : Classification
+    classification : Classification
         All cells, and the lines that cross them.
     cell_index : (m,) int array
         Indices of the cells to sample, all different.
@@ -258,10 +257,10 @@ def _sample_cells(
     cell_mean : (3, m) float array
         Mean linear RGB radiance of each sampled cell.
     misses_edge : (m,) bool array
-        Whether the lines of the cell miss an edge: two samples in the same region hit different
-        faces, or the same face under different lights.
+        Whether the lines of the cell miss an edge: samples in the same region hit different faces,
+        or the same face under different lights.
     """
-    cells, lines, cell_count = classes.cells, classes.lines, cell_index.size
+    cells, lines, cell_count = classification.cells, classification.lines, cell_index.size
     cell_mean, misses_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
     for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
@@ -280,20 +279,20 @@ def _sample_cells(
 
 
 def _refine_quarters(
-    scene: PreparedScene, classes: Classification, error: Floats, cell_index: Ints
+    scene: PreparedScene, classification: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
     """Divide cells into quarters, and compute the mean radiance of each cell.
 
-    A cell is a pixel, or a square part of a pixel.  If all its quarters may contain curved edges,
-    but no straight edge was found in them, the cell may turn out to have no edge at all.  Then it
-    is sampled on a lattice.  If the samples confirm that it has no edge, their mean is used, and
-    the quarters are not refined.
+    A cell is a pixel, or a square part of a pixel.  A cell may be smooth if all its quarters are
+    unresolved (they may contain something other than straight edges) but have no straight edges.
+    Such a cell is sampled on a lattice.  If the samples confirm that it is smooth, their mean is
+    used, and the quarters are not refined.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    classes : Classification
+    classification : Classification
         All n cells, and the edges that may cross them.
     error : (n,) float array
         Estimated error of each cell's mean radiance, if no edge crosses the cell; NaN if unknown.
@@ -302,27 +301,27 @@ def _refine_quarters(
 
     Returns
     -------
-    mean : (3, m) float array
+    cell_mean : (3, m) float array
         Mean linear RGB radiance of each divided cell.
     """
-    cell_count, tolerance = cell_index.size, classes.cells.tolerance
-    quarters = classes.cells.divide(cell_index)
+    cell_count, tolerance = cell_index.size, classification.cells.tolerance
+    quarters = classification.cells.divide(cell_index)
     samples, order = Scattered.from_positions(quarters.center_x, quarters.center_y)
-    quarter_classes = classify_cells(scene, quarters, samples, order)
-    center, quarter_center = classes.center.take(cell_index), quarter_classes.center
-    estimate = estimate_quarter_means(center, error[cell_index], quarter_center, tolerance)
-    is_unresolved = quarter_classes.is_unresolved.reshape(cell_count, 4).all(axis=1)
-    line_count = np.bincount(quarter_classes.lines.cell // 4, minlength=cell_count)
+    classified_quarters = classify_cells(scene, quarters, samples, order)
+    parent_samples = classification.center_samples.take(cell_index)
+    quarter_samples = classified_quarters.center_samples
+    estimate = estimate_quarter_means(parent_samples, error[cell_index], quarter_samples, tolerance)
+    is_unresolved = classified_quarters.is_unresolved.reshape(cell_count, 4).all(axis=1)
+    line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=cell_count)
     tested_index = find(is_unresolved & (line_count == 0))
-    lattice = Lattice.choose(classes.cells.samples_per_side, ratio=1)
-    sampled_mean, misses_edge = _sample_cells(scene, classes, cell_index[tested_index], lattice)
-    quarter_radiance = estimate.radiance.reshape(3, cell_count, 4)
-    expected_mean = quarter_radiance.take(tested_index, axis=1).mean(axis=2)
+    tested_cell = cell_index[tested_index]
+    lattice = Lattice.choose(classification.cells.samples_per_side, ratio=1)
+    sampled_mean, misses_edge = _sample_cells(scene, classification, tested_cell, lattice)
+    expected_mean = estimate.radiance.reshape(3, -1, 4).take(tested_index, axis=1).mean(axis=2)
     is_confirmed = ~misses_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)
     is_smooth = np.zeros(cell_count, dtype=np.bool_)
     is_smooth[tested_index[is_confirmed]] = True
-    is_refinable = ~is_smooth.repeat(4)
-    quarter_mean = _compute_cell_means(scene, quarter_classes, estimate, is_refinable)
-    mean: Floats = quarter_mean.reshape(3, cell_count, 4).mean(axis=2)
-    mean[:, is_smooth] = sampled_mean[:, is_confirmed]
-    return mean
+    quarter_mean = _compute_cell_means(scene, classified_quarters, estimate, ~is_smooth.repeat(4))
+    cell_mean: Floats = quarter_mean.reshape(3, cell_count, 4).mean(axis=2)
+    cell_mean[:, is_smooth] = sampled_mean[:, is_confirmed]
+    return cell_mean

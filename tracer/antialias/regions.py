@@ -56,10 +56,10 @@ class WeightedPoints(NamedTuple):
 
 
 def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
-    """Place points in cells, and weight them so that they represent the regions between lines.
+    """Place points in cells, and weight the points so that they represent regions between lines.
 
-    A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  The
-    weights of the points in a region add up to its area, and their weighted mean is its centroid.
+    A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  In each
+    region, the weights add up to the area, and the weighted mean of the points is the centroid.
 
     Parameters
     ----------
@@ -68,14 +68,14 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     cell_count : int
         Number of cells.
     points : (m,) complex array
-        Positions x + iy of the points relative to the centre of the cell, in widths of the cell.
-        They are the same in all cells.
+        Points x + iy to place in every cell, relative to its centre, with x and y between -1/2 and
+        1/2 of its width.
 
     Returns
     -------
     weighted_points : WeightedPoints
-        The m points of the first cell, then those of the second cell, and so on.  Regions with too
-        few points have additional points at the end: the centroids of triangles that cover them.
+        The m points of the first cell, then those of the second cell, and so on.  For regions with
+        too few points, the centroids of triangles that cover these regions are added at the end.
     """
     cells, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
@@ -95,7 +95,7 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
 
 
 def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
-    """Find samples in regions whose samples have different ids.
+    """Find samples in regions that contain samples with different ids.
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Samples with
     the same id hit the same face of the same object, under the same lights.  Different ids in a
@@ -111,7 +111,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     Returns
     -------
     mixed_index : (k,) int array
-        Indices of samples in such regions, at least one for each region.
+        Indices of the samples, at least one in each region with different ids.
     """
     reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region] = sample_id  # the id of an arbitrary sample in the region
@@ -121,9 +121,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 def _evaluate_lines(
     lines: Lines, line_start: Ints, line_number: int, cell_index: Ints, position: Points2D
 ) -> tuple[Ints, Floats]:
-    """Evaluate one line of each cell at points in the cell.
-
-    A cell is a pixel or a square part of a pixel.
+    """Evaluate one line of each cell at points in the cell (a pixel or a square part of a pixel).
 
     Parameters
     ----------
@@ -132,30 +130,30 @@ def _evaluate_lines(
     line_start : (cells + 1,) int array
         The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     line_number : int
-        Which line of each cell to evaluate; 0 is its first line.
+        Which line of each cell to evaluate, numbered from 0.
     cell_index : (n,) int array
-        Indices of cells.  Cells without a line of this number are skipped.
+        Index of the cell of each column of `position`.
     position : (m, n) complex array
-        For each element of `cell_index`, a column of m points x + iy in the cell.
+        Points x + iy, with m points in each column.
 
     Returns
     -------
-    element_index : (k,) int array
-        Indices of the elements of `cell_index` that are not skipped.
+    column_index : (k,) int array
+        Indices of the columns whose cell has a line of this number.
     values : (m, k) float array
-        Value c + a x + b y of the line at each point in these cells.
+        Value c + a x + b y of the line at each point in these columns.
     """
     line_index = line_start[cell_index] + line_number
-    element_index = find(line_index < line_start[cell_index + 1])
-    line, point = lines.take(line_index[element_index]), position[:, element_index]
-    return element_index, line.a * point.real + line.b * point.imag + line.c
+    column_index = find(line_index < line_start[cell_index + 1])
+    line, point = lines.take(line_index[column_index]), position[:, column_index]
+    return column_index, line.a * point.real + line.b * point.imag + line.c
 
 
 def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> WeightedPoints:
-    """Divide cells into triangles that are not crossed by lines.
+    """Divide cells into triangles that no line crosses.
 
-    A cell is a pixel or a square part of a pixel.  It is divided into two triangles along a
-    diagonal.  Then each line of the cell divides every triangle that it crosses into three.
+    A cell is a pixel or a square part of a pixel.  A diagonal divides it into two triangles.  Then
+    each line of the cell divides every triangle that it crosses into three.
 
     Parameters
     ----------
@@ -169,8 +167,8 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     Returns
     -------
     triangles : WeightedPoints
-        The centroid of each triangle, weighted with the fraction of the cell that it covers.  Bit k
-        of its region number is 1 on the positive side of line k of the cell; the bits from
+        The centroid of each triangle, weighted by the fraction of the cell that it covers.  In the
+        number of a region, bit k is 1 on the positive side of line k of the cell.  The bits from
         `max_lines` on are the index of the cell.
     """
     cell = np.arange(line_start.size - 1).repeat(2)
@@ -178,24 +176,24 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corners: Points2D = np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
-        triangle, values = _evaluate_lines(lines, line_start, line_number, cell, corners)
+        tested_index, values = _evaluate_lines(lines, line_start, line_number, cell, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
-        region[triangle[positive_count == 3]] |= 1 << line_number
-        crossed = find((positive_count == 1) | (positive_count == 2))
-        # Rotate the corners so that the first corner, a, is the one that is alone on its side.
-        is_first_positive, parent = positive_count[crossed] == 1, triangle[crossed]
-        first_corner = np.argmax(is_positive[:, crossed] == is_first_positive, axis=0)
-        order = (first_corner + np.arange(3)[:, None]) % 3
-        (a, b, c), (a_value, b_value, c_value) = corners[order, parent], values[order, crossed]
+        region[tested_index[positive_count == 3]] |= 1 << line_number
+        split_index = find((positive_count == 1) | (positive_count == 2))
+        # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
+        is_a_positive, parent = positive_count[split_index] == 1, tested_index[split_index]
+        a_number = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
+        order = (a_number + np.arange(3)[:, None]) % 3
+        (a, b, c), (a_value, b_value, c_value) = corners[order, parent], values[order, split_index]
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
         corners[:, parent] = a, on_ab, on_ac
         corners = np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         parent_region = region[parent]
-        region[parent] = parent_region | is_first_positive << line_number
-        region = np.concatenate([region, *[parent_region | ~is_first_positive << line_number] * 2])
+        region[parent] = parent_region | is_a_positive << line_number
+        region = np.concatenate([region, *[parent_region | ~is_a_positive << line_number] * 2])
         cell = np.concatenate([cell, cell[parent], cell[parent]])
     side_ab, side_ac = corners[1] - corners[0], corners[2] - corners[0]
     # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
@@ -206,16 +204,16 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
 def _compute_weights(
     position: Points2D, region: Ints, triangles: WeightedPoints, region_count: int
 ) -> tuple[Floats, Bools]:
-    """Compute weights with which the points in each region represent the region.
+    """Compute weights for points so that they represent the regions of a cell.
 
-    The weights of the points in a region add up to its area, and their weighted mean is its
+    In each region, the weights add up to the area, and the weighted mean of the points is the
     centroid.
 
     Parameters
     ----------
     position : (n,) complex array
-        Positions x + iy of the points relative to the centres of their cells (pixels, or square
-        parts of pixels), in widths of the cell.
+        Points x + iy relative to the centre of a cell (a pixel or a square part of a pixel), with
+        x and y between -1/2 and 1/2 of its width.
     region : (n,) int array
         Number of the region that contains each point.
     triangles : WeightedPoints
@@ -228,33 +226,34 @@ def _compute_weights(
     weight : (n,) float array
         Weight of each point, as a fraction of the cell's area; 0 if the region is not represented.
     is_represented : (region_count,) bool array
-        Whether the points in each region can represent it.  They cannot if there are fewer than
-        three, or if they lie almost on a straight line.
+        Whether each region is represented: it contains at least three points, and they do not lie
+        almost on a straight line.
     """
 
     def sum_by_region(value_region: Ints, values: Floats) -> Floats:
         """Return the sum of the values (n,) in each region, given the region (n,) of each value."""
-        sums = np.bincount(value_region, values, minlength=region_count)
-        return sums.astype(np.float64, copy=False)  # NumPy returns integers if there are no values
+        # Convert the result: NumPy returns integers if there are no values.
+        return np.bincount(value_region, values, minlength=region_count).astype(float, copy=False)
 
-    # Let q be the mean of the points p in a region, S their covariance matrix, and w the region's
-    # area divided by their number.  With the weights w (1 + t . (p - q)), the weighted mean of the
-    # points is q + S t.  It is the centroid for t = S^-1 (centroid - q).
+    # Let S be the covariance matrix of the points in a region, and w the region's area divided by
+    # their number.  With the weights w (1 + t . (point - mean)), the weighted mean of the points is
+    # mean + S t.  It is the centroid for t = S^-1 (centroid - mean).
     point_count = np.maximum(np.bincount(region, minlength=region_count), 1)
     area = sum_by_region(triangles.region, triangles.weight)
-    q_x = sum_by_region(region, position.real) / point_count
-    q_y = sum_by_region(region, position.imag) / point_count
-    x, y = position.real - q_x[region], position.imag - q_y[region]
+    mean_x = sum_by_region(region, position.real) / point_count
+    mean_y = sum_by_region(region, position.imag) / point_count
+    x, y = position.real - mean_x[region], position.imag - mean_y[region]
     products = x * x, x * y, y * y
-    s_xx, s_xy, s_yy = (sum_by_region(region, product) / point_count for product in products)
-    determinant = s_xx * s_yy - s_xy * s_xy
+    cov_xx, cov_xy, cov_yy = (sum_by_region(region, product) / point_count for product in products)
+    determinant = cov_xx * cov_yy - cov_xy * cov_xy
     is_represented: Bools = determinant > _MIN_DETERMINANT
-    # Moments about the origin, and the vector (to_x, to_y) from q to the centroid, times the area.
     moment = triangles.weight * triangles.position.real, triangles.weight * triangles.position.imag
-    to_x = sum_by_region(triangles.region, moment[0]) - area * q_x
-    to_y = sum_by_region(triangles.region, moment[1]) - area * q_y
+    # The vector from the mean to the centroid, times the area.
+    offset_x = sum_by_region(triangles.region, moment[0]) - area * mean_x
+    offset_y = sum_by_region(triangles.region, moment[1]) - area * mean_y
     divisor = np.where(is_represented, point_count * determinant, np.inf)
-    # The vector t, multiplied by w.
-    t_x, t_y = (s_yy * to_x - s_xy * to_y) / divisor, (s_xx * to_y - s_xy * to_x) / divisor
+    # The vector w t.
+    slope_x = (cov_yy * offset_x - cov_xy * offset_y) / divisor
+    slope_y = (cov_xx * offset_y - cov_xy * offset_x) / divisor
     weight = np.where(is_represented, area / point_count, 0)[region]
-    return weight + t_x[region] * x + t_y[region] * y, is_represented
+    return weight + slope_x[region] * x + slope_y[region] * y, is_represented

@@ -54,9 +54,8 @@ class SmoothMeans(NamedTuple):
     radiance : (3, n) float array
         Estimated mean linear RGB radiance of each cell.
     error : (n,) float array
-        Estimated error of `radiance`, in the colour channel where it is largest.  NaN means that
-        the error is unknown, because too few neighbouring samples hit the same face under the same
-        lights as the cell's own sample.
+        Estimated error of `radiance`, in the colour channel where it is largest; NaN if too few
+        neighbouring samples hit the same face under the same lights.
     """
 
     radiance: Floats
@@ -66,10 +65,10 @@ class SmoothMeans(NamedTuple):
 def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
     """Estimate the mean radiance of pixels without edges from samples at their centres.
 
-    The mean of a smooth function f over a pixel is about f + (f_xx + f_yy) / 24, with the value and
-    the second derivatives of f at the centre.  The derivatives are approximated by differences
-    between neighbouring pixels.  Only pixels with the same id are compared: their samples hit the
-    same face of the same object, under the same lights.
+    The mean of a smooth function over a pixel is about its value at the centre, plus 1/24 of its
+    second derivatives along the row and the column.  The derivatives are approximated by
+    differences between neighbouring pixels with the same id.  Samples with the same id hit the same
+    face of the same object, under the same lights.
 
     Parameters
     ----------
@@ -82,22 +81,22 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
     -------
     means : SmoothMeans
         Estimated mean radiance of each pixel (`radiance`), and its estimated error (`error`).  The
-        error is NaN if no neighbour in the row, or none in the column, has the same id.  Both
-        estimates are meaningless at the border of the rectangle.
+        error is NaN if no neighbour along the row, or along the column, has the same id.  The
+        results at the border of the rectangle are meaningless.
     """
     radiance, pixel_id = pixel_samples
     correction, error = np.zeros(radiance.shape), np.zeros(pixel_id.size)
-    for stride in (1, width):
-        inner_pixels = slice(stride, -stride)
-        has_same_id = pixel_id[stride:] == pixel_id[:-stride]
-        difference = (radiance[:, stride:] - radiance[:, :-stride]) * has_same_id
-        axis_correction = (difference[:, stride:] - difference[:, :-stride]) / 24
-        same_id_before, same_id_after = has_same_id[:-stride], has_same_id[stride:]
+    for neighbor_step in (1, width):  # along the row, then along the column
+        inner_pixels = slice(neighbor_step, -neighbor_step)
+        has_same_id = pixel_id[neighbor_step:] == pixel_id[:-neighbor_step]
+        difference = (radiance[:, neighbor_step:] - radiance[:, :-neighbor_step]) * has_same_id
+        axis_correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
+        is_same_before, is_same_after = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
         # If only one neighbour has the id, its difference from the pixel estimates the error.
         max_correction = np.abs(axis_correction).max(axis=0)
-        axis_error = np.where(same_id_before | same_id_after, max_correction, np.nan)
+        axis_error = np.where(is_same_before | is_same_after, max_correction, np.nan)
         error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
-        correction[:, inner_pixels] += axis_correction * (same_id_before & same_id_after)
+        correction[:, inner_pixels] += axis_correction * (is_same_before & is_same_after)
     return SmoothMeans(radiance + correction, error)
 
 
@@ -108,15 +107,15 @@ def estimate_quarter_means(
 
     A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: subtract
     the sample of the cell from the mean of the four quarter samples, and add a third of the
-    difference to each quarter sample.  This correction is made only if all five samples have the
-    same id: they hit the same face of the same object, under the same lights.
+    difference to each quarter sample.  This is done only if all five samples have the same id: they
+    hit the same face of the same object, under the same lights.
 
     Parameters
     ----------
     cell_samples : CenterSamples
         Radiance and id of the samples at the centres of m cells.
     error : (m,) float array
-        Estimated error of the mean radiance of each cell, if no edge crosses it; NaN if unknown.
+        Estimated error of each cell's mean radiance, if no edge crosses the cell; NaN if unknown.
     quarter_samples : CenterSamples
         Radiance and id of the samples at the centres of the 4 m quarters: the four of the first
         cell, then the four of the second cell, and so on.
@@ -126,20 +125,20 @@ def estimate_quarter_means(
     Returns
     -------
     means : SmoothMeans
-        Estimated mean radiance of each of the 4 m quarters (`radiance`), valid if no edge crosses
-        the quarter, and its estimated error (`error`), which is NaN if unknown.
+        Estimated mean radiance of each quarter (`radiance`), valid if no edge crosses the quarter,
+        and its estimated error (`error`), NaN if unknown.
     """
     cell_id, quarter_id = cell_samples.id.repeat(4), quarter_samples.id
     mean_of_quarters = quarter_samples.radiance.reshape(3, -1, 4).mean(axis=2)
     has_same_id = (quarter_id == cell_id).reshape(-1, 4).all(axis=1)
     correction = np.where(has_same_id, (mean_of_quarters - cell_samples.radiance) / 3, 0)
     # The remaining error is of higher order in the width of the cell than the correction.
-    own_error = np.where(has_same_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
+    quarter_error = np.where(has_same_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
     # Errors decrease with the square of the width.  But if ids differ, an edge may be near, where
     # light may decrease like a square root.
-    inherited_error = error.repeat(4) / np.where(np.isnan(own_error), 2, 4)
-    # A small error of the cell says nothing about a quarter with a different surface.
+    inherited_error = error.repeat(4) / np.where(np.isnan(quarter_error), 2, 4)
+    # Ignore a small error of the cell if the quarter shows a different surface.
     hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)
     inherited_error[hits_other_surface & (inherited_error <= tolerance)] = np.nan
     radiance = quarter_samples.radiance + correction.repeat(4, axis=1)
-    return SmoothMeans(radiance, np.fmax(inherited_error, own_error))
+    return SmoothMeans(radiance, np.fmax(inherited_error, quarter_error))
