@@ -521,7 +521,7 @@ def _examine_exactly(
 
 
 def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene, and variations that float64 may not distinguish from it.
+    """Yield a scene, and variations so similar that rounding errors may hide the difference.
 
     In two variations, the samples are shifted by 1e-6 of a pixel.  In two others, all spheres grow
     or shrink by 1e-12 of their radius.

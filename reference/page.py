@@ -126,7 +126,7 @@ def render_page(**content: Any) -> str:
     id_by_png: dict[bytes, str] = {}
 
     def format_image_attributes(png: bytes) -> Markup:
-        """Format the HTML attributes of an image: its content, or the id of an equal image."""
+        """Format HTML attributes that embed an image or, if it is repeated, refer to it."""
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"

@@ -22,7 +22,8 @@ _part_files: set[str] = set()
 def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
     """Open a new file for a with block, and put it in place if the block raises no error.
 
-    At the end of the block, the new file replaces the file at `path`, and receives its permissions.
+    At the end of the block, the new file replaces the file at `path`, and gets the permissions
+    of the old file.
     After an error in the block, the new file is deleted, and the file at `path` is unchanged.  If
     `path` is a symbolic link, the target of the link is replaced.
 
@@ -37,8 +38,8 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     Yields
     ------
     file : binary file
-        The new file, which is empty and open for writing.  Its attribute `name` is its temporary
-        path, or its file descriptor if it has no path.
+        The new file, which is empty and open for writing.  The attribute `name` is the temporary
+        path of the file or, on Linux, a file descriptor.
 
     Raises
     ------

@@ -188,7 +188,7 @@ def make_intersect(
     low, high : (3, surfaces, 1) arrays
         Opposite corners of the boxes; the entries of spheres are ignored.
     is_present : (surfaces,) bool array
-        False for surfaces that no ray hits, because they are missing from the picture.
+        False for surfaces to leave out, which no ray hits.
     intersect_sphere, intersect_box : callable
         `intersect_spheres` and `intersect_boxes`, or faulty functions that replace them.
 

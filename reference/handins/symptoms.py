@@ -121,8 +121,9 @@ def is_speckled(submission: Submission) -> bool:
 def is_decided_by_rounding(submission: Submission) -> bool:
     """Test whether rounding explains all pixels that differ by more than one level.
 
-    There may be only a few such pixels.  They are rendered again with slightly moved samples and
-    shadow rays.  The submitted codes must lie between the smallest and the largest rendered codes.
+    If there are only a few such pixels, they are rendered again several times, with slightly moved
+    samples and shadow rays.  Rounding explains them if all submitted codes are between the smallest
+    and the largest code that is rendered, or one level beyond.
 
     Parameters
     ----------

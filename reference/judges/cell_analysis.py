@@ -499,7 +499,7 @@ class CellAnalysis:
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
-        """Bound the part of each face that may be visible in a cell by a box.
+        """Compute a box around the part of each face that may be visible in its cell.
 
         Returns
         -------

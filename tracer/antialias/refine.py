@@ -230,7 +230,7 @@ def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
     cell_count : int
         Number of cells, at least 1.
     """
-    return max(1, scene.limit_batch(_SAMPLES_PER_BATCH) // samples_per_cell)
+    return max(1, scene.choose_batch_size(_SAMPLES_PER_BATCH) // samples_per_cell)
 
 
 def _sample_cells(

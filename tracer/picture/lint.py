@@ -223,7 +223,9 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
     """
     (rows, columns), object_batches = scene.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
-        rows_per_batch = max(1, scene.limit_batch(BATCH_SIZE) // (columns.stop - columns.start))
+        rows_per_batch = max(
+            1, scene.choose_batch_size(BATCH_SIZE) // (columns.stop - columns.start)
+        )
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
             object_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))

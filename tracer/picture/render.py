@@ -306,7 +306,7 @@ class RenderJob:
         self._is_adaptive = is_antialiased and not uses_lattice
         self._lattice = Lattice.choose(per_side) if uses_lattice else CENTERS
         max_samples = _MAX_TILE_SAMPLES * (_ADAPTIVE_FACTOR if self._is_adaptive else 1)
-        self._max_samples = self.prepared_scene.limit_batch(max_samples)
+        self._max_samples = self.prepared_scene.choose_batch_size(max_samples)
         self.seconds = self._seconds_per_pixel * scene.width * scene.height
 
     @cached_property

@@ -384,8 +384,8 @@ def require_list(*types: type) -> _Validator:
     Returns
     -------
     validate : callable
-        A function of an iterable of objects and the name of a field.  It returns the objects as a
-        tuple, or raises `SceneError` if an object is of another type.
+        A function that takes an iterable of objects and the name of a field.  It returns the
+        objects as a tuple, or raises `SceneError` if an object is of another type.
     """
     allowed_types = " or ".join(allowed_type.__name__ for allowed_type in types)
 

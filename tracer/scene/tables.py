@@ -110,14 +110,14 @@ class Column:
         """Copy the numbers of all n objects into a float array with one row per object."""
         return np.reshape(self.numbers, (-1, self.validator.count))
 
-    def list_values(self) -> Iterable[Any]:
-        """List the value of the field for each row, as the dataclass stores it.
+    def get_values(self) -> Iterable[Any]:
+        """Return the values of the field for the dataclass, one for each row of the table.
 
         Returns
         -------
         values : iterable
-            A tuple of floats for each row, or a float if the field consists of one number.  If the
-            element is absent in all rows, each value is the field's default.
+            A tuple of floats for each row, or a float if the field consists of one number.  All are
+            the field's default if no object in the file has the field's element.
         """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
@@ -201,7 +201,7 @@ class Table:
         instance : object of the dataclass
             The instance made from the next row.
         """
-        values = {name: column.list_values() for name, column in self.columns.items()}
+        values = {name: column.get_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):
             values["line"] = self.lines
         for row in zip(*values.values(), strict=True):

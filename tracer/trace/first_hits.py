@@ -111,7 +111,9 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
         raise ValueError("x and y must be finite")
     prepared_scene = PreparedScene(scene)
     results = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
-    for batch in split_indices(np.arange(ray_count), prepared_scene.limit_batch(_RAYS_PER_BATCH)):
+    for batch in split_indices(
+        np.arange(ray_count), prepared_scene.choose_batch_size(_RAYS_PER_BATCH)
+    ):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
         for result, batch_result in zip(results, vars(batch_hits).values(), strict=True):

@@ -157,8 +157,8 @@ class PreparedScene:
         self._lights, self.light_count = scene.lights, len(scene.lights)
         self._cache, self._lock = dict[int, Lights](), Lock()
 
-    def limit_batch(self, max_samples: int) -> int:
-        """Limit the number of samples that are traced together, to save memory.
+    def choose_batch_size(self, max_samples: int) -> int:
+        """Choose the number of samples that are traced together, to save memory.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class PreparedScene:
         Returns
         -------
         sample_count : int
-            Number of samples, from 1 to `max_samples`: the fewer, the more objects lie on each ray.
+            Number of samples, from 1 to `max_samples`; smaller if more objects lie on each ray.
         """
         return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
