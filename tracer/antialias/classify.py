@@ -211,7 +211,7 @@ def classify_cells(
 def _add_lights(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add the light of some lights to the radiance of hits, and find edges caused by these lights.
+    """Add lights to the radiance of hits, and find the edges that the lights cause in cells.
 
     A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The edges that may
     cross it are shadow edges and terminators (where a surface turns away from a light).

@@ -250,7 +250,7 @@ def _fit_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Line
     # Scale the values so that powers of the derivatives are finite in any unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
     # Near the centre, f(p) = c + g . p + p . H p / 2 with the gradient g = (a, b) and the matrix H
-    # of second derivatives.
+    # of second derivatives: h_across and h_along are those across and along the edge.
     a, b = right - left, lower - upper
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
     h_xy = 4 * (corner - right - lower + center)

@@ -168,8 +168,7 @@ def find_silhouette_pixels(
         covered_stop = np.where(covers_row, covered_stop, stop).clip(covered_start, stop)
         for interval_start, interval_stop in ((start, covered_start), (covered_stop, stop)):
             intervals.append((row, object_index, interval_start, interval_stop))
-    fields = (np.concatenate(field) for field in zip(*intervals, strict=True))
-    interval_row, interval_object, *ends = fields
+    interval_row, interval_object, *ends = map(np.concatenate, zip(*intervals, strict=True))
     start_column, stop_column = (end.clip(*column_limits).astype(np.intp) for end in ends)
     interval_index, column = enumerate_ranges(stop_column - start_column, start_column)
     return interval_row[interval_index] + rows.start, column, interval_object[interval_index]
@@ -224,7 +223,8 @@ def evaluate_silhouettes(
         low, high = boxes.min_pt[:, pair_box] - apex, boxes.max_pt[:, pair_box] - apex
         normals = frame.vector_to_camera(find_edge_planes(low, high))
         box_ray = map_xyz(lambda component: component[:, box_columns], ray)
-        values = evaluate_box_edges(map_xyz(lambda part: part[:, pair_index], normals), box_ray)
+        box_normals = map_xyz(lambda component: component[:, pair_index], normals)
+        values = evaluate_box_edges(box_normals, box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the outline ends where the value for a neighbouring edge becomes negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)

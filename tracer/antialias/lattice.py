@@ -1,9 +1,9 @@
 """Lattices of samples: the points of a pixel through which rays are traced.
 
 The edges of boxes often follow the rows or columns of an upright grid.  Then a small shift of an
-edge moves a whole row of samples to its other side, so the error is large.  In a rotated lattice,
-few points share a row or a column.  Yet all pixels can have the same lattice, so the samples of a
-picture lie in rows.
+edge changes a whole row of samples, so the error is large.  In a rotated lattice, few points share
+a row or a column.  Yet all pixels can have the same lattice, so the samples of a picture lie in
+rows.
 
 The lattices are rank-1 lattices: the point of each row lies a fixed number of columns to the right
 of the point in the row above it, modulo the number of rows.  They are chosen so that a quarter turn

@@ -12,9 +12,9 @@ These decide how the mean radiance of the cell is computed:
    region hit different faces, or the same face under different lights, then an edge was missed,
    and the cell is divided after all.
 3. All other cells are divided into quarters, down to a smallest size.  Cells of this size are
-   sampled, a second time on a finer lattice if the first one shows that an edge was missed.
-   The table below lists the lattices.  If all quarters of a cell are *unresolved* (they may
-   contain something other than straight edges), then a lattice of samples tests whether the cell
+   sampled, and sampled again on a finer lattice if the first samples show that an edge was
+   missed.  The table below lists the lattices.  If all quarters of a cell are *unresolved* (they
+   may contain something other than straight edges), a lattice of samples tests whether the cell
    is smooth nevertheless.
 4. *Crowded* pixels, in which finding all edges would cost more than a lattice of samples, are
    sampled immediately.  So are all pixels of a picture that is full of edges: see
@@ -216,7 +216,7 @@ def _compute_cell_means(
 
 
 def _choose_batch_size(scene: PreparedScene, samples_per_cell: int) -> int:
-    """Choose how many cells to sample together within the limit of memory.
+    """Choose how many cells to sample in one batch, to limit memory use.
 
     Parameters
     ----------

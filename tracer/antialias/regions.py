@@ -39,11 +39,11 @@ class WeightedPoints(NamedTuple):
     cell : (n,) int array
         Index of the cell that contains each point.
     position : (n,) complex array
-        Position x + iy of each point relative to the centre of its cell, in widths of the cell: x
-        and y are between -1/2 and 1/2.
+        Point x + iy relative to the centre of its cell, with x and y between -1/2 and 1/2 of the
+        cell's width.
     weight : (n,) float array
-        Weight of each point in the mean over its cell.  The weights of the points in a region add
-        up to the region's part of the cell's area.  A few weights are negative.
+        Weight of each point in the mean over its cell.  The weights in a region add up to the
+        fraction of the cell that the region covers.  A few weights are negative.
     region : (n,) int array
         Number of the region that contains each point.  Regions of different cells have different
         numbers.
@@ -95,7 +95,7 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
 
 
 def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
-    """Find samples in regions that contain samples with different ids.
+    """Find samples in regions where the ids of samples differ.
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Samples with
     the same id hit the same face of the same object, under the same lights.  Different ids in a

@@ -65,10 +65,10 @@ class SmoothMeans(NamedTuple):
 def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
     """Estimate the mean radiance of pixels without edges from samples at their centres.
 
-    The mean of a smooth function over a pixel is about its value at the centre, plus 1/24 of its
-    second derivatives along the row and the column.  The derivatives are approximated by
-    differences between neighbouring pixels with the same id.  Samples with the same id hit the same
-    face of the same object, under the same lights.
+    The mean of a smooth function over a pixel is about its value at the centre, plus 1/24 of the
+    sum of its two second derivatives.  These are approximated by differences between neighbouring
+    pixels with the same id.  Samples with the same id hit the same face of the same object, under
+    the same lights.
 
     Parameters
     ----------

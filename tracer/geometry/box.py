@@ -157,7 +157,7 @@ class Boxes:
         -------
         t : (n,) float array
             Ray parameter: the ray enters the box at t times its direction; infinity if it misses.
-            If the eye is inside the box or on its surface, the ray leaves there.
+            If the eye is inside the box or on its surface, the ray leaves it there.
         face_code : (n,) int8 array
             Code of the face that is hit: twice the axis (0, 1 or 2) of its normal, plus 1 if the
             normal towards the eye points in the positive direction of the axis.

@@ -215,7 +215,7 @@ class Spheres:
         -------
         t : (n,) float array
             Ray parameter: the ray enters the sphere at t times its direction; infinity if it
-            misses.  If the eye is inside the sphere or on its surface, the ray leaves there.
+            misses.  If the eye is inside the sphere or on its surface, the ray leaves it there.
         radial_dot : (n,) float array
             Absolute dot product of the ray's direction and the vector from the sphere's centre to
             the hit.
@@ -275,8 +275,8 @@ class Spheres:
         """
         sphere_index = self.objects.to_local(object_index)
         # If the eye is inside, the normal that faces it points to the centre.
-        eye_side = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
-        signed_curvature = repeat_runs(1 / (eye_side * self.radius[sphere_index]), run_length)
+        side_sign = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
+        signed_curvature = repeat_runs(1 / (side_sign * self.radius[sphere_index]), run_length)
         centers = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
         components = zip(hit, centers, strict=True)
         right, down, ahead = ((point - center) * signed_curvature for point, center in components)
