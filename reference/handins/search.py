@@ -387,7 +387,9 @@ class Submission:
         is_wrong = self.is_wrong[order]
         self._wrong_and_right = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
         max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
-        final = self._choose_blocks() if reencode else (*self._choose_pixels(max_pixels), 0)
+        final = (
+            self._choose_blocks(max_pixels) if reencode else (*self._choose_pixels(max_pixels), 0)
+        )
         self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
@@ -419,19 +421,24 @@ class Submission:
         right_weight = (len(self.is_wrong) - self.wrong_count) / max(1, len(chosen_right))
         return pixels, np.where(self.is_wrong[pixels], wrong_weight, right_weight)
 
-    def _choose_blocks(self) -> tuple[Array, Array, int]:
+    def _choose_blocks(self, count: int) -> tuple[Array, Array, int]:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
 
         The chosen blocks form a smaller picture.  JPEG compresses each block separately, so
         compression changes the blocks as it does in the whole picture, except for their outermost
         pixels.
 
+        Parameters
+        ----------
+        count : int
+            Number of pixels to choose, but at least `MAX_PIXELS` / 8, because neighbouring pixels
+            are similar.  All pixels are chosen in a smaller picture, and in a picture that is
+            narrower or lower than a block.
+
         Returns
         -------
         pixels : (k,) int array
-            Indices of the pixels of the chosen blocks, in the order of the smaller picture.  All
-            pixels are chosen if the whole picture has at most `MAX_PIXELS`, or is narrower than a
-            block.
+            Indices of the pixels of the chosen blocks, in the order of the smaller picture.
         weights : (k,) float array
             Number of pixels of the whole picture that each chosen pixel represents; 0 for the
             outermost pixels of blocks.
@@ -439,15 +446,15 @@ class Submission:
             Width of the smaller picture: the width of a block, or of the whole picture.
         """
         pixel_count, width, side = self.renderer.pixel_count, self.renderer.width, JPEG_BLOCK
-        every_pixel = np.arange(pixel_count, dtype=np.int32)
-        if pixel_count <= MAX_PIXELS or min(width, pixel_count // width) < side:
+        every_pixel, count = np.arange(pixel_count, dtype=np.int32), max(count, MAX_PIXELS // 8)
+        if pixel_count <= count or min(width, pixel_count // width) < side:
             return every_pixel, np.ones(pixel_count), width
         picture = every_pixel.reshape(-1, width)
         rows, columns = (size // side * side for size in picture.shape)
         blocks: Array = picture[:rows, :columns].reshape(-1, side, columns // side, side)
         blocks = blocks.swapaxes(1, 2).reshape(-1, side, side)
         is_wrong = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)
-        block_index = choose_stratified(is_wrong, MAX_PIXELS // side**2)
+        block_index = choose_stratified(is_wrong, count // side**2)
         block_weights = np.bincount(is_wrong) / np.bincount(is_wrong[block_index])
         weights = np.zeros((len(block_index), side, side))
         weights[:, 1:-1, 1:-1] = block_weights[is_wrong[block_index], None, None]
