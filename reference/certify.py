@@ -39,7 +39,7 @@ from tracer.command.process import print_or_raise
 from tracer.command.progress import Progress
 from tracer.messages import make_printable
 
-# Permitted error of a pixel's mean radiance, if --error is not given.
+# Largest permitted error in a pixel's mean radiance, if --error is not given.
 _DEFAULT_ERROR = Fraction(1, 128)
 
 
@@ -176,8 +176,8 @@ def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) 
         f" {certain_count / pixel_count:.2%}",
     ]
     if exceeding_count:
-        claim = f"{exceeding_count} pixels exceed the permitted error"
-        lines.append(f"{claim}: edges touch each other there")
+        reason = "because edges touch there"
+        lines.append(f"{exceeding_count} pixels have larger error bounds, {reason}")
     return lines
 
 

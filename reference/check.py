@@ -220,10 +220,10 @@ def describe_exceeded_tolerances(figures: Figures) -> list[str]:
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find pixels whose radiance can be explained by an edge close to their centre.
+    """Find the pixels that may differ because an edge is close to their centre.
 
-    The tracer renders the scene four times, each time with all samples shifted diagonally.  An edge
-    explains a pixel if the pixel's radiance lies in the range of these four pictures.
+    The tracer renders the scene four times, each time with all samples shifted diagonally.  If a
+    pixel's radiance lies in the range of these four pictures, a nearby edge can account for it.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     Returns
     -------
     is_near_edge : (h, w) bool array
-        Pixels whose radiance an edge explains.
+        Pixels for whose radiance a nearby edge can account.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
@@ -471,8 +471,8 @@ def _examine_exactly(
     """Decide in exact arithmetic which of two pictures is wrong where they differ.
 
     A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
-    may not distinguish the two.  If surfaces coincide, the tracer must show the first of them in
-    the scene file, and Mitsuba may show the first or the last.
+    may be unable to tell the two apart.  If surfaces coincide, the tracer must show the first of
+    them in the scene file, and Mitsuba may show the first or the last.
 
     Pixels are examined in batches, up to the first batch with a pixel that is not a tie.
 
@@ -521,7 +521,7 @@ def _examine_exactly(
 
 
 def _generate_similar_scenes(scene: Scene) -> Iterator[tuple[Scene, float]]:
-    """Yield a scene, and variations so similar that rounding errors may hide the difference.
+    """Yield a scene, and variations so similar that float64 may be unable to tell them apart.
 
     In two variations, the samples are shifted by 1e-6 of a pixel.  In two others, all spheres grow
     or shrink by 1e-12 of their radius.

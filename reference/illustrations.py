@@ -43,7 +43,7 @@ _DOTS_PER_INCH, _WIDTH = 100, 9.0
 _CLASS_COLORS = np.array([[0.86, 0.93, 0.98], [0.99, 0.86, 0.6], [0.94, 0.62, 0.5]])
 
 
-def _load_and_prepare(name: str, width: int) -> tuple[Scene, PreparedScene, Rows]:
+def _load_prepared_scene(name: str, width: int) -> tuple[Scene, PreparedScene, Rows]:
     """Load a scene of this project, with a new picture size, and prepare it for rendering.
 
     Parameters
@@ -90,7 +90,7 @@ def draw_spans() -> None:
     The span of an object is an interval of columns.  Only camera rays in these columns are tested
     against the object.
     """
-    scene, prepared_scene, samples = _load_and_prepare("four-spheres", 96)
+    scene, prepared_scene, samples = _load_prepared_scene("four-spheres", 96)
     row, object_count, ray_count = scene.height // 2, len(scene.surfaces), 0
     _, (image_axes, spans_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 3.6), width_ratios=(1, 1.6))
     colors = to_codes(render(scene, samples=16)) / 255
@@ -111,10 +111,10 @@ def draw_spans() -> None:
 
 def draw_packets() -> None:
     """Draw the packets (groups of neighbouring hits) of a picture, each in a random colour."""
-    scene, prepared_scene, samples = _load_and_prepare("room", 96)
+    scene, prepared_scene, samples = _load_prepared_scene("room", 96)
     hits = find_nearest_hits(prepared_scene, samples)
-    faces_light = np.ones((1, hits.sample.size), dtype=np.bool_)
-    square_level, row_level = build_packet_levels(hits, faces_light, None)
+    is_facing_light = np.ones((1, hits.sample.size), dtype=np.bool_)
+    square_level, row_level = build_packet_levels(hits, is_facing_light, None)
     # Sort the hits by row packet, and the row packets by square packet.
     hit_index = join_ranges(row_level.child_start, row_level.child_count)
     row_packet_index = np.arange(row_level.child_count.size).repeat(row_level.child_count)
@@ -165,7 +165,7 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
 
 def draw_light_grid() -> None:
     """Draw the grid of directions around a light, and colour cells by their number of objects."""
-    scene, prepared_scene, _ = _load_and_prepare("many-objects", 320)
+    scene, prepared_scene, _ = _load_prepared_scene("many-objects", 320)
     grid = prepared_scene.prepare_lights(slice(1, 2)).grid
     assert grid is not None
     polygons, object_count = _compute_cell_polygons(grid)
@@ -204,7 +204,7 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
 
 def draw_classes() -> None:
     """Draw pixels in the colours of their classes, with the straight edges and samples inside."""
-    scene, prepared_scene, _ = _load_and_prepare("four-spheres", 64)
+    scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = CENTERS.place(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
@@ -233,7 +233,7 @@ def draw_classes() -> None:
 
 def draw_certificate() -> None:
     """Draw the cells into which the certificate divides a picture."""
-    scene, _, _ = _load_and_prepare("four-spheres", 48)
+    scene, _, _ = _load_prepared_scene("four-spheres", 48)
     with patch.object(_Picture, "add_cells", autospec=True, side_effect=_Picture.add_cells) as mock:
         certificate = certify(scene, 1 / 256)
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])

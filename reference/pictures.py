@@ -30,10 +30,10 @@ JPEG_BLOCK = 16
 are compressed separately.  With chroma subsampling, the outermost pixels of a block depend on the
 neighbouring blocks, too."""
 
-_NOTE_OF_FORMAT = "is a {}, which changes levels: save it as PNG."
-_NOTE_OF_PALETTE = "has a palette, of 256 colours at most: save it as RGB."
-_NOTE_OF_DEPTH = "has more than 8 bits per channel, of which 8 count: save it as 8-bit RGB."
-_NOTE_OF_ALPHA = "is transparent in places, which counts as black: save it as RGB."
+_FORMAT_NOTE = "is a {}, which changes levels: save it as PNG."
+_PALETTE_NOTE = "has a palette, of 256 colours at most: save it as RGB."
+_DEPTH_NOTE = "has more than 8 bits per channel, of which 8 count: save it as 8-bit RGB."
+_ALPHA_NOTE = "is transparent in places, which counts as black: save it as RGB."
 
 
 class Picture(NamedTuple):
@@ -127,17 +127,17 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
     black_image = Image.new("RGBA", rgba_image.size, (0, 0, 0, 255))
     codes = np.asarray(Image.alpha_composite(black_image, rgba_image).convert("RGB"))
     if image.format == "JPEG":
-        note, reencode = _NOTE_OF_FORMAT.format("JPEG"), _make_jpeg_encoder(image)
+        note, reencode = _FORMAT_NOTE.format("JPEG"), _make_jpeg_encoder(image)
         return Picture(codes, note, lossy_levels=3, reencode=reencode)
     # A lossless WEBP contains a chunk named VP8L.
     if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
-        return Picture(codes, _NOTE_OF_FORMAT.format("WEBP"), lossy_levels=12)
+        return Picture(codes, _FORMAT_NOTE.format("WEBP"), lossy_levels=12)
     if image.mode in ("P", "PA"):
-        return Picture(codes, _NOTE_OF_PALETTE, lossy_levels=12)
+        return Picture(codes, _PALETTE_NOTE, lossy_levels=12)
     if loses_bits:
-        return Picture(codes, _NOTE_OF_DEPTH, lossy_levels=1)
+        return Picture(codes, _DEPTH_NOTE, lossy_levels=1)
     is_opaque = rgba_image.getchannel("A").getextrema() == (255, 255)
-    return Picture(codes, "" if is_opaque else _NOTE_OF_ALPHA)
+    return Picture(codes, "" if is_opaque else _ALPHA_NOTE)
 
 
 def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
@@ -200,14 +200,14 @@ def to_picture(columns: Codes, width: int) -> Codes:
     return np.ascontiguousarray(columns.T.reshape(-1, width, 3))
 
 
-def compare_levels(first_codes: Codes, second_codes: Codes, channel_axis: int = -2) -> Codes:
-    """Compute the difference of two pictures at each pixel: the largest of its three channels.
+def compare_levels(first_codes: Codes, second_codes: Codes, axis: int = -2) -> Codes:
+    """Compute the difference of two pictures at each pixel, in the channel that differs most.
 
     Parameters
     ----------
     first_codes, second_codes : (..., 3, n) or (h, w, 3) uint8 arrays
         8-bit codes of the two pictures.
-    channel_axis : int
+    axis : int
         The axis of the channels: -2 for arrays (..., 3, n), 2 for arrays (h, w, 3).
 
     Returns
@@ -217,4 +217,4 @@ def compare_levels(first_codes: Codes, second_codes: Codes, channel_axis: int = 
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)
-    return np.asarray(np.subtract(high, low, out=high).max(channel_axis))
+    return np.asarray(np.subtract(high, low, out=high).max(axis))

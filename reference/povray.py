@@ -196,8 +196,8 @@ def render_and_time(command: Sequence[str]) -> float:
     Returns
     -------
     seconds : float
-        The reported time, which excludes the start of the program.  It is reported in
-        milliseconds; 0 is replaced by half a millisecond.
+        The reported time, which excludes program start-up.  POV-Ray reports whole milliseconds; a
+        time of 0 is replaced by half a millisecond.
 
     Raises
     ------

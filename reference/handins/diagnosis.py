@@ -75,16 +75,16 @@ class Diagnosis:
         return " ".join(self.causes[0].values())
 
     def __str__(self) -> str:
-        """Return the report: all sentences, with a few alternative causes in parentheses."""
+        """Format the report: the first cause, and a few alternative causes in parentheses."""
         first_cause, *other_causes = self.causes
-        sentences = [" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
-                     for cause in other_causes]  # fmt: skip
-        sentences, note = [*filter(None, sentences)], ""
-        if sentences:
-            unnamed_count = len(sentences) - _MAX_NAMED + 1
-            note = " Or: ".join(sentences[: _MAX_NAMED - 1])
+        new_texts = (" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
+                     for cause in other_causes)  # fmt: skip
+        alternatives, note = [*filter(None, new_texts)], ""
+        if alternatives:
+            unnamed_count = len(alternatives) - _MAX_NAMED + 1
+            note = " Or: ".join(alternatives[: _MAX_NAMED - 1])
             note += f" Or one of {unnamed_count} more." if unnamed_count > 0 else ""
-            note = f"(In this scene one cannot tell it from: {note})"
+            note = f"(In this scene, it looks the same as: {note})"
         texts = self.text_before, self.first_cause_text, note, self.text_after
         return " ".join(filter(None, texts))
 
@@ -197,7 +197,7 @@ class Reference:
         if (width, height) == reference_size:
             upright_codes = {keyword: turn_back(picture.codes)
                              for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
-            differences = {keyword: compare_levels(codes, self.codes, 2).sum()
+            differences = {keyword: compare_levels(codes, self.codes, axis=2).sum()
                            for keyword, codes in upright_codes.items()}  # fmt: skip
             keyword = min(differences, key=differences.__getitem__)
             codes = np.ascontiguousarray(upright_codes[keyword])
@@ -292,10 +292,10 @@ class Reference:
         renderer = submission.renderer
         both_codes = submission.codes, renderer.reference_codes
         width, height = renderer.width, renderer.pixel_count // renderer.width
-        levels = compare_levels(*both_codes)
-        is_wrong = levels > 1
-        y, x = divmod(int(levels.argmax()), width)
-        submitted_text, reference_text = (" ".join(map(str, codes[:, levels.argmax()]))
+        differences = compare_levels(*both_codes)
+        is_wrong = differences > 1
+        y, x = divmod(int(differences.argmax()), width)
+        submitted_text, reference_text = (" ".join(map(str, codes[:, differences.argmax()]))
                                           for codes in both_codes)  # fmt: skip
         worst_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
         count_text = symptoms.format_count(is_wrong.sum())
@@ -364,7 +364,7 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
     """
     verbs = "should shine but does not", "should be blocked but shines"
     sentences = ""
-    for verb, is_changed in zip(verbs, symptoms.find_light_changes(submission) or (), strict=False):
+    for verb, is_changed in zip(verbs, symptoms.find_light_errors(submission) or (), strict=False):
         for light_index, count in enumerate((is_changed & is_wrong).sum(axis=1)):
             if count > _MIN_LIGHT_SHARE * is_wrong.sum():
                 line_note = f" (line {line})" if (line := scene.lights[light_index].line) else ""
@@ -411,8 +411,8 @@ def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]
     -------
     column, row : int
     """
-    levels = compare_levels(first_codes, second_codes, 2)
-    row, column = np.unravel_index(levels.argmax(), levels.shape)
+    differences = compare_levels(first_codes, second_codes, axis=2)
+    row, column = np.unravel_index(differences.argmax(), differences.shape)
     return int(column), int(row)
 
 
@@ -431,11 +431,11 @@ def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagno
     Diagnosis or None
         A diagnosis of the kind "identical" or "rounding"; None if the pictures do not agree.
     """
-    levels = compare_levels(submitted_codes, reference_codes)
-    count = int(np.count_nonzero(levels))
+    differences = compare_levels(submitted_codes, reference_codes)
+    count = int(np.count_nonzero(differences))
     if not count:
         return _make_verdict("identical", "The pictures are identical.")
-    if count <= max(10, 0.01 * levels.size) and levels.max() == 1:
+    if count <= max(10, 0.01 * differences.size) and differences.max() == 1:
         sentence = f"{symptoms.format_count(count)} by one level: rounding, nothing to worry about."
         return _make_verdict("rounding", sentence)
     return None

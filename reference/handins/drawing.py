@@ -80,7 +80,7 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
 
 
 @cache
-def _list_affected(names: tuple[str, ...]) -> tuple[str, ...]:
+def _list_affected_formulas(names: tuple[str, ...]) -> tuple[str, ...]:
     """List the formulas whose values change if the given formulas are replaced.
 
     Parameters
@@ -106,8 +106,8 @@ class FormulaCache:
 
     A picture is defined by formulas (functions for values such as the radiance), and a mistake by
     the formulas that it replaces.  Pictures with different mistakes share the values that are
-    computed in the same way.  The *recipe* of a value is a tuple of its formula and of the versions
-    of the arguments; the *version* of a value is the index of its recipe.
+    computed in the same way.  A *recipe* tells how to compute a value: it is a tuple of a formula
+    and, for each argument, the index of the argument's recipe.
 
     Parameters
     ----------
@@ -125,16 +125,16 @@ class FormulaCache:
         self._values: dict[int, Any] = dict(enumerate(inputs.values()))
         self._recipes: list[Any] = [None] * len(inputs)
         self._cached_bytes = 0
-        self._version_by_recipe: dict[Any, int] = {}
-        self._reference_versions = {name: version for version, name in enumerate(inputs)}
-        self._reference_versions = self._find_versions(REFERENCE_FORMULAS)
+        self._index_by_recipe: dict[Any, int] = {}
+        self._reference_recipes = {name: index for index, name in enumerate(inputs)}
+        self._reference_recipes = self._find_recipes(REFERENCE_FORMULAS)
         self._reference_recipe_count = len(self._recipes)
 
-    def _find_versions(self, replacements: Formulas) -> dict[str, int]:
-        """Find the version of each formula's value when some formulas are replaced.
+    def _find_recipes(self, replacements: Formulas) -> dict[str, int]:
+        """Find the recipe of each formula's value if some formulas are replaced.
 
-        Values that are computed in the same way have the same version.  The version is the index of
-        a recipe, which consists of a formula and the versions of its arguments.
+        A recipe tells how to compute a value.  It consists of a formula and, for each argument, the
+        index of the argument's recipe.  Values that are computed in the same way share a recipe.
 
         Parameters
         ----------
@@ -144,24 +144,24 @@ class FormulaCache:
         Returns
         -------
         dict of str to int
-            The versions by formula name.  Formulas that cannot be computed from the inputs of this
-            cache are omitted.
+            Indices of the recipes by formula name.  Formulas that cannot be computed from the
+            inputs of this cache are omitted.
         """
-        versions = self._reference_versions.copy()
-        for name in _list_affected(tuple(replacements)):
+        recipe_index = self._reference_recipes.copy()
+        for name in _list_affected_formulas(tuple(replacements)):
             if name in self._inputs:
                 continue
             formula = replacements.get(name, REFERENCE_FORMULAS[name])
             try:
-                recipe = (formula, *map(versions.__getitem__, list_parameters(formula)))
+                recipe = (formula, *map(recipe_index.__getitem__, list_parameters(formula)))
             except KeyError:  # an argument cannot be computed, so neither can this formula
-                versions.pop(name, None)
+                recipe_index.pop(name, None)
                 continue
-            versions[name] = self._version_by_recipe.setdefault(recipe, len(self._recipes))
-            if versions[name] == len(self._recipes):
+            recipe_index[name] = self._index_by_recipe.setdefault(recipe, len(self._recipes))
+            if recipe_index[name] == len(self._recipes):
                 self._recipes.append(recipe)
                 self._cached_bytes += _BYTES_PER_RECIPE
-        return versions
+        return recipe_index
 
     def can_compute_codes(self, replacements: Formulas) -> bool:
         """Test whether the inputs of this cache suffice to compute the codes of a picture.
@@ -171,7 +171,7 @@ class FormulaCache:
         replacements : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._find_versions(replacements)
+        return "codes" in self._find_recipes(replacements)
 
     def get_value(self, name: str, replacements: Formulas) -> Any:
         """Return the value of a formula for all n pixels of this cache.
@@ -208,27 +208,28 @@ class FormulaCache:
         if self._cached_bytes > _MAX_CACHED_BYTES:  # keep only what the reference picture needs
             del self._recipes[self._reference_recipe_count :]
             self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
-            self._version_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
+            self._index_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
             self._cached_bytes = 0
-        return self._compute_value(self._find_versions(replacements)[name])
+        return self._evaluate_recipe(self._find_recipes(replacements)[name])
 
-    def _compute_value(self, version: int) -> Any:
-        """Return a value from the cache, or compute and cache it.
+    def _evaluate_recipe(self, index: int) -> Any:
+        """Return the value of a recipe; compute and cache it if it is not yet in the cache.
+
+        A recipe consists of a formula and, for each argument, the index of the argument's recipe.
 
         Parameters
         ----------
-        version : int
-            Index of the value's recipe, which consists of a formula and the versions of its
-            arguments.
+        index : int
+            Index of the recipe.
         """
-        if version not in self._values:
-            formula, *versions = self._recipes[version]
-            cached = self._values
-            arguments = [cached[k] if k in cached else self._compute_value(k) for k in versions]
+        if index not in self._values:
+            formula, *argument_recipes = self._recipes[index]
+            values, evaluate = self._values, self._evaluate_recipe
+            arguments = [values[k] if k in values else evaluate(k) for k in argument_recipes]
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
-            self._values[version] = value
-        return self._values[version]
+            self._values[index] = value
+        return self._values[index]
 
 
 def _make_constant_function(value: Any) -> Any:
@@ -236,18 +237,19 @@ def _make_constant_function(value: Any) -> Any:
     return lambda: value
 
 
-def join_formulas(formula_sets: Sequence[Formulas]) -> Formulas:
-    """Merge the replacement formulas of several mistakes into one dictionary.
+def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
+    """Merge the formulas that several mistakes substitute for correct ones into one dictionary.
 
     Parameters
     ----------
-    formula_sets : sequence of dict of str to callable
-        For each mistake, its replacement formulas by name.
+    formula_maps : sequence of dict of str to callable
+        For each mistake, the formulas that it substitutes, by name.
 
     Returns
     -------
     dict of str to callable
-        All formulas; empty if two mistakes replace the same formula, and so exclude each other.
+        All formulas by name.  Empty if two mistakes replace the same formula, and so exclude each
+        other.
     """
-    joined = {name: formulas[name] for formulas in formula_sets for name in formulas}
-    return joined if len(joined) == sum(map(len, formula_sets)) else {}
+    joined = {name: formulas[name] for formulas in formula_maps for name in formulas}
+    return joined if len(joined) == sum(map(len, formula_maps)) else {}

@@ -74,7 +74,7 @@ def _is_file_with(path: Path, suffixes: tuple[str, ...]) -> bool:
     return name.endswith(suffixes) and not name.endswith(".compare.png") and path.is_file()
 
 
-def match_hand_ins(pictures: Sequence[Path], class_path: Path, right_path: Path) -> list[HandIn]:
+def match_hand_ins(files: Sequence[Path], class_path: Path, reference_path: Path) -> list[HandIn]:
     """Match the pictures of students with their reference pictures, and list missing pictures.
 
     The file name of a picture of the scene NAME must contain NAME as a whole word, in upper or
@@ -82,27 +82,27 @@ def match_hand_ins(pictures: Sequence[Path], class_path: Path, right_path: Path)
 
     Parameters
     ----------
-    pictures : sequence of Path
+    files : sequence of Path
         The result of `list_hand_ins(class_path)`, or one picture.
     class_path : Path
         The folder of the class, with a subfolder for each student; or the one picture.
-    right_path : Path
+    reference_path : Path
         A scene file, a reference picture, or a folder of these.
 
     Returns
     -------
     list of HandIn
-        One hand-in for each of `pictures`.  If both paths are folders, missing pictures follow:
-        one for each student and each scene that only others have handed in; then one for each scene
-        that nobody has handed in.  An empty subfolder counts as a student.
+        One hand-in for each of `files`.  If both paths are folders, hand-ins without a picture
+        follow: for each student, one for each scene that only other students have handed in; then
+        one for each scene that nobody has handed in.  An empty subfolder counts as a student.
     """
-    path_by_scene = _list_references(right_path)
-    hand_ins = [_match_hand_in(path, class_path, right_path, path_by_scene) for path in pictures]
-    if not (class_path.is_dir() and right_path.is_dir()):
+    path_by_scene = _list_references(reference_path)
+    hand_ins = [_match_hand_in(path, class_path, reference_path, path_by_scene) for path in files]
+    if not (class_path.is_dir() and reference_path.is_dir()):
         return hand_ins
     students_and_scenes = {(hand_in.student, hand_in.scene) for hand_in in hand_ins}
     used_scenes = {scene for _, scene in students_and_scenes if scene}
-    filled_folders = {parent for picture in pictures for parent in picture.parents}
+    filled_folders = {parent for file in files for parent in file.parents}
     empty_folders = {path.name for path in class_path.iterdir() if path.is_dir()
                      and path not in filled_folders and not _is_hidden(path.name)}  # fmt: skip
     students = {student for student, _ in students_and_scenes} | empty_folders
@@ -114,12 +114,12 @@ def match_hand_ins(pictures: Sequence[Path], class_path: Path, right_path: Path)
     return hand_ins
 
 
-def _list_references(right_path: Path) -> dict[str, Path]:
+def _list_references(reference_path: Path) -> dict[str, Path]:
     """List the scenes and reference pictures with which to compare the pictures of students.
 
     Parameters
     ----------
-    right_path : Path
+    reference_path : Path
         A scene file, a reference picture, or a folder of these.
 
     Returns
@@ -129,17 +129,17 @@ def _list_references(right_path: Path) -> dict[str, Path]:
         `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are ignored, because they were
         computed from the scene.
     """
-    if not right_path.is_dir():
-        return {_get_base_name(right_path): right_path}
-    scenes = sorted(right_path.glob("*.xml"))
-    pictures = [path for path in sorted(right_path.iterdir()) if _is_file_with(path, _PICTURES)]
+    if not reference_path.is_dir():
+        return {_get_base_name(reference_path): reference_path}
+    scenes = sorted(reference_path.glob("*.xml"))
+    pictures = [path for path in sorted(reference_path.iterdir()) if _is_file_with(path, _PICTURES)]
     computed_files = {path for path in pictures + scenes for scene in scenes
                       if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
     return {_get_base_name(path): path for path in pictures + scenes if path not in computed_files}
 
 
 def _match_hand_in(
-    picture: Path, class_path: Path, right_path: Path, path_by_scene: dict[str, Path]
+    picture: Path, class_path: Path, reference_path: Path, path_by_scene: dict[str, Path]
 ) -> HandIn:
     """Identify the student and the scene of a picture by its path.
 
@@ -152,7 +152,7 @@ def _match_hand_in(
         The file that the student handed in.
     class_path : Path
         The folder of the class; or `picture`, if it is the only one.
-    right_path : Path
+    reference_path : Path
         The scene, the reference picture, or the folder of these.  A single scene or reference
         picture is used for every file name.
     path_by_scene : dict of str to Path
@@ -170,11 +170,11 @@ def _match_hand_in(
     name = _COPY.sub("", _get_base_name(picture))
     scenes = [scene for scene in path_by_scene
               if re.search(rf"(?<![^\W_]){re.escape(scene)}(?![^\W_])", name)]  # fmt: skip
-    if scenes or not right_path.is_dir():
+    if scenes or not reference_path.is_dir():
         scene = max(scenes, key=len) if scenes else next(iter(path_by_scene))
         student = student or name.replace(scene, " ", 1).strip(" _-.") or picture.parent.name
         return HandIn(student, scene, picture, path_by_scene[scene])
-    error = f"no scene or picture in {right_path} has this name"
+    error = f"no scene or picture in {reference_path} has this name"
     words = (name, name.rpartition("_")[2])
     guesses = [key for word in words for key in difflib.get_close_matches(word, path_by_scene, 1)]
     error += f"; did you mean {path_by_scene[guesses[0]].name}?" if guesses else ""

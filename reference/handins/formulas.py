@@ -419,15 +419,15 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
                      for channel in np.moveaxis(picture, 2, 0)])  # fmt: skip
 
 
-def shows_surface(picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
-    """Guess which pixels show a surface, because the scene of the reference picture is unavailable.
+def shows_surface(reference_picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
+    """Guess, without the scene, which pixels of a submitted picture show a surface.
 
     A pixel counts as background if it is black in the reference picture, but not in the submitted
     picture.
 
     Parameters
     ----------
-    picture : (h, w, 3) array
+    reference_picture : (h, w, 3) array
         Linear light of the reference picture.
     x, y : (n,) arrays
         Positions of the pixels: -0.5 at the left and lower edges of the picture, and 0.5 at the
@@ -437,10 +437,10 @@ def shows_surface(picture: Array, x: Array, y: Array, submitted_codes: Array) ->
 
     Returns
     -------
-    is_hit : (n,) bool array
+    is_surface : (n,) bool array
         False for background pixels.
     """
-    return interpolate_light(picture, x, y).any(axis=0) | ~submitted_codes.any(axis=0)
+    return interpolate_light(reference_picture, x, y).any(axis=0) | ~submitted_codes.any(axis=0)
 
 
 _OWN: tuple[Callable[..., Any], ...] = (

@@ -100,10 +100,10 @@ class Result(NamedTuple):
 
 
 def sort_causes(results: Sequence[Result]) -> list[Result]:
-    """Sort the alternative causes of each picture by their frequency in the student's pictures.
+    """Sort the possible causes of each wrong picture, the student's most frequent cause first.
 
     A cause is a set of mistakes that are made together.  All pictures of a student come from one
-    program, so a cause that explains several pictures is more likely than others.
+    program, so the cause that explains most of them is the most likely.
 
     Parameters
     ----------
@@ -213,14 +213,14 @@ def format_csv(results: Sequence[Result]) -> str:
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(results[0].to_row())
     for result in results:
-        # Cells are made safe, because students choose the names of files.
+        # Text is escaped, because students choose the names of files.
         worst_pixel = ",".join(map(str, result.worst)) if result.worst else None
         cells = (result.to_row() | {"worst": worst_pixel}).values()
-        writer.writerow([_make_safe(cell) if isinstance(cell, str) else cell for cell in cells])
+        writer.writerow([_escape_cell(cell) if isinstance(cell, str) else cell for cell in cells])
     return buffer.getvalue().removesuffix("\n")
 
 
-def _make_safe(text: str) -> str:
+def _escape_cell(text: str) -> str:
     """Make the text of a CSV cell safe to show in a terminal or a spreadsheet.
 
     Control characters are escaped.  Text that begins like a spreadsheet formula, with a character

@@ -5,7 +5,7 @@ and a *cause* is a tuple of keywords of mistakes that are made together.
 
 The problem is that there are tens of thousands of pairs of mistakes, and that rendering a picture
 with each pair would take hours.  A few pixels refute almost all pairs, so the search is successive
-halving (Jamieson and Talwalkar 2016): it renders all causes at few pixels, the best of them at more
+halving (Jamieson and Talwalkar 2016): it tries all causes at a few pixels, the best of them at more
 pixels, and only the last few in full.
 
 A cause is reported only if the scene, rendered with it, gives the submitted picture, except for at
@@ -38,10 +38,10 @@ _MIN_RATIO = 5
 _GROUPING_PIXELS = 2400
 # Maximum number of pixels in the first round, and of causes after it.  Each further round
 # has four times the pixels and a quarter of the causes, but no fewer than the last number.
-_FIRST_PIXELS, _MAX_CAUSES, _FINAL_CAUSES = 240, 256, 16
+_FIRST_PIXELS, _MAX_CAUSE_COUNT, _FINAL_CAUSE_COUNT = 240, 256, 16
 # By chance, the right cause may leave this many more pixels of a round unexplained than the best.
 # The search ends if the best cause leaves more than this share of the wrong pixels unexplained.
-_MAX_CHANCE_PIXELS, _MAX_HOPELESS_SHARE = 4, 0.75
+_CHANCE_MARGIN, _HOPELESS_SHARE = 4, 0.75
 # Maximum number of pixels, and of pixels times surfaces, at which many causes are rendered.  A
 # random subset represents a larger picture.
 MAX_PIXELS, _MAX_INTERSECTIONS = 131_072, 2_000_000
@@ -52,7 +52,7 @@ _INTERSECTIONS_PER_BATCH = 25_000
 # In scenes with more surfaces, mistakes that concern a single surface are not tried in pairs.
 _MAX_PAIRED_SURFACES = 40
 # After lossy compression, differences of more levels count as this many.
-_MAX_LEVELS = 32
+_MAX_DIFFERENCE = 32
 # The picture of a pair with a camera mistake must show at least this many surfaces, if the scene
 # has them.
 _MIN_SHOWN_SURFACES = 3
@@ -226,14 +226,14 @@ class MistakeRenderer:
         return (pixels[start : start + size] for start in range(0, len(pixels), size))
 
     def evaluate(
-        self, formula_sets: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
+        self, formula_maps: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
         fitting_cache: FormulaCache | None = None, formula: str = "codes",
     ) -> Array:  # fmt: skip
         """Evaluate a formula at some pixels of several pictures with different mistakes.
 
         Parameters
         ----------
-        formula_sets : sequence of dict of str to callable
+        formula_maps : sequence of dict of str to callable
             For each picture, the formulas, by name, that replace those of the reference picture.
         pixels : (k,) int array
             Indices of the pixels.
@@ -253,7 +253,7 @@ class MistakeRenderer:
         submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
         caches = (self.make_cache(batch, submitted_codes, fitting_cache)
                   for batch in self.split_pixels(pixels))  # fmt: skip
-        values = [[cache.get_value(formula, formulas) for formulas in formula_sets]
+        values = [[cache.get_value(formula, formulas) for formulas in formula_maps]
                   for cache in caches]  # fmt: skip
         return np.concatenate(values, axis=-1)
 
@@ -372,11 +372,11 @@ class Submission:
     ) -> None:  # fmt: skip
         self.codes, self.renderer, self.lossy_levels = codes, renderer, lossy_levels
         self._reencode, reference_codes = reencode, renderer.reference_codes
-        levels = compare_levels(self._compress(reference_codes, renderer.width), codes)
-        self.clearly_wrong_count = int((levels > 1).sum())
+        differences = compare_levels(self._compress(reference_codes, renderer.width), codes)
+        self.clearly_wrong_count = int((differences > 1).sum())
         # If at most two pixels differ by more than one level, differences of one level count, too.
         self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
-        self.is_wrong = levels > self.tolerance
+        self.is_wrong = differences > self.tolerance
         self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
         order = shuffle(pixel_count)
         red, green, blue = codes[:, order[:MAX_PIXELS]].astype(np.uint32)
@@ -385,7 +385,8 @@ class Submission:
         max_share = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
         self._max_unexplained = max(_MAX_UNEXPLAINED, max_share)
         is_wrong = self.is_wrong[order]
-        self._wrong_and_right = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
+        # Indices of wrong pixels, then of right ones, both in random order.
+        self._shuffled_pixels = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
         max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
         final = (
             self._choose_blocks(max_pixels) if reencode else (*self._choose_pixels(max_pixels), 0)
@@ -413,12 +414,12 @@ class Submission:
         weights : (k,) float array
             Number of pixels of the picture that each chosen pixel represents.
         """
-        wrong_pixels, right_pixels = self._wrong_and_right
-        chosen_wrong = wrong_pixels[: max(count // 2, count - len(right_pixels))]
-        chosen_right = right_pixels[: count - len(chosen_wrong)]
-        pixels = np.sort(np.concatenate([chosen_wrong, chosen_right]))
-        wrong_weight = self.wrong_count / max(1, len(chosen_wrong))
-        right_weight = (len(self.is_wrong) - self.wrong_count) / max(1, len(chosen_right))
+        wrong_pixels, right_pixels = self._shuffled_pixels
+        chosen_wrong_pixels = wrong_pixels[: max(count // 2, count - len(right_pixels))]
+        chosen_right_pixels = right_pixels[: count - len(chosen_wrong_pixels)]
+        pixels = np.sort(np.concatenate([chosen_wrong_pixels, chosen_right_pixels]))
+        wrong_weight = self.wrong_count / max(1, len(chosen_wrong_pixels))
+        right_weight = (len(self.is_wrong) - self.wrong_count) / max(1, len(chosen_right_pixels))
         return pixels, np.where(self.is_wrong[pixels], wrong_weight, right_weight)
 
     def _choose_blocks(self, count: int) -> tuple[Array, Array, int]:
@@ -474,7 +475,7 @@ class Submission:
         return to_columns(self._reencode(to_picture(columns, width))) if self._reencode else columns
 
     def _compare_levels(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
-        """Compute how much the submitted picture differs from the picture of each cause.
+        """Compute how much the submitted picture differs from the one that each cause gives.
 
         Parameters
         ----------
@@ -488,17 +489,18 @@ class Submission:
 
         Returns
         -------
-        levels : (causes, k) array
-            For each cause and pixel, the largest difference between the channels, in levels.
+        differences : (causes, k) array
+            For each cause and pixel, the largest difference between the two pictures in any
+            channel, in levels.
         """
-        formula_sets = [self.renderer.get_formulas(cause) for cause in causes]
-        pictures = self.renderer.evaluate(formula_sets, pixels, self.codes, self.fitting_cache)
+        formula_maps = [self.renderer.get_formulas(cause) for cause in causes]
+        pictures = self.renderer.evaluate(formula_maps, pixels, self.codes, self.fitting_cache)
         if width and self._reencode:
             pictures = np.array([self._compress(picture, width) for picture in pictures])
         return compare_levels(pictures, self.codes[:, pixels])
 
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
-        """Count the pixels in which the submitted picture differs from causes; cache the counts.
+        """Count the pixels that each cause leaves unexplained or inexact, and cache the counts.
 
         The results are returned by `_count_unexplained` and `_count_inexact`.
 
@@ -509,9 +511,9 @@ class Submission:
         """
         cached_counts, limits = self._counts_by_cause, (self.tolerance, self.lossy_levels)
         if new_causes := [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]:
-            all_levels = self._compare_levels(new_causes, self._final_pixels, self._final_width)
-            for cause, levels in zip(new_causes, all_levels, strict=True):
-                counts = ((levels > limit) @ self._final_weights for limit in limits)
+            differences = self._compare_levels(new_causes, self._final_pixels, self._final_width)
+            for cause, difference in zip(new_causes, differences, strict=True):
+                counts = ((difference > limit) @ self._final_weights for limit in limits)
                 cached_counts[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
@@ -548,11 +550,11 @@ class Submission:
         self._cache_counts([cause])
         return self._counts_by_cause[cause][1]
 
-    def _select_best(self, causes: list[Cause]) -> list[Cause]:
-        """Select the causes whose pictures differ from the submitted picture in the fewest pixels.
+    def _rank_causes(self, causes: list[Cause]) -> list[Cause]:
+        """Select the causes that leave the fewest pixels unexplained, and rank them.
 
-        Successive halving compares all causes at few pixels, then the best of them at more pixels,
-        and so on.
+        Successive halving compares all causes at a few pixels, then the best of them at more
+        pixels, and so on.
 
         Parameters
         ----------
@@ -562,46 +564,46 @@ class Submission:
         Returns
         -------
         list of tuples of str
-            At most `_FINAL_CAUSES` causes, the best first.  Empty if no cause explains a quarter of
-            the wrong pixels.
+            At most `_FINAL_CAUSE_COUNT` causes, the best first.  Empty if no cause explains a
+            quarter of the wrong pixels.
         """
-        pixel_count, max_causes = self.renderer.first_round_size, _MAX_CAUSES
-        while len(causes) > _FINAL_CAUSES and pixel_count < len(self._final_pixels):
-            causes = self._run_round(causes, pixel_count, max(_FINAL_CAUSES, max_causes))
+        pixel_count, max_causes = self.renderer.first_round_size, _MAX_CAUSE_COUNT
+        while len(causes) > _FINAL_CAUSE_COUNT and pixel_count < len(self._final_pixels):
+            causes = self._run_round(causes, pixel_count, max(_FINAL_CAUSE_COUNT, max_causes))
             pixel_count, max_causes = 4 * pixel_count, max_causes // 4
-        self._cache_counts(causes[:_FINAL_CAUSES])
-        return sorted(causes[:_FINAL_CAUSES], key=self._count_unexplained)
+        self._cache_counts(causes[:_FINAL_CAUSE_COUNT])
+        return sorted(causes[:_FINAL_CAUSE_COUNT], key=self._count_unexplained)
 
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
-        """Run one round of successive halving: render causes at some pixels and keep the best.
+        """Run one round of successive halving: compare causes at some pixels, and keep the best.
 
-        The best causes leave the fewest pixels unexplained.
+        The best causes leave the fewest of these pixels unexplained.
 
         Parameters
         ----------
         causes : list of tuples of str
             The causes to compare.
         pixel_count : int
-            Number of pixels at which to render the causes.
+            Number of pixels at which to compare the causes.
         max_causes : int
             Maximum number of causes to keep.
 
         Returns
         -------
         list of tuples of str
-            The best causes, the best first.  Empty if each leaves more than `_MAX_HOPELESS_SHARE`
+            The best causes, the best first.  Empty if each leaves more than `_HOPELESS_SHARE`
             of the wrong pixels unexplained.
         """
         pixels, weights = self._choose_pixels(pixel_count)
-        levels = self._compare_levels(causes, pixels)
+        differences = self._compare_levels(causes, pixels)
         if self.lossy_levels:  # nearly all pixels differ: select the smallest sums of differences
-            order = np.argsort(np.minimum(levels, _MAX_LEVELS) @ weights, kind="stable")
+            order = np.argsort(np.minimum(differences, _MAX_DIFFERENCE) @ weights, kind="stable")
             return [causes[k] for k in order[:max_causes]]
-        is_unexplained = levels > self.tolerance
-        if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _MAX_HOPELESS_SHARE:
+        is_unexplained = differences > self.tolerance
+        if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _HOPELESS_SHARE:
             return []
         counts = is_unexplained @ weights
-        max_count = 1.5 * counts.min() + _MAX_CHANCE_PIXELS * weights.max()
+        max_count = 1.5 * counts.min() + _CHANCE_MARGIN * weights.max()
         order = np.argsort(counts, kind="stable")[:max_causes]
         return [causes[k] for k in order if counts[k] <= max_count]
 
@@ -617,7 +619,7 @@ class Submission:
             The causes (tuples of keywords of mistakes that are made together); or, if no cause
             explains the picture, a hint: the cause with the most similar picture.
         """
-        singles = self._add_rounding(self._select_best(self.renderer.single_causes))
+        singles = self._add_rounding(self._rank_causes(self.renderer.single_causes))
         pairs = list[Cause]()
         causes = self._select_reportable(singles)
         min_count: float = self._count_unexplained(causes[0]) if causes else np.inf
@@ -639,35 +641,35 @@ class Submission:
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels of the complete picture that a cause leaves unexplained."""
         every_pixel = np.arange(self.renderer.pixel_count, dtype=np.int32)
-        levels = self._compare_levels([cause], every_pixel, self.renderer.width)
-        return int((levels > self.tolerance).sum())
+        differences = self._compare_levels([cause], every_pixel, self.renderer.width)
+        return int((differences > self.tolerance).sum())
 
     def _select_best_pairs(self) -> list[Cause]:
         """Select the pairs of mistakes whose pictures are most similar to the submitted picture.
 
-        At first, only one of several mistakes with the same picture is tried.  The others replace
-        it in the best pairs.
+        If several mistakes give the same picture, only one of them is tried at first.  The others
+        then replace it in the best pairs.
 
         Returns
         -------
         list of tuples of str
-            At most `_FINAL_CAUSES` causes, the best first.  Each contains the keywords of two
+            At most `_FINAL_CAUSE_COUNT` causes, the best first.  Each contains the keywords of two
             mistakes.
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         groups, (all_pairs, codes, pixels) = renderer.cause_groups, renderer.rendered_pairs
         is_unexplained = compare_levels(codes, self.codes[:, pixels]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
-        pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSES]}
+        pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSE_COUNT]}
         if self.codes[:, renderer.surface_index < 0].any():
             pairs |= {cause: (background, other) for other in groups
                       if (cause := renderer.join_causes(background, other))}  # fmt: skip
-        best_pairs, groups = self._select_best([*pairs]), {background: [background]} | groups
+        best_pairs, groups = self._rank_causes([*pairs]), {background: [background]} | groups
         # The best pairs, and all pairs with the same pictures; the keys of a dictionary are unique.
         twin_pairs = {cause: None for pair in best_pairs
                       for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
                       if (cause := renderer.join_causes(first, second))}  # fmt: skip
-        return self._select_best([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
+        return self._rank_causes([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
 
     def _needs_each_mistake(self, cause: Cause) -> bool:
         """Test whether both mistakes of a pair are needed to explain the submitted picture.

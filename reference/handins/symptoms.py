@@ -18,10 +18,10 @@ from reference.pictures import Codes, compare_levels, to_picture
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
 _MAX_LIGHTS = 4
-# Rounding is assumed to decide at most this share of the pixels.  To test a pixel, its sample is
-# moved by this many pixels, and the origins of its shadow rays are lifted from the surface by these
+# Rounding may explain at most this share of the pixels.  To test a pixel, its sample is moved by
+# this many pixels, and the origins of its shadow rays are lifted from the surface by these
 # multiples of their distance from the origin of coordinates.
-_MAX_TIES, _TIE_OFFSET, _TIE_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
+_MAX_ROUNDED_SHARE, _SAMPLE_OFFSET, _SHADOW_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
 # Speckles: the minimum share of the picture that loses light; the maximum number of other wrong
 # pixels, relative to the pixels that lose light; and the minimum frequency with which neighbours in
 # a row or column differ, relative to that of independent pixels.
@@ -34,11 +34,11 @@ _QUALITIES, _MIN_SAME, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_
 _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 
 
-def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
+def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     """Find the lights that are missing, or wrongly present, at each wrong pixel of a submission.
 
-    Each wrong pixel is rendered with every set of lights, to find the sets that give the submitted
-    codes.  Of these sets, the one most similar to the right set is used.
+    Each wrong pixel is rendered with every set of lights, to find the sets that reproduce the
+    submitted codes.  Of these sets, the one with the fewest missing or extra lights is used.
 
     Parameters
     ----------
@@ -53,11 +53,12 @@ def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
     is_extra : (lights, n) bool array
         True if the light should be blocked, but reaches the pixel.
 
-    Both arrays are false at pixels that are right, or that no set of lights explains.  The result
-    is None if no pixels or more than `MAX_PIXELS` are wrong, if the scene is unknown, or if it has
-    no lights or more than `_MAX_LIGHTS`.
+    Both arrays are false at correct pixels, and where no set of lights reproduces the codes.  The
+    result is None if no pixels or more than `MAX_PIXELS` are wrong, if the scene is unknown, or if
+    it has no lights or more than `_MAX_LIGHTS`.
     """
     renderer, pixels = submission.renderer, np.flatnonzero(submission.is_wrong)
+    # Without a scene, the renderer has no mistakes that concern lights.
     if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
         return None
     should_reach = renderer.evaluate([renderer.base_formulas], pixels, formula="lit")[0]
@@ -65,18 +66,18 @@ def find_light_changes(submission: Submission) -> tuple[Array, Array] | None:
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
     light_sets = [*product((False, True), repeat=light_count)]
-    formula_sets = [
+    formula_maps = [
         parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
         for light_set in light_sets
     ]
-    codes = renderer.evaluate(formula_sets, pixels, submission.codes)
-    # For each set and pixel, the number of lights in which the set differs from the right set.
+    codes = renderer.evaluate(formula_maps, pixels, submission.codes)
+    # For each set and pixel, the number of missing and extra lights.
     is_in_set = np.array(light_sets)
-    change_count = (should_reach != is_in_set[:, :, None]).sum(axis=1)
-    # A number larger than any other, if the set does not give the submitted codes.
-    change_count[compare_levels(codes, submission.codes[:, pixels]) > 1] = light_count + 1
-    reaches = is_in_set[change_count.argmin(axis=0)].T
-    reaches = np.where(change_count.min(axis=0) <= light_count, reaches, should_reach)
+    error_count = (should_reach != is_in_set[:, :, None]).sum(axis=1)
+    # A number larger than any other, if the set does not reproduce the submitted codes.
+    error_count[compare_levels(codes, submission.codes[:, pixels]) > 1] = light_count + 1
+    reaches = is_in_set[error_count.argmin(axis=0)].T
+    reaches = np.where(error_count.min(axis=0) <= light_count, reaches, should_reach)
     is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
     is_lost[:, pixels], is_extra[:, pixels] = should_reach & ~reaches, reaches & ~should_reach
     return is_lost, is_extra
@@ -93,9 +94,9 @@ def is_speckled(submission: Submission) -> bool:
         The picture that a student submitted, and the renderer of its scene.
     """
     renderer = submission.renderer
-    if renderer.pixel_count > MAX_PIXELS or not (light_changes := find_light_changes(submission)):
+    if renderer.pixel_count > MAX_PIXELS or not (light_errors := find_light_errors(submission)):
         return False
-    is_lost, is_extra = light_changes
+    is_lost, is_extra = light_errors
     is_dark = is_lost.any(axis=0) & ~is_extra.any(axis=0)
     dark_count = is_dark.sum()
     has_other_errors = submission.wrong_count - dark_count > _MAX_OTHERS * dark_count
@@ -118,28 +119,33 @@ def is_speckled(submission: Submission) -> bool:
     return True
 
 
-def is_decided_by_rounding(submission: Submission) -> bool:
+def is_explained_by_rounding(submission: Submission) -> bool:
     """Test whether rounding explains all pixels that differ by more than one level.
 
-    If there are only a few such pixels, they are rendered again several times, with slightly moved
-    samples and shadow rays.  Rounding explains them if all submitted codes are between the smallest
-    and the largest code that is rendered, or one level beyond.
+    These pixels are rendered again several times, with slightly moved samples and shadow rays.
+    Rounding explains a pixel if its submitted codes lie between the smallest and the largest
+    rendered codes, or at most one level outside.
 
     Parameters
     ----------
     submission : Submission
         The picture that a student submitted, and the renderer of its scene.
+
+    Returns
+    -------
+    bool
+        False if there are no such pixels, or too many (see `_MAX_ROUNDED_SHARE`).
     """
     renderer = submission.renderer
     pixels = np.flatnonzero(compare_levels(renderer.reference_codes, submission.codes) > 1)
-    if not 0 < len(pixels) <= max(1, _MAX_TIES * renderer.pixel_count):
+    if not 0 < len(pixels) <= max(1, _MAX_ROUNDED_SHARE * renderer.pixel_count):
         return False
-    positions = 0.5 - _TIE_OFFSET, 0.5, 0.5 + _TIE_OFFSET
-    formula_sets = [
+    positions = 0.5 - _SAMPLE_OFFSET, 0.5, 0.5 + _SAMPLE_OFFSET
+    formula_maps = [
         make_sample_formulas(x, y) | parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
-        for x, y, lift in product(positions, positions, _TIE_LIFTS)
+        for x, y, lift in product(positions, positions, _SHADOW_LIFTS)
     ]
-    codes = renderer.evaluate(formula_sets, pixels).astype(np.int16)
+    codes = renderer.evaluate(formula_maps, pixels).astype(np.int16)
     min_codes, max_codes = codes.min(axis=0) - 1, codes.max(axis=0) + 1
     submitted_codes = submission.codes[:, pixels]
     return bool(((submitted_codes >= min_codes) & (submitted_codes <= max_codes)).all())
@@ -161,14 +167,14 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
     bool
         False if the pictures are too large to try, or if they agree within one level.
     """
-    is_wrong = compare_levels(submitted_codes, reference_codes, 2) > 1
+    is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
         return False
     image = Image.fromarray(reference_codes)
     for quality, subsampling in product(_QUALITIES, (0, 2)):
         jpeg_file = io.BytesIO()
         image.save(jpeg_file, "JPEG", quality=quality, subsampling=subsampling)
-        agrees = compare_levels(np.asarray(Image.open(jpeg_file)), submitted_codes, 2) <= 1
+        agrees = compare_levels(np.asarray(Image.open(jpeg_file)), submitted_codes, axis=2) <= 1
         # Most pixels must agree, also of those that differ from the uncompressed picture.
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
@@ -183,7 +189,7 @@ def _are_similar(first_codes: Codes, second_codes: Codes) -> bool:
     first_codes, second_codes : (h, w, 3) uint8 arrays
         8-bit codes of two pictures of equal size.
     """
-    return bool((compare_levels(first_codes, second_codes, 2) > 1).mean() <= _MAX_DIFFERENT)
+    return bool((compare_levels(first_codes, second_codes, axis=2) > 1).mean() <= _MAX_DIFFERENT)
 
 
 def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
@@ -217,7 +223,7 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     may_be_corner = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
         window = submitted_codes[row : row + row_count, column : column + column_count]
-        may_be_corner &= compare_levels(window, reference_codes[row, column], 2) <= 1
+        may_be_corner &= compare_levels(window, reference_codes[row, column], axis=2) <= 1
     for row, column in np.argwhere(may_be_corner)[:_MAX_PLACES]:
         crop = submitted_codes[row : row + height, column : column + width]
         if _are_similar(crop, reference_codes):
@@ -260,7 +266,7 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
     """
     renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
     width, both_codes = renderer.width, (submission.codes, renderer.reference_codes)
-    if wrong_count and is_decided_by_rounding(submission):
+    if wrong_count and is_explained_by_rounding(submission):
         sentence = f"{format_count(wrong_count)} where rounding decides, as in single precision."
         return "single-precision", sentence
     if is_speckled(submission):

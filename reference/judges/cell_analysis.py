@@ -38,7 +38,7 @@ import numpy as np
 
 from reference.judges.arrays import Bools, Floats, Ints, add_at_sorted_index, list_segment_elements
 from reference.judges.cells import MAX_WIDTH, Cells
-from reference.judges.enclosures import CONSTANT, RADIUS, ROUNDING, UNKNOWN, X_SQUARED, Enclosures
+from reference.judges.enclosures import CONSTANT, ERROR, ROUNDING, UNKNOWN, X_SQUARED, Enclosures
 from reference.judges.faces import Faces
 from reference.judges.vectors import compute_cross_product, compute_squared_length
 
@@ -56,7 +56,7 @@ class Contributions(NamedTuple):
     Attributes
     ----------
     pair, light : (n,) int arrays
-        The pair and the light of each contribution.
+        Indices of the pair and of the light of each contribution.
     radiance : Enclosures
         Enclosures (8, 3, n) of the radiance that the face reflects to the eye wherever the light
         reaches the face.  The first axis holds the coefficients of a polynomial and its error
@@ -150,7 +150,7 @@ def _enclose_cone(
     coef[:UNKNOWN] = r2 * compute_squared_length(points) - compute_squared_length(cross)
     error_bound = r2 * size * np.abs(points).sum(axis=(0, 1))
     error_bound += c2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
-    coef[RADIUS] = 8 * ROUNDING * error_bound
+    coef[ERROR] = 8 * ROUNDING * error_bound
     return Enclosures(coef), cross
 
 
@@ -165,14 +165,14 @@ class CellAnalysis:
     A quantity is enclosed everywhere in a cell by a quadratic polynomial in the coordinates X and
     Y, which run from -1 to 1 in the cell.  Rows 0 to 5 of its array (8, n) hold the coefficients of
     1, X, Y, X^2, X Y and Y^2.  Row 6 holds the coefficient of an unknown Z from -1 to 1, and row 7
-    (RADIUS) an error bound.
+    (ERROR) an error bound.
 
     Attributes
     ----------
     faces : Faces
         The spheres and the sides of boxes in the scene.
     cells : Cells
-        The cells, without pairs and triples that proved irrelevant.
+        The cells, without the pairs and occluders that proved irrelevant.
     squared_ray_length : Enclosures
         Enclosures (8, c) of d^2, the squared length of the ray directions, one for each cell.
     inverse_distance : Enclosures
@@ -203,7 +203,7 @@ class CellAnalysis:
         rays[0, 1], rays[1, 2] = self._half_cell_size = cells.width / 2 * pixel_size
         coef = np.zeros((8, cells.x.size))
         coef[:UNKNOWN] = compute_squared_length(rays)
-        coef[RADIUS] = ROUNDING * coef[CONSTANT]
+        coef[ERROR] = ROUNDING * coef[CONSTANT]
         self.squared_ray_length = Enclosures(coef)
         # Pairs, lights (or -1) and enclosures of edge functions.
         self._edges: list[tuple[Ints, Ints, Enclosures]] = []
@@ -227,12 +227,12 @@ class CellAnalysis:
         -------
         product : Enclosures
             Enclosures (8, n) of the dot products.  Only rows 0 to 2 (the coefficients of 1, X and
-            Y) and row 7 (RADIUS) are not zero.
+            Y) and row 7 (ERROR) are not zero.
         """
         coef, max_ray_size = np.zeros((8, cell.size)), self.faces.frame.max_ray_size
         coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell, axis=1)).sum(axis=0)
         coef[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_cell_size
-        coef[RADIUS] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
+        coef[ERROR] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
         return Enclosures(coef)
 
     def _express_half_space(self, pair: Ints, half_space: Floats) -> _RayFunctions:
@@ -256,7 +256,7 @@ class CellAnalysis:
         *normal, b, b_size = half_space
         smooth_part = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
         smooth_part += self._linear_term[pair] * b
-        smooth_part.coef[RADIUS] += ROUNDING * b_size * self._max_inverse_distance[pair]
+        smooth_part.coef[ERROR] += ROUNDING * b_size * self._max_inverse_distance[pair]
         return _RayFunctions(pair, smooth_part, b)
 
     def _enclose_functions(self, functions: _RayFunctions) -> Enclosures:
@@ -293,7 +293,7 @@ class CellAnalysis:
         Parameters
         ----------
         light : (n,) int array, or int
-            For each claim, the light that it concerns, or -1 if it concerns the visible face.
+            For each claim, the index of the light that it concerns; -1 for the visible face.
         is_false : (n,) bool array
             Set to True, in place, for each claim that is false everywhere in its cell.  This is
             done after each condition, so that the next conditions can skip these claims.
@@ -376,13 +376,13 @@ class CellAnalysis:
         self.inverse_distance = Enclosures(self._linear_term.coef.copy())
         visible_pair = sphere_pair[~is_outside[sphere_pair]]
         coef = self.squared_root_term[visible_pair].power(0.5).coef
-        rounding_error = self.inverse_distance.coef[RADIUS, visible_pair]
+        rounding_error = self.inverse_distance.coef[ERROR, visible_pair]
         # The error bound of the root term becomes the coefficient of the unknown Z, which the
         # inverse distance shares.  The new error bound covers only rounding errors.
-        coef[UNKNOWN], coef[RADIUS] = coef[RADIUS] + rounding_error, rounding_error
+        coef[UNKNOWN], coef[ERROR] = coef[ERROR] + rounding_error, rounding_error
         self.root_term.coef[:, visible_pair] = coef
         self.inverse_distance.coef[:, visible_pair] += coef
-        self.inverse_distance.coef[RADIUS, visible_pair] = 0
+        self.inverse_distance.coef[ERROR, visible_pair] = 0
         is_kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
         self.cells, new_index = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
         for i, (pair, light, functions) in enumerate(self._edges):
@@ -520,12 +520,13 @@ class CellAnalysis:
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
-        """Find shadow edges, and mark lights that an object blocks everywhere in a cell as settled.
+        """Find shadow edges, and mark the lights that are blocked everywhere in a cell.
 
-        A triple consists of a pair (a cell and a face in it), a light, and an occluder that may
-        shade the face from the light.  A light is marked in `cells.is_settled` if the occluder
-        shades all of the face in the cell.  If it may shade only a part, the edges of its shadow
-        become possible edges.  Triples that no longer matter are removed.
+        A triple describes a possible shadow: a pair (a cell and a face in it), a light, and an
+        object that may shade the face from the light.  If the object shades all of the face in the
+        cell, the light is marked in `cells.is_settled`, because it adds nothing there.  If the
+        object may shade only a part, the edges of its shadow become possible edges.  Triples that
+        no longer matter are removed.
 
         In cells of the width `MAX_WIDTH`, the triples are created first.
         """
@@ -535,6 +536,7 @@ class CellAnalysis:
             triples = self.faces.find_occluders(*part_boxes, cells.pair_face, ~cells.is_settled.T)
             self.cells = cells = cells._replace(triples=triples)
         pair, light, _ = cells.triples
+        # `_decide_claims` updates `is_lit` after each condition.
         is_lit = np.zeros(pair.size, dtype=np.bool_)
         sphere_conditions = self._make_sphere_shadow_conditions()
         conditions = chain(sphere_conditions, self._make_box_shadow_conditions(is_lit))
@@ -552,8 +554,8 @@ class CellAnalysis:
         Yields
         ------
         condition : _Condition
-            First one condition, then the other, for all triples with a sphere as the occluder.  A
-            triple consists of a pair (a cell and a face in it), a light and an occluder.
+            First one condition, then the other, for each triple whose occluder is a sphere.  A
+            triple is a possible shadow: a pair (a cell and a face in it), a light, an occluder.
         """
         triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
         faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
@@ -579,10 +581,10 @@ class CellAnalysis:
         dot_of_crosses, v = (c_cross_center * c_cross_w).sum(axis=0), np.zeros((8, pair.size))
         v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
         v_size = to_center2 * lengths[1] * w_size + radius2 * lengths[0] * q_size
-        v[RADIUS] = 16 * ROUNDING * v_size
+        v[ERROR] = 16 * ROUNDING * v_size
         s2 = self.squared_root_term[pair]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
-        u.coef[RADIUS] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
+        u.coef[ERROR] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
         yield _Condition(triple_index, _RayFunctions(pair, u, Enclosures(v)), has_edge=True)
         # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
@@ -600,17 +602,17 @@ class CellAnalysis:
         Parameters
         ----------
         is_lit : (q,) bool array
-            For each triple, whether the occluder is known not to shade the face in the cell.  A
-            triple consists of a pair (a cell and a face in it), a light and an occluder.  The
-            caller may update this array between conditions.
+            For each triple, whether earlier conditions have shown that the occluder shades no part
+            of the face in the cell.  A triple is a possible shadow: a pair (a cell and a face in
+            it), a light, an occluder.  The caller may update this array between conditions.
 
         Yields
         ------
         condition : _Condition
-            A condition for all triples with a box as the occluder, except those that are lit.
+            A condition for each triple whose occluder is a box, except those that are lit.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
-        is_box = box >= 0
+        is_box = box >= 0  # the index is negative if the occluder is a sphere
         shadow_planes = self.faces.shadow_volume.swapaxes(0, 1)
         for half_spaces, has_edge in zip(shadow_planes, self.faces.has_shadow_edge, strict=True):
             index = np.flatnonzero(is_box & ~is_lit)
@@ -642,8 +644,8 @@ class CellAnalysis:
         index = np.flatnonzero(has_other_object & has_other_plane)
         pair, face, other_face = pair[index], face[index], other_face[index]
         # If the other face is a sphere, both are.  The difference of their equations is linear.
-        plane, is_sphere = faces.equation[:, other_face], ~faces.is_planar[other_face]
-        sphere_equation = faces.equation[:, face[is_sphere]]
+        plane, is_sphere = faces.face_equation[:, other_face], ~faces.is_planar[other_face]
+        sphere_equation = faces.face_equation[:, face[is_sphere]]
         plane[:, is_sphere] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
         functions = self._express_half_space(pair, plane)
         condition = _Condition(np.arange(pair.size), functions, has_edge=True)

@@ -39,7 +39,8 @@ class Cells(NamedTuple):
 
     A pair consists of a cell and a face (a sphere, or a side of a box) that may be visible in it.
     A light is settled for a pair if it is known to reach all of the face in the cell, or none of
-    it.  A triple consists of a pair, a light, and an object that may shade the face from the light.
+    it.  A triple describes a possible shadow: a pair, a light, and an object that may shade the
+    face from the light.
 
     Attributes
     ----------
@@ -72,8 +73,8 @@ class Cells(NamedTuple):
     def select_triples(self, is_kept: Bools) -> Cells:
         """Copy all cells and pairs, but only the selected triples.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
-        pair, a light, and an object that may shade the face from the light.
+        A pair consists of a cell and a face that may be visible in it.  A triple describes
+        a possible shadow: a pair, a light, and an object that may shade the face from the light.
 
         Parameters
         ----------
@@ -90,8 +91,8 @@ class Cells(NamedTuple):
     def select_pairs(self, is_kept: Bools) -> tuple[Cells, Ints]:
         """Copy all cells, but only the selected pairs and their triples.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
-        pair, a light, and an object that may shade the face from the light.
+        A pair consists of a cell and a face that may be visible in it.  A triple describes
+        a possible shadow: a pair, a light, and an object that may shade the face from the light.
 
         Parameters
         ----------
@@ -115,8 +116,8 @@ class Cells(NamedTuple):
     def select_cells(self, is_kept: Bools) -> Cells:
         """Copy the selected cells with all their pairs and triples.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
-        pair, a light, and an object that may shade the face from the light.
+        A pair consists of a cell and a face that may be visible in it.  A triple describes
+        a possible shadow: a pair, a light, and an object that may shade the face from the light.
 
         Parameters
         ----------
@@ -141,9 +142,9 @@ class Cells(NamedTuple):
     def split_into_quarters(self, width: int, height: int) -> Cells:
         """Divide each cell into four quarters, which inherit its pairs and triples.
 
-        A pair consists of a cell and a face that may be visible in it.  A triple consists of a
-        pair, a light, and an object that may shade the face from the light.  Pairs and triples are
-        inherited without testing whether they matter in the quarter.
+        A pair consists of a cell and a face that may be visible in it.  A triple describes
+        a possible shadow: a pair, a light, and an object that may shade the face from the light.
+        Pairs and triples are inherited without testing whether they matter in the quarter.
 
         Parameters
         ----------

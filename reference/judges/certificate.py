@@ -26,8 +26,8 @@ strip.  Two errors remain:
 
 - In a strip, radiance differs from that of the region by at most the strip's *jump*: the radiance
   of one light, or all radiance that the cell may show.
-- If the centroid itself is in a strip, its sample may be on the wrong side of the edge.  Then all
-  of the region may be wrong by the jump.  This is the *sample error* of the region.
+- If the centroid itself is in a strip, its sample may be on the wrong side of the edge.  Then
+  the radiance of the whole region may be off by the jump.  This is the region's *sample error*.
 
 The error of a pixel is at most the sum of these errors over its cells, weighted by areas.  A cell
 is finished if its error is at most the average that its pixel can still afford.  Other cells are
@@ -274,12 +274,12 @@ def _enclose_edges(
 
 
 def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the errors of regions whose samples lie in strips.
+    """Bound the error of each region whose sample may be on the wrong side of an edge.
 
     A strip is the part of a cell between two parallel lines that enclose an edge.  One sample at
     the centroid of each region shows which face is visible there.  If the centroid is in a strip,
-    the sample may be on the wrong side of the edge.  Then all of the region may be wrong by the
-    jump of radiance across the edge.
+    the sample may be on the wrong side of the edge.  Then the radiance of the whole region may be
+    off by the jump across the edge.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ arithmetic (Comba and Stolfi, 1993) keeps the linear dependence on the position.
 keeps the quadratic dependence.
 
 A cell has coordinates X and Y from -1 to 1.  An *enclosure* describes a quantity by eight
-coefficients: for some Z between -1 and 1, the quantity differs by at most coef[RADIUS] from
+coefficients: for some Z between -1 and 1, the quantity differs by at most coef[ERROR] from
 
     coef[CONSTANT] + coef[X] X + coef[Y] Y
         + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
@@ -17,7 +17,7 @@ surface share the same Z, so unknown parts that are linear in the distance cance
 different surfaces have different Z: see `Enclosures.subtract_independent`.
 
 Why the result is right: some terms of a result cannot be represented, such as those of degree three
-or four, and products with Z.  Their largest absolute values are added to coef[RADIUS], and so are
+or four, and products with Z.  Their largest absolute values are added to coef[ERROR], and so are
 bounds on the rounding errors.
 
 Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  The rounding
@@ -33,7 +33,7 @@ import numpy as np
 
 from reference.judges.arrays import Floats, Index
 
-CONSTANT, X, Y, X_SQUARED, X_TIMES_Y, Y_SQUARED, UNKNOWN, RADIUS = range(8)
+CONSTANT, X, Y, X_SQUARED, X_TIMES_Y, Y_SQUARED, UNKNOWN, ERROR = range(8)
 """Rows of the array of an enclosure: coefficients of 1, X, Y, X^2, X Y, Y^2 and of the unknown Z,
 then the error bound."""
 
@@ -53,7 +53,7 @@ class Enclosures:
     """n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
 
     X and Y are the coordinates in the cell, from -1 to 1.  Z is an unknown number from -1 to 1, the
-    same in all enclosures about one surface.  A quantity differs by at most coef[RADIUS] from
+    same in all enclosures about one surface.  A quantity differs by at most coef[ERROR] from
 
         coef[CONSTANT] + coef[X] X + coef[Y] Y
             + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
@@ -61,7 +61,7 @@ class Enclosures:
     Attributes
     ----------
     coef : (8, n) float array, or (8, 3, n) for the three channels of radiance
-        Rows 0 to 6 hold the coefficients of 1, X, Y, X^2, X Y, Y^2 and Z.  Row 7 (RADIUS) holds the
+        Rows 0 to 6 hold the coefficients of 1, X, Y, X^2, X Y, Y^2 and Z.  Row 7 (ERROR) holds the
         error bound, which is at least 0.
     """
 
@@ -80,7 +80,7 @@ class Enclosures:
     @property
     def radius(self) -> Floats:
         """Upper bound (..., n) on the difference between a quantity and its polynomial in X, Y."""
-        return np.asarray(np.abs(self.coef[UNKNOWN]) + self.coef[RADIUS])
+        return np.asarray(np.abs(self.coef[UNKNOWN]) + self.coef[ERROR])
 
     @property
     def max_abs(self) -> Floats:
@@ -103,7 +103,7 @@ class Enclosures:
         """
         coef, coef_xx, coef_yy = self.coef, self.coef[X_SQUARED], self.coef[Y_SQUARED]
         # The terms with X^2 and Y^2 have the signs of their coefficients; the others have any sign.
-        spread = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN]]).sum(axis=0) + coef[RADIUS]
+        spread = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN]]).sum(axis=0) + coef[ERROR]
         low = coef[CONSTANT] - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
         high = coef[CONSTANT] + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)
         return low, high
@@ -111,8 +111,9 @@ class Enclosures:
     def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
         """Add numbers, or enclosures with the same unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Each
-        surface has its own Z.  Use `subtract_independent` for quantities with different Z.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Two
+        quantities have the same Z if they describe the same surface.  For quantities with
+        different Z, use `subtract_independent`.
 
         Parameters
         ----------
@@ -128,7 +129,7 @@ class Enclosures:
             return Enclosures(self.coef + other.coef)
         coef = self.coef.copy()
         coef[CONSTANT] += other
-        coef[RADIUS] += ROUNDING * np.abs(other)
+        coef[ERROR] += ROUNDING * np.abs(other)
         return Enclosures(coef)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
@@ -138,9 +139,9 @@ class Enclosures:
     def subtract_independent(self, other: Enclosures) -> Enclosures:
         """Subtract enclosures with a different unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Each
-        surface has its own Z, so the terms with Z do not cancel.  The absolute values of their
-        coefficients are added to the error bound instead.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Two
+        quantities that describe different surfaces have different Z, so their terms with Z do not
+        cancel.  The absolute values of these coefficients are added to the error bound instead.
 
         Parameters
         ----------
@@ -153,15 +154,15 @@ class Enclosures:
             Enclosures (8, n) of the differences, without Z.
         """
         coef = self.coef - other.coef
-        coef[RADIUS], coef[UNKNOWN] = self.radius + other.radius, 0
+        coef[ERROR], coef[UNKNOWN] = self.radius + other.radius, 0
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
         """Multiply by numbers, or by enclosures with the same unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Each
-        surface has its own Z.  A product has terms that an enclosure cannot represent, such as X^3
-        or X Z.  Their largest absolute values are added to the error bound.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Some
+        terms of a product cannot be part of an enclosure, such as X^3 or X Z.  The largest absolute
+        values of these terms for X, Y and Z from -1 to 1 are added to the error bound.
 
         Parameters
         ----------
@@ -175,7 +176,7 @@ class Enclosures:
         """
         if not isinstance(other, Enclosures):
             coef = self.coef * other
-            coef[RADIUS] = np.abs(coef[RADIUS])
+            coef[ERROR] = np.abs(coef[ERROR])
             return Enclosures(coef)
         a, b = self.coef, other.coef
         coef = b * a[CONSTANT]
@@ -184,13 +185,14 @@ class Enclosures:
         coef[X_SQUARED] += a[X] * b[X]
         coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
         coef[Y_SQUARED] += a[Y] * b[Y]
-        # The error bound covers all other products of two terms with X, Y or Z.
+        # The error bound covers all other products of two terms with X, Y or Z.  `a_spread` and
+        # `a_max` are the largest absolute values of the terms with X, Y or Z, and of all terms.
         a, b = np.abs(a), np.abs(b)
-        a_spread, b_spread = a[X:RADIUS].sum(axis=0), b[X:RADIUS].sum(axis=0)
-        a_size, b_size = a[CONSTANT] + a_spread, b[CONSTANT] + b_spread
-        coef[RADIUS] = a_spread * b_spread - (a[X] + a[Y]) * (b[X] + b[Y])
-        coef[RADIUS] += a[RADIUS] * (b_size + b[RADIUS]) + b[RADIUS] * a_size
-        coef[RADIUS] += ROUNDING * a_size * b_size
+        a_spread, b_spread = a[X:ERROR].sum(axis=0), b[X:ERROR].sum(axis=0)
+        a_max, b_max = a[CONSTANT] + a_spread, b[CONSTANT] + b_spread
+        coef[ERROR] = a_spread * b_spread - (a[X] + a[Y]) * (b[X] + b[Y])
+        coef[ERROR] += a[ERROR] * (b_max + b[ERROR]) + b[ERROR] * a_max
+        coef[ERROR] += ROUNDING * a_max * b_max
         return Enclosures(coef)
 
     def power(
@@ -226,14 +228,14 @@ class Enclosures:
         polynomial = z_offset * z_offset * quadratic_coef + z_offset * linear_coef + f_center
         # The power and all coefficients have relative errors of a few times 2^-53.
         rounding_error = ROUNDING * (np.maximum(f_low, f_high) + np.abs(linear_coef) * high)
-        polynomial.coef[RADIUS] += remainder + rounding_error
+        polynomial.coef[ERROR] += remainder + rounding_error
         is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
         is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
         coarse_index = np.flatnonzero(is_coarse)
         low, high, f_low, f_high = (values[coarse_index] for values in (low, high, f_low, f_high))
         exponents = np.broadcast_to(exponent, half_width.shape)[coarse_index]
         line = self[coarse_index]._enclose_power_by_line(exponents, low, high, f_low, f_high)
-        is_narrower = ~(polynomial.coef[RADIUS, coarse_index] < line.coef[RADIUS])
+        is_narrower = ~(polynomial.coef[ERROR, coarse_index] < line.coef[ERROR])
         polynomial.coef[:, coarse_index[is_narrower]] = line.coef[:, is_narrower]
         return polynomial
 
@@ -268,8 +270,8 @@ class Enclosures:
         chord_at_0, tangent_at_0 = f_low - slope * low, tangent_z**exponent - slope * tangent_z
         line = self * slope
         line.coef[CONSTANT] += (chord_at_0 + 2 * tangent_at_0) / 3
-        line.coef[RADIUS] += np.abs(chord_at_0 - tangent_at_0) * (2 / 3)
-        line.coef[RADIUS] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
+        line.coef[ERROR] += np.abs(chord_at_0 - tangent_at_0) * (2 / 3)
+        line.coef[ERROR] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
         return line
 
     def clamp_to_unit_interval(self) -> Enclosures:
@@ -286,7 +288,7 @@ class Enclosures:
         """
         is_too_wide = ~(self.max_abs < 2)
         coef = np.where(is_too_wide, 0, self.coef)
-        coef[CONSTANT, is_too_wide] = coef[RADIUS, is_too_wide] = 0.5
+        coef[CONSTANT, is_too_wide] = coef[ERROR, is_too_wide] = 0.5
         return Enclosures(coef)
 
     def split_into_quarters(self) -> Enclosures:
@@ -336,9 +338,9 @@ def enclose_constants(constants: Floats, radius: Floats | float = 0.0) -> Enclos
     Returns
     -------
     enclosures : Enclosures
-        Enclosures (8, ..., n) with the constants in row 0 (CONSTANT), the radius in row 7 (RADIUS),
+        Enclosures (8, ..., n) with the constants in row 0 (CONSTANT), the radius in row 7 (ERROR),
         and zeros in all other rows.
     """
     coef = np.zeros((8, *constants.shape))
-    coef[CONSTANT], coef[RADIUS] = constants, radius
+    coef[CONSTANT], coef[ERROR] = constants, radius
     return Enclosures(coef)

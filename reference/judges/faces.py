@@ -86,7 +86,7 @@ class Faces:
         first in the scene file is visible.
     linear_coef, root_coef : (3, f) and (f,) float arrays
         Coefficients k and w of the inverse distance (see above).  For a side of a box, w = 0.
-    equation : (5, f) float array
+    face_equation : (5, f) float array
         For a side of a box, the half-space beyond its plane.  For a sphere, the terms -2 c.x + p of
         its equation, without the term x^2 that all spheres share.
     height_half_space : (5, m + 1, f) float array
@@ -154,7 +154,11 @@ class Faces:
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
-        """Compute all attributes that have one item per face (a sphere, or a side of a box).
+        """Set the attributes that describe faces: spheres, and sides of boxes.
+
+        For their shapes and meanings see the docstring of the class.  They are `face_equation`,
+        `linear_coef`, `root_coef`, `height_half_space`, `rim_half_spaces`, `plane_id`,
+        `object_index`, `is_planar`, `bounding_box`, `may_be_visible` and `sheet_face`.
 
         Parameters
         ----------
@@ -163,14 +167,15 @@ class Faces:
         """
         scene, axes, sphere_count = self.prepared_scene, self.frame.axes, self.sphere_count
         center, radius, power = self.center, self.radius, self.eye_power
-        # The positions of the planes of the boxes' sides, and their offsets from the eye.  All
-        # arrays for boxes end with three axes: x, y or z; low or high side; index of the box.
+        # The positions of the planes of the boxes' sides, and their offsets from the eye.  The last
+        # three axes of every array for boxes are: coordinate (x, y, z), side (low, high), box.
         offset = np.stack([low, high], axis=1)
         side_position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
         inward = np.where(scene.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         light_or_eye = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
+        # Heights of the lights, and of the eye, above the planes of the sides.
         height = np.sign(offset) * (side_position - light_or_eye[:, :, None, None])
         side_height = np.array([*np.zeros((3, *height.shape)), height, np.abs(height)])
         half_space = np.empty((5, *offset.shape))  # half-spaces whose intersection is the box
@@ -183,7 +188,7 @@ class Faces:
             """Join the values of spheres and of box sides, as an array (..., f)."""
             return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
 
-        self.equation = append_sides(np.array([*(-2 * center), power, np.abs(power)]), half_space)
+        self.face_equation = append_sides(np.array([*(-2 * center), power, abs(power)]), half_space)
         self.linear_coef = append_sides(center / power, axes[:, :, None, None] / offset)
         self.root_coef = append_sides(1 / power, 0 * offset)
         self.height_half_space = append_sides(self._compute_height_half_spaces(), side_height)

@@ -215,7 +215,7 @@ class _PlainTracer:
     scene, surfaces : Scene, list of Surface
         The scene and its surfaces, in the order of the file.
     to_numbers : callable
-        Converts numbers, or arrays of numbers, to the number type.
+        Converts a number, or an array of numbers, to the number type of this tracer.
     intersect_sphere, start_shadow_rays : callables
         The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
     skips_own_object, prefers_last : bool
@@ -341,8 +341,8 @@ class _PlainTracer:
         """
         to_numbers, camera = self.to_numbers, self.scene.camera
         width, height = self.scene.width, self.scene.height
-        ahead, normal = _normalise(to_numbers(camera.view_dir)), to_numbers(camera.normal)
-        backwards = _normalise(-normal if _dot(normal, ahead) > 0 else normal)
+        ahead, window_normal = _normalise(to_numbers(camera.view_dir)), to_numbers(camera.normal)
+        backwards = _normalise(-window_normal if _dot(window_normal, ahead) > 0 else window_normal)
         rightwards = _normalise(np.cross(to_numbers(camera.view_up), backwards))
         upwards = np.cross(backwards, rightwards)
         right = to_numbers(2 * x - width) / (2 * width) * to_numbers(camera.view_width)

@@ -147,7 +147,7 @@ def write_csv(
 
 
 def read_csv(path: Path) -> tuple[str, list[list[str]]]:
-    """Read a CSV file written by `write_csv`.
+    """Read a table and its origin from a CSV file that `write_csv` has written.
 
     Parameters
     ----------

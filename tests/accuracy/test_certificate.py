@@ -19,7 +19,7 @@ from reference.judges import cell_analysis, certificate
 from reference.judges.arrays import Floats, Ints, find_in_sorted, sum_by_index
 from reference.judges.cell_analysis import CellAnalysis, Contributions
 from reference.judges.certificate import CellEstimates, certify
-from reference.judges.enclosures import CONSTANT, RADIUS, UNKNOWN, Enclosures
+from reference.judges.enclosures import CONSTANT, ERROR, UNKNOWN, Enclosures
 from reference.judges.faces import Faces
 from reference.judges.regions import Strips, divide_into_regions
 from reference.judges.sampling import compute_rms_error, render_supersampled
@@ -162,7 +162,7 @@ def scale_field(name: str, factor: float) -> Callable[..., Strips]:
 
 
 def narrow_enclosures(enclosures: Enclosures, *_: object) -> Enclosures:
-    enclosures.coef[RADIUS] *= 0.7
+    enclosures.coef[ERROR] *= 0.7
     return enclosures
 
 

@@ -72,9 +72,7 @@ def test_pixels_that_exceed_the_permitted_error_are_counted(capsys, monkeypatch)
         _, lines = run(capsys, "room.xml", *options)
         assert errors[-1] == error
         assert lines[1] == "8-bit codes are certain in 1 of 2 pixels, 50.00%"
-        assert (
-            lines[2] == f"{count} pixels exceed the permitted error: edges touch each other there"
-        )
+        assert lines[2] == f"{count} pixels have larger error bounds, because edges touch there"
 
 
 def test_codes_within_the_bounds_are_not_wrong():
