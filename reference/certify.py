@@ -171,7 +171,7 @@ def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) 
     certain_count = np.count_nonzero(certificate.is_certain)
     lines = [
         f"{pixel_count - exceeding_count} of {pixel_count} pixels are within {permitted_error};"
-        f" all within {certificate.error.max():.2g}",
+        f" all are within {certificate.error.max():.2g}",
         f"8-bit codes are certain in {certain_count} of {pixel_count} pixels,"
         f" {certain_count / pixel_count:.2%}",
     ]

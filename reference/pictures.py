@@ -46,7 +46,7 @@ class Picture(NamedTuple):
     note : str
         How the file format altered the picture, as a predicate: "is a JPEG, which changes levels:
         …".  Empty if it did not.
-    lossy_levels : int
+    format_noise : int
         Number of levels by which the file format may have altered the codes.
     reencode : callable, optional
         Saves codes (h, w, 3) in the format of the file, and returns the codes (h, w, 3) that are
@@ -55,7 +55,7 @@ class Picture(NamedTuple):
 
     codes: Codes
     note: str = ""
-    lossy_levels: int = 0
+    format_noise: int = 0
     reencode: Callable[[Codes], Codes] | None = None
 
 
@@ -128,14 +128,14 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
     codes = np.asarray(Image.alpha_composite(black_image, rgba_image).convert("RGB"))
     if image.format == "JPEG":
         note, reencode = _FORMAT_NOTE.format("JPEG"), _make_jpeg_encoder(image)
-        return Picture(codes, note, lossy_levels=3, reencode=reencode)
+        return Picture(codes, note, format_noise=3, reencode=reencode)
     # A lossless WEBP contains a chunk named VP8L.
     if image.format == "WEBP" and b"VP8L" not in path.read_bytes()[:64]:
-        return Picture(codes, _FORMAT_NOTE.format("WEBP"), lossy_levels=12)
+        return Picture(codes, _FORMAT_NOTE.format("WEBP"), format_noise=12)
     if image.mode in ("P", "PA"):
-        return Picture(codes, _PALETTE_NOTE, lossy_levels=12)
+        return Picture(codes, _PALETTE_NOTE, format_noise=12)
     if loses_bits:
-        return Picture(codes, _DEPTH_NOTE, lossy_levels=1)
+        return Picture(codes, _DEPTH_NOTE, format_noise=1)
     is_opaque = rgba_image.getchannel("A").getextrema() == (255, 255)
     return Picture(codes, "" if is_opaque else _ALPHA_NOTE)
 

@@ -227,10 +227,10 @@ class Reference:
         if diagnosis := agreement or diagnose_single_color(codes):
             return diagnosis
         codes = self.picture.reencode(codes) if self.picture.reencode else codes
-        lossy_levels = max(picture.lossy_levels, self.picture.lossy_levels)
-        imprecision = lossy_levels or _PICTURE_LEVELS * (self.scene is None)
+        format_noise = max(picture.format_noise, self.picture.format_noise)
+        imprecision = format_noise or _PICTURE_LEVELS * (self.scene is None)
         submission = Submission(to_columns(codes), renderer, imprecision, picture.reencode)
-        if lossy_levels and submission.is_wrong.mean() < 0.01:
+        if format_noise and submission.is_wrong.mean() < 0.01:
             return _make_verdict("format", "It is the right picture.")
         finding = submission.find_mistakes()
         if finding.causes:
@@ -238,7 +238,7 @@ class Reference:
             sentence = f"That leaves {counts} pixels that differ."
             causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
-        if not submission.lossy_levels and (symptom := symptoms.find_symptom(submission)):
+        if not submission.format_noise and (symptom := symptoms.find_symptom(submission)):
             return _make_verdict(*symptom)
         return self._diagnose_unknown(submission, finding)
 

@@ -347,7 +347,7 @@ class Submission:
         8-bit codes of the n pixels of the submitted picture.
     renderer : MistakeRenderer
         Renders the scene with mistakes, at the size of the submitted picture.
-    lossy_levels : int
+    format_noise : int
         Number of levels by which the file format of the submitted picture, or of the reference
         picture, may have changed codes.
     reencode : callable, optional
@@ -367,15 +367,15 @@ class Submission:
     """
 
     def __init__(
-        self, codes: Array, renderer: MistakeRenderer, lossy_levels: int = 0,
+        self, codes: Array, renderer: MistakeRenderer, format_noise: int = 0,
         reencode: Callable[[Codes], Codes] | None = None,
     ) -> None:  # fmt: skip
-        self.codes, self.renderer, self.lossy_levels = codes, renderer, lossy_levels
+        self.codes, self.renderer, self.format_noise = codes, renderer, format_noise
         self._reencode, reference_codes = reencode, renderer.reference_codes
         differences = compare_levels(self._compress(reference_codes, renderer.width), codes)
         self.clearly_wrong_count = int((differences > 1).sum())
         # If at most two pixels differ by more than one level, differences of one level count, too.
-        self.tolerance = lossy_levels or int(self.clearly_wrong_count > 2)
+        self.tolerance = format_noise or int(self.clearly_wrong_count > 2)
         self.is_wrong = differences > self.tolerance
         self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
         order = shuffle(pixel_count)
@@ -509,7 +509,7 @@ class Submission:
         causes : sequence of tuples of str
             For each cause, the keywords of mistakes that are made together.
         """
-        cached_counts, limits = self._counts_by_cause, (self.tolerance, self.lossy_levels)
+        cached_counts, limits = self._counts_by_cause, (self.tolerance, self.format_noise)
         if new_causes := [cause for cause in dict.fromkeys(causes) if cause not in cached_counts]:
             differences = self._compare_levels(new_causes, self._final_pixels, self._final_width)
             for cause, difference in zip(new_causes, differences, strict=True):
@@ -596,7 +596,7 @@ class Submission:
         """
         pixels, weights = self._choose_pixels(pixel_count)
         differences = self._compare_levels(causes, pixels)
-        if self.lossy_levels:  # nearly all pixels differ: select the smallest sums of differences
+        if self.format_noise:  # nearly all pixels differ: select the smallest sums of differences
             order = np.argsort(np.minimum(differences, _MAX_DIFFERENCE) @ weights, kind="stable")
             return [causes[k] for k in order[:max_causes]]
         is_unexplained = differences > self.tolerance
@@ -743,7 +743,7 @@ class Submission:
             Each cause, unchanged or with one more keyword.
         """
         # Without a tolerance, rounding is found like any other mistake; lossy compression hides it.
-        if not self.tolerance or self.lossy_levels:
+        if not self.tolerance or self.format_noise:
             return causes
         join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
         option_lists = [[cause, *filter(None, (join(cause, (rounding,)) for rounding in roundings))]

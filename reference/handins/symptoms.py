@@ -47,10 +47,10 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
 
     Returns
     -------
-    is_lost : (lights, n) bool array
+    is_light_missing : (lights, n) bool array
         For each light of the scene and each of the n pixels of the picture, true if the light
         should reach the pixel, but does not.
-    is_extra : (lights, n) bool array
+    is_light_extra : (lights, n) bool array
         True if the light should be blocked, but reaches the pixel.
 
     Both arrays are false at correct pixels, and where no set of lights reproduces the codes.  The
@@ -66,10 +66,8 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
     light_sets = [*product((False, True), repeat=light_count)]
-    formula_maps = [
-        parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
-        for light_set in light_sets
-    ]
+    formula_maps = [parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
+                    for light_set in light_sets]  # fmt: skip
     codes = renderer.evaluate(formula_maps, pixels, submission.codes)
     # For each set and pixel, the number of missing and extra lights.
     is_in_set = np.array(light_sets)
@@ -78,9 +76,10 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     error_count[compare_levels(codes, submission.codes[:, pixels]) > 1] = light_count + 1
     reaches = is_in_set[error_count.argmin(axis=0)].T
     reaches = np.where(error_count.min(axis=0) <= light_count, reaches, should_reach)
-    is_lost, is_extra = np.zeros((2, light_count, renderer.pixel_count), dtype=np.bool_)
-    is_lost[:, pixels], is_extra[:, pixels] = should_reach & ~reaches, reaches & ~should_reach
-    return is_lost, is_extra
+    is_light_missing, is_light_extra = np.zeros((2, light_count, renderer.pixel_count), np.bool_)
+    is_light_missing[:, pixels] = should_reach & ~reaches
+    is_light_extra[:, pixels] = reaches & ~should_reach
+    return is_light_missing, is_light_extra
 
 
 def is_speckled(submission: Submission) -> bool:
@@ -96,8 +95,8 @@ def is_speckled(submission: Submission) -> bool:
     renderer = submission.renderer
     if renderer.pixel_count > MAX_PIXELS or not (light_errors := find_light_errors(submission)):
         return False
-    is_lost, is_extra = light_errors
-    is_dark = is_lost.any(axis=0) & ~is_extra.any(axis=0)
+    is_light_missing, is_light_extra = light_errors
+    is_dark = is_light_missing.any(axis=0) & ~is_light_extra.any(axis=0)
     dark_count = is_dark.sum()
     has_other_errors = submission.wrong_count - dark_count > _MAX_OTHERS * dark_count
     if has_other_errors or dark_count <= _MIN_SPECKLES * renderer.pixel_count:

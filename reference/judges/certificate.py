@@ -299,10 +299,11 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
     _, x, y, *_ = regions.mean
     strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
     strip_count = np.diff(strip_start)[regions.cell]
-    region, strip = list_segment_elements(strip_count, strip_start[regions.cell])
-    distance = np.abs(strips.a[strip] * x[region] + strips.b[strip] * y[region] + strips.c[strip])
-    is_in_strip = distance <= strips.half_width[strip]
-    sample_error = sum_by_index(region, is_in_strip * strips.jump[strip], x.size)
+    # Compare each region with all strips of its cell.
+    region_index, strip_index = list_segment_elements(strip_count, strip_start[regions.cell])
+    strip, x, y = strips.take(strip_index), x[region_index], y[region_index]
+    is_in_strip = np.abs(strip.a * x + strip.b * y + strip.c) <= strip.half_width
+    sample_error = sum_by_index(region_index, is_in_strip * strip.jump, regions.area.size)
     sample_error[regions.area < MIN_AREA] = np.inf
     return sample_error
 

@@ -33,7 +33,7 @@ def test_a_picture_is_written_and_described(capsys):
     certificate = certify(small_scene("room", 32, 18), 1 / 64)
     assert status == 0
     within, certain, last = lines
-    assert within.startswith("576 of 576 pixels are within 1/64; all within 0.01")
+    assert within.startswith("576 of 576 pixels are within 1/64; all are within 0.01")
     count = certificate.is_certain.sum()
     assert certain == f"8-bit codes are certain in {count} of 576 pixels, {count / 576:.2%}"
     assert last.startswith(f"room.xml.certified.png: {certificate.cell_count} cells in ")

@@ -129,7 +129,7 @@ def test_sixteen_bits_count_as_eight(tmp_path: Path) -> None:
             [0, 1, 1],
             [ord("1"), ord("3"), ord("5")],
         )
-        assert picture.lossy_levels == 1
+        assert picture.format_noise == 1
         assert "more than 8 bits per channel" in picture.note
 
 
@@ -138,10 +138,10 @@ def test_formats(tmp_path: Path) -> None:
         lossless = {"lossless": True} if suffix == "webp" else {}
         picture = read_picture(save(tmp_path / f"a.{suffix}", CODES, **lossless))
         assert (picture.codes == CODES).all()
-        assert (picture.lossy_levels, picture.note) == (0, "")
+        assert (picture.format_noise, picture.note) == (0, "")
     for suffix, word in (("webp", "WEBP"), ("jpg", "JPEG"), ("gif", "palette")):
         picture = read_picture(save(tmp_path / f"b.{suffix}", CODES))
-        assert picture.lossy_levels
+        assert picture.format_noise
         assert word in picture.note
     grey = read_picture(save(tmp_path / "g.png", np.array([[0, 257, 65535]], dtype=np.uint16)))
     assert grey.codes[0, :, 1].tolist() == [0, 1, 255]
