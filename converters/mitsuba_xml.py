@@ -126,7 +126,7 @@ def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Elem
     tag : str
         Tag of the element, such as "point", "vector" or "translate".
     name : str or None
-        Name of the parameter.  None for a part of a transform, because such a part has no name.
+        Name of the plugin parameter that the vector sets; None for a part of a transform.
     components : iterable of three floats
         The components x, y and z.
 
@@ -151,7 +151,7 @@ def make_color(name: str, color: Iterable[float]) -> Element:
     Parameters
     ----------
     name : str
-        Name of the parameter.
+        Name of the plugin parameter that the colour sets.
     color : iterable of three floats
         Linear red, green and blue components.
 
@@ -174,7 +174,7 @@ def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element
     Parameters
     ----------
     name : str
-        Name of the parameter.
+        Name of the plugin parameter that the transform sets.
     matrix_rows : iterable of four iterables of four floats
         The rows of the matrix.
 
@@ -200,7 +200,7 @@ def _format_number(name: str, value: float) -> str:
     Parameters
     ----------
     name : str
-        Name of the parameter, for the error message.
+        Name of the plugin parameter, for the error message.
     value : float
         The number.
 
@@ -228,7 +228,7 @@ def _format_numbers(name: str, values: Iterable[float]) -> str:
     Parameters
     ----------
     name : str
-        Name of the parameter, for the error message.
+        Name of the plugin parameter, for the error message.
     values : iterable of float
         The numbers.
 

@@ -22,10 +22,9 @@ _part_files: set[str] = set()
 def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[bytes]]:
     """Open a new file for a with block, and put it in place if the block raises no error.
 
-    At the end of the block, the new file replaces the file at `path`, and gets the permissions
-    of the old file.
-    After an error in the block, the new file is deleted, and the file at `path` is unchanged.  If
-    `path` is a symbolic link, the target of the link is replaced.
+    At the end of the block, the new file replaces the file at `path`, and takes over the
+    permissions of the old file.  After an error in the block, the new file is deleted, and the file
+    at `path` is unchanged.  If `path` is a symbolic link, the target of the link is replaced.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ smooth
 unresolved
     A cell is unresolved if it may contain something other than straight edges.
 crowded
-    A cell is crowded if finding all its edges would cost more than a lattice of samples.
+    A cell is crowded if finding all its edges would take longer than sampling it densely.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class Classification(NamedTuple):
     is_unresolved : (n,) bool array
         Whether the cell may contain something other than straight edges.
     is_crowded : (n,) bool array
-        Whether finding all edges in the cell would cost more than a lattice of samples.
+        Whether finding all edges in the cell would take longer than sampling the cell densely.
     """
 
     cells: Cells
@@ -179,7 +179,7 @@ def classify_cells(
     classification : Classification
         The cells, their samples, and at most `MAX_LINES` straight edges in each cell.  A cell that
         may contain other edges is unresolved.  A cell is crowded if finding all its edges would
-        cost more than a lattice of samples.
+        take longer than sampling it densely.
     """
     cell_count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
@@ -199,6 +199,7 @@ def classify_cells(
         all_lines.append(light_lines)
         is_unresolved[unresolved_index], is_crowded[crowded_index] = True, True
     radiance[:, sample_cell] = shading.compute_radiance()
+    # An id encodes the face that is hit, and the lights that are visible; -1 is the background.
     center_id[hit_cell] = shading.ids
     lines = Lines.concatenate(all_lines).remove_duplicates()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
@@ -219,7 +220,7 @@ def _add_lights(
     Parameters
     ----------
     shading : Shading
-        The sum of the radiance that the hits reflect.  This function adds to it.
+        The radiance that the hits reflect, summed over lights.  This function adds to the sum.
     surfaces : CellSurfaces
         The hit in each cell, and the surface around the hit.
     lights : Lights
@@ -235,7 +236,7 @@ def _add_lights(
         Indices of cells that may contain a narrow highlight, or an edge that no line represents.
         An index may be repeated.
     crowded_index : (j,) int array
-        Indices of cells in which finding all edges would cost more than a lattice of samples.
+        Indices of cells in which finding all edges would take longer than dense sampling.
     """
     hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = compute_light_geometry(hits, lights)
@@ -243,14 +244,14 @@ def _add_lights(
     # Cells with wide footprints are always divided, so their shadow edges are not needed.
     has_wide_footprint = np.any(geometry.distance2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
     search_radius = np.where(has_wide_footprint, 0, footprint)
-    is_blocked, edge_triples, is_crowded = find_shadow_edges(
+    is_blocked, shadow_edges, is_crowded = find_shadow_edges(
         hits, lights, faces_light, search_radius
     )
     shading.add(geometry, faces_light & ~is_blocked)
     terminators = surfaces.find_terminators(
         lights.near_position, geometry.n_dot_l, geometry.distance2
     )
-    edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, edge_triples), terminators)
+    edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges), terminators)
     light_lines, curved_index = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, faces_light, footprint)
     highlight_indices = [hit_cell[hit_index] for hit_index in highlights]

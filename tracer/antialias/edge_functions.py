@@ -287,7 +287,7 @@ class InverseDepth(NamedTuple):
 
     A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2):
 
-    - For a plane n . x = n . p, k = n / (n . p) and w = 0, without the square root.
+    - For a plane n . x = n . p, k = n / (n . p) and w = 0.  The square root is omitted.
     - For a sphere with the centre C and the radius r, k = C / P and w = 1 / P, with P = C^2 - r^2.
       This is the near intersection or, if the eye is inside (P < 0), the far one.
 
@@ -350,11 +350,11 @@ class InverseDepth(NamedTuple):
         return InverseDepth(take(self.k, surface_index), self.w[surface_index])
 
     def compute_inverse_t(self, ray: Triple) -> Floats:
-        """Compute 1 / t for six rays per surface, where the point t * ray lies on the surface.
+        """Compute 1 / t for six rays per surface, each of which meets its surface at t * ray.
 
-        With the coefficients k and w of the surface, a ray d has
-        1 / t = k . d + sqrt((k . d)^2 - w d^2), without the square root for planes.  A ray that
-        misses a sphere is treated as a tangent.
+        For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the coefficients k and w of the
+        surface.  For planes, the square root is omitted.  A ray that misses a sphere is treated as
+        a tangent.
 
         Parameters
         ----------
@@ -368,7 +368,7 @@ class InverseDepth(NamedTuple):
             1 / t of each ray.
         """
         inverse_t = dot(self.k, ray)
-        sphere_index = find(self.w)
+        sphere_index = find(self.w)  # w is 0 for planes
         if sphere_index.size:
             d = map_xyz(lambda component: component[:, sphere_index], ray)
             radicand = inverse_t[:, sphere_index] ** 2 - self.w[sphere_index] * dot(d, d)

@@ -35,7 +35,7 @@ from tracer.arrays import (
     take,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.silhouette import evaluate_box_edges, evaluate_sphere_edges, find_edge_planes
+from tracer.geometry.silhouette import compute_miss_angles, evaluate_box_edges, find_edge_planes
 from tracer.trace.hits import Hits
 from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
@@ -60,24 +60,24 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
 
     Returns
     -------
-    footprint : (n,) float array
-        Radius of the footprint around each hit, in the scene's unit of length.
+    radius : (n,) float array
+        Radius of each footprint, in the scene's unit of length.
     """
     cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
     all_cell_radii, distance = hits.from_eye[2] * cell_angle, hits.distance
-    footprint = np.empty(distance.size)
+    radius = np.empty(distance.size)
     for group in hits.groups:
         cell_radius = all_cell_radii[group.interval]
         cosine = group.expand_to_hits(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            footprint[group.interval] = _compute_face_footprint(cell_radius, cosine, cell_angle)
+            radius[group.interval] = _compute_face_footprint(cell_radius, cosine, cell_angle)
             continue
         # A strip of width r along the silhouette of a sphere of radius R shows a part of the sphere
         # that is at most sqrt(2 r R) wide.
         curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
-        max_footprint = np.sqrt(2 * cell_radius / curvature)
-        footprint[group.interval] = np.fmin(cell_radius / cosine, max_footprint)
-    return footprint
+        max_radius = np.sqrt(2 * cell_radius / curvature)
+        radius[group.interval] = np.fmin(cell_radius / cosine, max_radius)
+    return radius
 
 
 def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
@@ -116,8 +116,8 @@ def _compute_face_footprint(cell_radius: Floats, cosine: Floats, cell_angle: flo
 
     Returns
     -------
-    footprint : (n,) float array
-        Radius of the footprint around each hit, in the scene's unit of length.
+    radius : (n,) float array
+        Radius of each footprint, in the scene's unit of length.
     """
     # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))
@@ -129,7 +129,7 @@ def find_silhouette_pixels(
     """Find the pixels that the silhouette of each object may cross.
 
     All objects are convex.  So an object that covers the upper and the lower side of a pixel covers
-    the whole pixel.  Its silhouette may cross all other pixels that it overlaps.
+    the whole pixel.  Any other pixel that the object overlaps may contain part of its silhouette.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def find_silhouette_pixels(
     Returns
     -------
     row, column : (n,) int arrays
-        Position in the picture of the pixel in each of n (pixel, object) pairs.
+        Row and column of the pixel in each of n (pixel, object) pairs.
     object_index : (n,) int array
         Index of the object in each pair.
     """
@@ -210,7 +210,7 @@ def evaluate_silhouettes(
         sphere_ray = map_xyz(lambda component: component[:, sphere_columns], ray)
         sphere_apex = take(frame.points_to_camera(apex_position), apex_index[sphere_columns])
         center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), sphere_apex)
-        values = evaluate_sphere_edges(sphere_ray, center, spheres.radius[sphere_index])
+        values = compute_miss_angles(sphere_ray, center, spheres.radius[sphere_index])
         yield cell_index[sphere_columns], values
     box_columns = find(boxes.objects.contains(object_index))
     if box_columns.size:
@@ -299,8 +299,8 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
-            1 / t1 - 1 / t2, where the two surfaces are at t1 * ray and t2 * ray.
+            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
+            through each point meets the two surfaces at t1 * ray and t2 * ray.
         """
         sample = self.hits.sample
         hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
@@ -339,8 +339,8 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
-            1 / t1 - 1 / t2, where the visible surface is at t1 * ray and the face at t2 * ray.
+            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
+            through each point meets the visible surface at t1 * ray and the face at t2 * ray.
         """
         scene, hit_object = hidden_hits.scene, hidden_hits.hit_object
         frame, boxes = scene.frame, scene.boxes
@@ -374,11 +374,12 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each crease.
         values : (6, k) float array
-            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
-            1 / t1 - 1 / t2, where the planes of the two faces are at t1 * ray and t2 * ray.
+            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
+            through each point meets the planes of the two faces at t1 * ray and t2 * ray.
         """
         scene, frame = self.hits.scene, self.hits.scene.frame
         face_positions = scene.boxes.min_pt, scene.boxes.max_pt
+        # Hits are grouped by shape.  The hits of a run lie on the same face of the same object.
         for group, axis in product(self.hits.groups, range(3)):
             is_other_face = group.face != axis
             if not group.shape.is_planar or not np.any(is_other_face):
@@ -418,8 +419,8 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
-            1 / t1 - 1 / t2, where the visible surface is at t1 * ray and the plane at t2 * ray.
+            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
+            through each point meets the visible surface at t1 * ray and the plane at t2 * ray.
         """
         for batch in split_indices(find(may_meet)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
@@ -427,7 +428,7 @@ class CellSurfaces(NamedTuple):
             yield self.cell[hit_index[batch]], inverse_t - axis_component / plane_offset[batch]
 
     def evaluate_shadow_edges(
-        self, light_position: Floats, edge_triples: Ints
+        self, light_position: Floats, shadow_edges: Ints
     ) -> Iterator[EdgeValues]:
         """Yield the edges of shadows that may cross cells.
 
@@ -438,7 +439,7 @@ class CellSurfaces(NamedTuple):
         ----------
         light_position : (m, 3) float array
             Positions of the lights, in scene axes.
-        edge_triples : (3, n) int array
+        shadow_edges : (3, n) int array
             Row 0 contains light indices, row 1 hit indices, and row 2 indices of occluders.
 
         Yields
@@ -446,12 +447,12 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is zero at the edge, at the points of `compute_rays`.
+            Edge function, which is 0 at the edge, at six points of each cell (see `compute_rays`).
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.points_to_camera(light_position)
-        for batch in split_indices(np.arange(edge_triples.shape[1])):
-            light_index, hit_index, occluder_index = edge_triples[:, batch]
+        for batch in split_indices(np.arange(shadow_edges.shape[1])):
+            light_index, hit_index, occluder_index = shadow_edges[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
             # The vector from the light to the surface is t * ray - light.  Divide it by t.
             scaled_light = scale(take(light_from_eye, light_index), inverse_t)
@@ -480,8 +481,8 @@ class CellSurfaces(NamedTuple):
         cell_index : (k,) int array
             Index of the cell of each edge.
         values : (6, k) float array
-            Values of the edge function, which is zero at the edge, at the points of `compute_rays`:
-            the cosine of the angle between the normal and the direction to the light.
+            Edge function at six points of each cell (see `compute_rays`): the cosine of the angle
+            between the normal and the direction to the light.
         """
         scene, spheres = self.hits.scene, self.hits.scene.spheres
         hit_object = self.hits.hit_object

@@ -85,14 +85,14 @@ class Lattice(NamedTuple):
         """Number of points of the lattice in a pixel."""
         return self.columns * self.rows
 
-    def place(self, rows: slice, columns: slice) -> Rows:
+    def place(self, pixel_rows: slice, pixel_columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
 
         Every second row of pixels contains the mirror image of the lattice.
 
         Parameters
         ----------
-        rows, columns : slice
+        pixel_rows, pixel_columns : slice
             Rows and columns of the rectangle's pixels.  Both slices have a start and a stop.
 
         Returns
@@ -100,10 +100,11 @@ class Lattice(NamedTuple):
         samples : Rows
             All lattice points, in rows that extend across the rectangle.
         """
-        sample_row = np.arange(self.rows * rows.start, self.rows * rows.stop)
-        sample_column = np.arange(self.columns * columns.start, self.columns * columns.stop)
-        y, x = (sample_row + 0.5) / self.rows, (sample_column + 0.5) / self.columns
-        shift = self._compute_row_shift(sample_row)
+        # Rows and columns of lattice points, numbered from the upper left corner of the picture.
+        row = np.arange(self.rows * pixel_rows.start, self.rows * pixel_rows.stop)
+        column = np.arange(self.columns * pixel_columns.start, self.columns * pixel_columns.stop)
+        y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
+        shift = self._compute_row_shift(row)
         return Rows(y, x, shift / self.columns, (self.columns, self.rows))
 
     def list_points(self) -> Points2D:

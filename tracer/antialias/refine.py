@@ -16,7 +16,7 @@ These decide how the mean radiance of the cell is computed:
    missed.  The table below lists the lattices.  If all quarters of a cell are *unresolved* (they
    may contain something other than straight edges), a lattice of samples tests whether the cell
    is smooth nevertheless.
-4. *Crowded* pixels, in which finding all edges would cost more than a lattice of samples, are
+4. *Crowded* pixels, in which finding all edges would take longer than dense sampling, are
    sampled immediately.  So are all pixels of a picture that is full of edges: see
    `is_supersampling_cheaper`.
 

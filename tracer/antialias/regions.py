@@ -167,24 +167,24 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     Returns
     -------
     triangles : WeightedPoints
-        The centroid of each triangle, weighted by the fraction of the cell that it covers.  In the
-        number of a region, bit k is 1 on the positive side of line k of the cell.  The bits from
-        `max_lines` on are the index of the cell.
+        The centroid of each triangle, weighted by the fraction of the cell that it covers.  Each
+        triangle also has a region number: bit k is 1 if the triangle is on the positive side of
+        line k of its cell, and the bits from `max_lines` on are the index of the cell.
     """
-    cell = np.arange(line_start.size - 1).repeat(2)
-    region = cell << max_lines
+    cell_index = np.arange(line_start.size - 1).repeat(2)
+    region = cell_index << max_lines
     square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corners: Points2D = np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
-        tested_index, values = _evaluate_lines(lines, line_start, line_number, cell, corners)
+        tested_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
         region[tested_index[positive_count == 3]] |= 1 << line_number
         split_index = find((positive_count == 1) | (positive_count == 2))
         # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
         is_a_positive, parent = positive_count[split_index] == 1, tested_index[split_index]
-        a_number = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
-        order = (a_number + np.arange(3)[:, None]) % 3
+        lone_corner = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
+        order = (lone_corner + np.arange(3)[:, None]) % 3
         (a, b, c), (a_value, b_value, c_value) = corners[order, parent], values[order, split_index]
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
@@ -194,11 +194,11 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         parent_region = region[parent]
         region[parent] = parent_region | is_a_positive << line_number
         region = np.concatenate([region, *[parent_region | ~is_a_positive << line_number] * 2])
-        cell = np.concatenate([cell, cell[parent], cell[parent]])
+        cell_index = np.concatenate([cell_index, cell_index[parent], cell_index[parent]])
     side_ab, side_ac = corners[1] - corners[0], corners[2] - corners[0]
     # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
     area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
-    return WeightedPoints(cell, corners.sum(axis=0) / 3, area, region)
+    return WeightedPoints(cell_index, corners.sum(axis=0) / 3, area, region)
 
 
 def _compute_weights(

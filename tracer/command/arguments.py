@@ -162,16 +162,16 @@ def choose_output_paths(
     Parameters
     ----------
     parser : CommandParser
-        Prints an error and ends the process with exit status 2 if a result would replace a scene or
-        another result, or if `output` is a file but there are several scenes.
+        The command's parser.  It ends the process with an error if a result would replace a scene
+        or another result, or if `output` is a file but there are several scenes.
     scenes : sequence of str
         Paths of the scene files.
     output : str or None
         The value of the option -o: a file, or a folder for the results of several scenes.  None if
         the option was not given.
     default_paths : sequence of str
-        For each scene, the path of its result if the option -o was not given.  In a folder that -o
-        names, the result gets the same file name.
+        For each scene, the path of its result if the option -o was not given.  If the option names
+        a folder, only the file name of this path is used.
     list_files : callable
         Function that takes the path of a result and returns the paths of all its files.  By
         default, a result is a single file.

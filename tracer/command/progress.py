@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 _Item = TypeVar("_Item")
 
-# Seconds of work after which a progress bar is shown.
-_BAR_SECONDS = 1.0
+# Seconds of work before a progress bar is shown.
+_SECONDS_BEFORE_BAR = 1.0
 
 _BAR_FORMAT = (
     "{percentage:3.0f}%|{bar}| {n:g} of {total} {unit} [{elapsed}, {remaining} left{postfix}]"
@@ -51,17 +51,17 @@ class Progress:
             self._bar.close()
 
     def update(self, finished_work: float, note: str = "") -> None:
-        """Show the amount of finished work.  During the first second of work, nothing is shown.
+        """Show how much of the work is done.  During the first second of work, nothing is shown.
 
         Parameters
         ----------
         finished_work : float
-            Amount of all finished work, in the unit of `total`.
+            Amount of work done so far, in the unit of `total`.
         note : str
             Text to show next to the bar.
         """
         seconds = perf_counter() - self._start_time
-        if self._bar is None and seconds >= _BAR_SECONDS:
+        if self._bar is None and seconds >= _SECONDS_BEFORE_BAR:
             self._bar = self._create_bar(seconds)
         if self._bar:
             self._bar.set_postfix_str(note, refresh=False)

@@ -139,8 +139,8 @@ class Boxes:
         the space between the planes of two opposite faces.  A ray that lies in the plane of a face
         hits the box.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of a span
-        lie in one row of the picture, and are tested with the same box.
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of one
+        row that are tested with the same box form a span.
 
         Parameters
         ----------
@@ -156,8 +156,8 @@ class Boxes:
         Returns
         -------
         t : (n,) float array
-            Ray parameter: the ray enters the box at t times its direction; infinity if it misses.
-            If the eye is inside the box or on its surface, the ray leaves it there.
+            Each ray enters the box at t times its direction; infinity if the ray misses.  If the
+            eye is inside the box or on its surface, t is where the ray leaves the box.
         face_code : (n,) int8 array
             Code of the face that is hit: twice the axis (0, 1 or 2) of its normal, plus 1 if the
             normal towards the eye points in the positive direction of the axis.
@@ -473,7 +473,7 @@ def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) 
 
 
 def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> ScreenBounds:
-    """Compute the bounding rectangles of n boxes in the picture.
+    """Compute a bounding rectangle in the picture for each of n boxes.
 
     Parameters
     ----------
@@ -494,9 +494,9 @@ def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> Screen
     has_corner_behind, has_corner_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
 
     def find_slope_range(component: Floats) -> tuple[Floats, Floats]:
-        """Return the smallest and the largest slope (n,) among the corners of each box.
+        """Return the smallest and the largest slope among the eight corners of each box.
 
-        The slope of a corner is its component (8, n) to the right or down, divided by its depth.
+        The slope of a corner is its rightward or downward component, divided by its depth.
         The range is -inf to inf for a box partly behind the eye, and -inf to -inf for a box
         entirely behind the eye.
         """

@@ -44,7 +44,7 @@ class ObjectRange(NamedTuple):
         return np.arange(self.start, self.start + self.size)
 
     def contains(self, object_index: Ints) -> Bools:
-        """Test which objects have this shape.
+        """Test which indices belong to objects of this shape.
 
         Parameters
         ----------
@@ -53,7 +53,7 @@ class ObjectRange(NamedTuple):
 
         Returns
         -------
-        is_of_shape : (n,) bool array
+        is_contained : (n,) bool array
             Whether the object has this shape.
         """
         return (object_index >= self.start) & (object_index < self.start + self.size)

@@ -69,7 +69,7 @@ def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
     return np.array([dot(normal, ray) for normal in zip(*normals, strict=True)]).swapaxes(0, 1)
 
 
-def evaluate_sphere_edges(ray: Triple, center: Triple, radius: Floats) -> Floats:
+def compute_miss_angles(ray: Triple, center: Triple, radius: Floats) -> Floats:
     """Compute the angles by which rays from an apex (the eye or a light) miss spheres.
 
     The angle is an edge function: its sign changes where a ray crosses the sphere's silhouette.

@@ -197,8 +197,8 @@ class Spheres:
     ) -> tuple[Floats, Floats]:
         """Compute where rays from the eye hit spheres.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of a span
-        lie in one row of the picture, and are tested with the same sphere.
+        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of one
+        row that are tested with the same sphere form a span.
 
         Parameters
         ----------
@@ -214,8 +214,8 @@ class Spheres:
         Returns
         -------
         t : (n,) float array
-            Ray parameter: the ray enters the sphere at t times its direction; infinity if it
-            misses.  If the eye is inside the sphere or on its surface, the ray leaves it there.
+            Each ray enters the sphere at t times its direction; infinity if the ray misses.  If the
+            eye is inside the sphere or on its surface, t is where the ray leaves the sphere.
         radial_dot : (n,) float array
             Absolute dot product of the ray's direction and the vector from the sphere's centre to
             the hit.

@@ -163,10 +163,10 @@ class Distribution(Generic[_Item, _Result]):
             self.executor = None
 
     def _process_next_item(self) -> None:
-        """Process the next item or, if none is left, one that the executor has not finished.
+        """Process the next item or, if none is left, an item that the executor has not finished.
 
-        If a worker has already begun that item, wait for the executor first.  The item is processed
-        only if the executor finishes nothing in time.
+        If a worker has already begun this item, wait for the executor first.  Process the item only
+        if the executor finishes no item within the time limit of `_wait_for_executor`.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
@@ -200,7 +200,7 @@ class Distribution(Generic[_Item, _Result]):
                 self._process_item(index)
 
     def _wait_for_executor(self) -> bool:
-        """Wait until the executor finishes a submitted item, or until it has taken too long.
+        """Wait until the executor finishes a submitted item, or until the time limit passes.
 
         The time limit is the longest time that an item has taken in this process.
 

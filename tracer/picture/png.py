@@ -324,11 +324,11 @@ def _compute_threshold(code: int) -> float:
     # With two exponents, the error is only a few units in the last place (ulps).
     estimate: float = relative_code ** (p // q) * relative_code ** (p % q / q)
 
-    def has_reached_code(radiance: float) -> bool:
-        """Test, without rounding errors, whether the code of a radiance is at least `code`."""
-        # The test 255 (a / b)^(q / p) >= code - 1/2 is multiplied by 2 and raised to the power p.
-        a, b = radiance.as_integer_ratio()
-        return bool((2 * _MAX_CODE) ** p * a**q >= (2 * code - 1) ** p * b**q)
+    def reaches_threshold(radiance: float) -> bool:
+        """Test exactly whether the 8-bit code of a radiance is `code` or more."""
+        # This is 255 radiance^(q / p) >= code - 1/2, multiplied by 2 and raised to the power p.
+        numerator, denominator = radiance.as_integer_ratio()
+        return bool((2 * _MAX_CODE) ** p * numerator**q >= (2 * code - 1) ** p * denominator**q)
 
     candidates = (estimate + ulps * math.ulp(estimate) for ulps in range(-4, 5))
-    return next(filter(has_reached_code, candidates))
+    return next(filter(reaches_threshold, candidates))

@@ -25,7 +25,7 @@ from tracer.scene import model
 from tracer.scene.elements import Element, FatalError, FileOrPath, Parser, open_scene
 from tracer.scene.hints import explain_invalid_number, suggest_name, suggest_tag
 from tracer.scene.model import Scene, Surfaces
-from tracer.scene.schema import Numbers, SceneError
+from tracer.scene.schema import NumberValidator, SceneError
 from tracer.scene.tables import Table, parse_numbers
 
 MAX_ERRORS = 1_000
@@ -437,14 +437,14 @@ class _Reader:
                 children[field_name] = child
         return children, intended_names
 
-    def read_numbers(self, element: Element, validator: Numbers) -> list[float]:
+    def read_numbers(self, element: Element, validator: NumberValidator) -> list[float]:
         """Parse the numbers in an element such as <center>, and report errors in the element.
 
         Parameters
         ----------
         element : Element
             The element.
-        validator : Numbers
+        validator : NumberValidator
             Validator of the dataclass field.  It gives the required count of numbers; the numbers
             are validated later.
 

@@ -69,8 +69,8 @@ def tag_field(validator: _Validator, *tags: str) -> dict[str, Any]:
     Parameters
     ----------
     validator : callable
-        A function of a value and the name of the field.  It returns the value to store in the
-        field, or raises `SceneError`.
+        A function that takes a value and the name of the field.  It returns the value to store,
+        or raises `SceneError`.
     *tags : str
         Tags of the XML elements that can contain the value in a scene file.  The first tag is used
         for writing files.
@@ -161,7 +161,7 @@ _POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, not {}")
 _NOT_ZERO: _Rule = (lambda x: (x == 0) & ~x.any(1, keepdims=True), "must not be the zero vector")
 
 
-class Numbers:
+class NumberValidator:
     """The validator of a field that consists of one or several numbers, such as a point.
 
     Parameters
@@ -263,14 +263,14 @@ class Numbers:
         yield from message_of_row.items()
 
 
-POINT = Numbers(3, _FINITE, _NOT_LARGE, _NOT_SMALL)
-DIRECTION = Numbers(3, _FINITE, _NOT_ZERO)
-COLOR = Numbers(3, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
-LENGTH = Numbers(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
-EXPONENT = Numbers(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
+POINT = NumberValidator(3, _FINITE, _NOT_LARGE, _NOT_SMALL)
+DIRECTION = NumberValidator(3, _FINITE, _NOT_ZERO)
+COLOR = NumberValidator(3, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
+LENGTH = NumberValidator(1, _FINITE, _POSITIVE, _NOT_LARGE, _NOT_SMALL)
+EXPONENT = NumberValidator(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
-def get_number_validators(dataclass: Any) -> dict[str, Numbers]:
+def get_number_validators(dataclass: Any) -> dict[str, NumberValidator]:
     """Return the validators of all numeric fields of a dataclass.
 
     Parameters
@@ -280,11 +280,11 @@ def get_number_validators(dataclass: Any) -> dict[str, Numbers]:
 
     Returns
     -------
-    validators : dict of str to Numbers
+    validators : dict of str to NumberValidator
         Maps the name of each field that consists of numbers to its validator.
     """
-    validators = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
-    return {name: validator for name, validator in validators if isinstance(validator, Numbers)}
+    items = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
+    return {name: validator for name, validator in items if isinstance(validator, NumberValidator)}
 
 
 def find_errors(
@@ -414,8 +414,8 @@ def require_type(*types: type) -> _Validator:
     Returns
     -------
     validate : callable
-        A function of an object and the name of a field.  It returns the object, or raises
-        `SceneError` if the object is of another type.
+        A function that takes an object and the name of a field.  It returns the object, or
+        raises `SceneError` if the object is of another type.
     """
     check_list = require_list(*types)
     return lambda value, name: check_list([value], name)[0]

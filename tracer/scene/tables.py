@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from tracer.scene import schema
-from tracer.scene.schema import Floats, Numbers, construct_unchecked
+from tracer.scene.schema import Floats, NumberValidator, construct_unchecked
 
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
@@ -66,7 +66,7 @@ class Column:
 
     Attributes
     ----------
-    validator : Numbers
+    validator : NumberValidator
         Validator of the field, which defines how many numbers a row has.
     tags : tuple of str
         Tags that the elements may have; nearly all fields have only one tag.
@@ -152,7 +152,7 @@ class Table:
     def __init__(self, dataclass: type[schema.Validated]) -> None:
         self.dataclass = dataclass
         tagged = [field for field in fields(cast(Any, dataclass)) if field.metadata]
-        numeric = [f for f in tagged if isinstance(f.metadata["validator"], Numbers)]
+        numeric = [f for f in tagged if isinstance(f.metadata["validator"], NumberValidator)]
         self.field_of_tag = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
         self.columns = {field.name: Column(field) for field in numeric}
         self.lines, self.object_index = array("i"), array("i")

@@ -13,7 +13,7 @@ import numpy as np
 from tracer.files import open_atomically
 from tracer.scene.elements import FileOrPath
 from tracer.scene.model import Scene
-from tracer.scene.schema import Numbers, format_number
+from tracer.scene.schema import NumberValidator, format_number
 
 
 def save_scene(scene: Scene, target: FileOrPath) -> None:
@@ -121,7 +121,7 @@ def _format_numbers(scene_object: Any) -> str:
     text_of_tag = {
         field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
         for field in fields(scene_object)
-        if isinstance(field.metadata.get("validator"), Numbers)
+        if isinstance(field.metadata.get("validator"), NumberValidator)
         and (value := getattr(scene_object, field.name)) is not None
     }
     return "".join(f" <{tag}>{text}</{tag}>" for tag, text in text_of_tag.items())

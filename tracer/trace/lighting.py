@@ -194,7 +194,7 @@ class Shading:
                 strength[lit_index] = geometry.compute_highlight_strength(light_index, hit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
-    def compute_terms(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
+    def compute_channels(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
         """Compute the diffuse and specular radiance of n hits in each colour channel.
 
         If no hit is lit, nothing is yielded.
@@ -237,7 +237,7 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, radiance, glossy_slice, specular in self.compute_terms():
+        for channel, radiance, glossy_slice, specular in self.compute_channels():
             radiance[glossy_slice] += specular  # before this, `radiance` is only the diffuse term
             out[channel][self._hits.sample] = radiance
         return out

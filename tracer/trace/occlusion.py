@@ -347,7 +347,7 @@ def find_shadows(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     """
     is_blocked = np.zeros(faces_light.shape, dtype=np.bool_)
     for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light):
-        light_index, hit_index, _ = candidates[:, _test_segments(hits, lights, shape, candidates)]
+        light_index, hit_index, _ = candidates[:, _test_blocking(hits, lights, shape, candidates)]
         put_2d(is_blocked, light_index, hit_index, True)
         put_2d(is_blocked, shaded_pairs[0], shaded_pairs[1], True)
     return is_blocked
@@ -401,9 +401,9 @@ def find_shadow_edges(
 
 
 def _test_footprints(
-    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, radius: Floats
+    hits: Hits, lights: Lights, shape: Shape, candidates: Ints, footprint_radius: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test whether each object shades its hit, and how much of the hit's footprint it shades.
+    """Test how much of a hit's footprint an object shades from a light, for each candidate.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
     picture.  If an object may shade the footprint partly, the edge of its shadow may cross the
@@ -417,7 +417,7 @@ def _test_footprints(
         The shape of all objects in `candidates`.
     candidates : (3, k) int array
         Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
-    radius : (n,) float array
+    footprint_radius : (n,) float array
         Radius of the footprint of each hit, in the scene's unit of length.
 
     Returns
@@ -432,27 +432,27 @@ def _test_footprints(
         Whether the edge of the object's shadow may cross the footprint.
     """
     # Growing the object by the radius has the effect of moving the hit within the footprint.
-    growth = radius[candidates[1]]
-    is_grown_blocking = _test_segments(hits, lights, shape, candidates, growth)
+    growth = footprint_radius[candidates[1]]
+    grown_object_blocks = _test_blocking(hits, lights, shape, candidates, growth)
     # If the light and the hit are both inside the grown object, it does not block the segment,
     # although the unchanged object may.
     light_distance = shape.measure_distance(candidates[2], take(lights.position.T, candidates[0]))
-    near_index = find(is_grown_blocking | (light_distance <= growth))
+    near_index = find(grown_object_blocks | (light_distance <= growth))
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]
-    is_blocking = _test_segments(hits, lights, shape, near_candidates)
+    is_blocking = _test_blocking(hits, lights, shape, near_candidates)
     # The object shades the whole footprint if the shrunk object blocks the light, too.  But if the
     # hit is inside the object and outside the shrunk object, a light may be blocked by only the
     # shrunk object.
-    is_covering = is_blocking & _test_segments(hits, lights, shape, near_candidates, -growth)
-    # A light on the object's surface illuminates only one side of the tangent plane at the light,
-    # which may cross the footprint.
+    is_covering = is_blocking & _test_blocking(hits, lights, shape, near_candidates, -growth)
+    # A light on the object's surface illuminates only one side of the tangent plane there, and this
+    # plane may cross the footprint.
     is_covering &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
-    has_edge = ~is_covering & (is_grown_blocking[near_index] | (np.abs(light_distance) <= growth))
+    has_edge = ~is_covering & (grown_object_blocks[near_index] | (np.abs(light_distance) <= growth))
     return near_candidates, is_blocking, is_covering, has_edge
 
 
-def _test_segments(
+def _test_blocking(
     hits: Hits, lights: Lights, shape: Shape, candidates: Ints, growth: Floats | None = None
 ) -> Bools:
     """Test exactly whether an object blocks the segment from a hit to a light, for each candidate.

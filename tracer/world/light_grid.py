@@ -215,10 +215,11 @@ class LightGrid(NamedTuple):
                 yield np.array([row.take(others) for row in (light_index, ball_index, occluder)])
 
     def _find_ranges(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
-        """Find the entries near each rectangle, and yield ranges of `listed_entry` in batches.
+        """Find the entries near each rectangle, as ranges of indices in `listed_entry`, in batches.
 
-        An entry is the part of an object in one octant of directions.  It is near a rectangle if
-        both overlap the same cell.  The ranges contain each entry near a rectangle once.
+        An entry is the part of an object in one octant of directions.  `listed_entry` lists the
+        entries of each cell, a small range of directions.  An entry is near a rectangle if both
+        overlap the same cell.  The ranges of a rectangle contain each entry near it once.
 
         Parameters
         ----------
@@ -236,10 +237,11 @@ class LightGrid(NamedTuple):
             Start and length of each range; no range is empty.
         """
         overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
-        for rectangle_index, cell_index, flags in overlaps:
+        for rectangle_index, cell_index, cell_flags in overlaps:
+            # The flags decide which of the cell's four lists may contain entries not yet found.
             starts, stops = (
-                self.list_start.take(4 * cell_index + list_number.take(flags)).astype(np.intp)
-                for list_number in _LISTS_TO_READ
+                self.list_start.take(4 * cell_index + list_bound.take(cell_flags)).astype(np.intp)
+                for list_bound in _LISTS_TO_READ
             )
             nonempty_index = find(stops > starts)
             starts, stops = starts.take(nonempty_index), stops.take(nonempty_index)
