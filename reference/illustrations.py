@@ -113,19 +113,19 @@ def draw_packets() -> None:
     """Draw the packets (groups of neighbouring hits) of a picture, each in a random colour."""
     scene, prepared_scene, samples = _load_prepared_scene("room", 96)
     hits = find_nearest_hits(prepared_scene, samples)
-    is_facing_light = np.ones((1, hits.sample.size), dtype=np.bool_)
+    is_facing_light = np.ones((1, hits.sample_index.size), dtype=np.bool_)
     square_level, row_level = build_packet_levels(hits, is_facing_light, None)
     # Sort the hits by row packet, and the row packets by square packet.
     hit_index = join_ranges(row_level.child_start, row_level.child_count)
     row_packet_index = np.arange(row_level.child_count.size).repeat(row_level.child_count)
     square_packet_index = np.arange(square_level.child_count.size).repeat(square_level.child_count)
     _, axes = plt.subplots(1, 3, figsize=(_WIDTH, 2.2))
-    _show_picture(axes[0], to_codes(render(scene)) / 255, f"{hits.sample.size:,} hits")
+    _show_picture(axes[0], to_codes(render(scene)) / 255, f"{hits.sample_index.size:,} hits")
     packet_indices = {"row": row_packet_index, "square": square_packet_index[row_packet_index]}
     for packet_axes, (name, packet_index) in zip(axes[1:], packet_indices.items(), strict=True):
         image, packet_count = np.ones((scene.height, scene.width, 3)), packet_index[-1] + 1
         packet_color = np.random.default_rng(3).uniform(0.3, 1, (packet_count, 3))
-        image.reshape(-1, 3)[hits.sample[hit_index]] = packet_color[packet_index]
+        image.reshape(-1, 3)[hits.sample_index[hit_index]] = packet_color[packet_index]
         _show_picture(packet_axes, image, f"{packet_count} {name} packets")
     _save_figure("packets")
 

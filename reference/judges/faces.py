@@ -314,7 +314,7 @@ class Faces:
         samples, position_index = Scattered.from_positions(x, y)
         hits = find_nearest_hits(self.prepared_scene, samples)
         box_count = self.object_count - self.sphere_count
-        face = np.empty(hits.sample.size, dtype=np.intp)
+        face = np.empty(hits.sample_index.size, dtype=np.intp)
         for group in hits.groups:
             is_high_side = (group.sign > 0) ^ self.prepared_scene.is_eye_inside[group.run_object]
             side = 2 * group.face + is_high_side
@@ -322,7 +322,7 @@ class Faces:
             face[group.interval] = group.repeat_runs(run_face)
         # A ray through the rim of a sheet may hit a side without area.
         sheet_face = self.sheet_face[self.object_index[face]]
-        return hits, position_index[hits.sample], np.where(sheet_face >= 0, sheet_face, face)
+        return hits, position_index[hits.sample_index], np.where(sheet_face >= 0, sheet_face, face)
 
     def is_lit(self, hits: Hits, is_tested: Bools) -> Bools:
         """Test which lights reach each hit (a point where a camera ray meets a face).

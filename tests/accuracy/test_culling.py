@@ -192,7 +192,7 @@ def test_runs_consist_of_neighbours():
         ends = np.append(0, group.run_length.cumsum())
         assert (group.run_length > 1).any()
         for start, stop in pairwise(ends):
-            run = group.sample[start:stop]
+            run = group.sample_index[start:stop]
             assert np.array_equal(run, np.arange(run[0], run[0] + run.size))
             assert run[0] // 80 == run[-1] // 80
 

@@ -185,7 +185,7 @@ def classify_cells(
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
     is_unresolved, is_crowded = np.zeros((2, cell_count), dtype=np.bool_)
     hits, hidden_hits = find_nearest_and_hidden_hits(scene, samples)
-    hit_cell, footprint = sample_cell[hits.sample], compute_footprints(hits, cells.width)
+    hit_cell, footprint = sample_cell[hits.sample_index], compute_footprints(hits, cells.width)
     surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
     silhouettes = _find_silhouettes_from_eye(scene, cells)
     edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())

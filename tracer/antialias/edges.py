@@ -302,10 +302,10 @@ class CellSurfaces(NamedTuple):
             Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
             through each point meets the two surfaces at t1 * ray and t2 * ray.
         """
-        sample = self.hits.sample
-        hit_of_sample = np.empty(int(sample.max(initial=0)) + 1, dtype=np.intp)
-        hit_of_sample[sample] = np.arange(sample.size)
-        visible_index = hit_of_sample[hidden_hits.sample]
+        sample_index = self.hits.sample_index
+        hit_of_sample = np.empty(int(sample_index.max(initial=0)) + 1, dtype=np.intp)
+        hit_of_sample[sample_index] = np.arange(sample_index.size)
+        visible_index = hit_of_sample[hidden_hits.sample_index]
         # Surfaces that meet within the cell are at most this far apart along the ray.
         max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap

@@ -55,18 +55,18 @@ class FirstHits:
             Surface, distance, normal and position at each sample, in the order of the samples.
             Without a hit, they are -1, infinity, NaN and NaN.
         """
-        sample_count, frame = hits.samples.size, hits.scene.frame
+        sample_count, frame, sample_index = hits.samples.size, hits.scene.frame, hits.sample_index
         surface, distance = np.full(sample_count, -1), np.full(sample_count, np.inf)
         normal, point = np.full((2, sample_count, 3), np.nan)
-        surface[hits.sample] = hits.scene.surfaces.file_index[hits.hit_object]
-        distance[hits.sample] = hits.distance
-        point[hits.sample] = np.transpose(hits.get_points(slice(None)))
+        surface[sample_index] = hits.scene.surfaces.file_index[hits.hit_object]
+        distance[sample_index] = hits.distance
+        point[sample_index], normal[sample_index] = np.transpose(hits.get_points(slice(None))), 0
         for group in hits.groups:
             if group.shape.is_planar:  # exact, unlike normals converted from camera axes
-                normal[group.sample] = 0
-                normal[group.sample, group.repeat_runs(group.face)] = group.repeat_runs(group.sign)
+                face, sign = group.repeat_runs(group.face), group.repeat_runs(group.sign)
+                normal[group.sample_index, face] = sign
             else:
-                normal[group.sample] = np.transpose(frame.vector_to_scene(group.normal))
+                normal[group.sample_index] = np.transpose(frame.vector_to_scene(group.normal))
         return cls(surface, distance, normal, point)
 
 

@@ -28,7 +28,7 @@ class ShapeHits(NamedTuple):
         The objects on which the hits lie.
     interval : slice
         The slice of these hits among all hits of a `Hits`.
-    sample : (n,) int array
+    sample_index : (n,) int array
         Index of each hit's sample.
     run_length : (runs,) int array
         Number of hits in each run.
@@ -48,7 +48,7 @@ class ShapeHits(NamedTuple):
 
     shape: Shape
     interval: slice
-    sample: Ints
+    sample_index: Ints
     run_length: Ints
     run_object: Ints
     face: Ints
@@ -127,7 +127,7 @@ class Hits(NamedTuple):
         Vectors from the eye to the hits, in camera axes.
     groups : list of ShapeHits
         The hits on spheres, and the hits on boxes, if there are any.
-    sample : (n,) int array
+    sample_index : (n,) int array
         Index of each hit's sample.
     run_start : (runs + 1,) int array
         Index of the first hit of each run, in all groups; the last element is n.
@@ -139,7 +139,7 @@ class Hits(NamedTuple):
     samples: Samples
     from_eye: Floats
     groups: list[ShapeHits]
-    sample: Ints
+    sample_index: Ints
     run_start: Ints
     run_object: Ints
 

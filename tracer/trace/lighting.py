@@ -164,7 +164,7 @@ class Shading:
         # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
-        self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample[:0]
+        self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample_index[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
         """Add the light that hits reflect from one batch of lights, and update `ids`.
@@ -239,7 +239,7 @@ class Shading:
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
         for channel, radiance, glossy_slice, specular in self.compute_channels():
             radiance[glossy_slice] += specular  # before this, `radiance` is only the diffuse term
-            out[channel][self._hits.sample] = radiance
+            out[channel][self._hits.sample_index] = radiance
         return out
 
 

@@ -577,7 +577,7 @@ def _build_square_packets(
     first_hit = row_packets.child_start
     # One integer encodes the object, and the row and the column of the square.
     square_key = row_packets.object_index
-    for coordinate in hits.samples.get_positions(hits.sample.take(first_hit)):
+    for coordinate in hits.samples.get_positions(hits.sample_index.take(first_hit)):
         square_index = (coordinate / square_width).astype(np.intp)
         square_index -= square_index.min()
         square_key = square_key * (square_index.max() + 1) + square_index

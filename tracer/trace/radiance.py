@@ -57,7 +57,7 @@ def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Fl
     hits = find_nearest_hits(scene, samples)
     shading = shade(hits, scene.light_batches, with_ids=True)
     ids = np.full(samples.size, -1)
-    ids[hits.sample] = shading.ids
+    ids[hits.sample_index] = shading.ids
     return shading.compute_radiance(), ids
 
 

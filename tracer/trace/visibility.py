@@ -67,7 +67,7 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
     groups = _intersect_objects(scene, samples)
     nearest_t = _find_nearest_t(samples, groups)
     hidden_groups = [
-        group.select((group.t > nearest_t.take(group.sample)) & (group.t < np.inf))
+        group.select((group.t > nearest_t.take(group.sample_index)) & (group.t < np.inf))
         for group in groups
     ]
     visible_groups = _select_visible(scene, groups, nearest_t)
@@ -90,7 +90,7 @@ class _Intersections(NamedTuple):
         Index of each span's object, among all objects of the scene.
     ray_down : (spans,) float array
         Downward component of the rays in each span.
-    sample : (n,) int array
+    sample_index : (n,) int array
         Index of each pair's sample.
     ray_right : (n,) float array
         Rightward component of the ray through the sample.
@@ -105,7 +105,7 @@ class _Intersections(NamedTuple):
     sample_count: Ints | None
     object_index: Ints
     ray_down: Floats
-    sample: Ints
+    sample_index: Ints
     ray_right: Floats
     t: Floats
     hit_data: NDArray[Any]
@@ -163,12 +163,12 @@ class _Intersections(NamedTuple):
         is_planar = self.shape.is_planar
         is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
         if self.sample_count is None:
-            x, y = samples.get_positions(self.sample)
+            x, y = samples.get_positions(self.sample_index)
             strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.assign_layer(depth, _RUN_WIDTH)
             is_start |= mark_run_starts(self.object_index, np.floor(y), strip, depth_layer)
         else:
             is_start[(self.sample_count.cumsum() - self.sample_count)[self.sample_count > 0]] = True
-            is_start[1:] |= np.diff(self.sample) > 1  # a nearer object interrupts the run
+            is_start[1:] |= np.diff(self.sample_index) > 1  # a nearer object interrupts the run
         return find(is_start)
 
 
@@ -190,11 +190,11 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     frame, groups = scene.frame, []
     sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.to_ray_down(samples.y)
     for shape in scene.shapes:
-        object_index, row, first_sample, sample_count = samples.find_spans(shape, scene)
-        sample = first_sample if sample_count is None else join_ranges(first_sample, sample_count)
-        ray_down, ray_right = row_ray_down.take(row), sample_ray_right.take(sample)
+        object_index, row, start, sample_count = samples.find_spans(shape, scene)
+        sample_index = start if sample_count is None else join_ranges(start, sample_count)
+        ray_down, ray_right = row_ray_down.take(row), sample_ray_right.take(sample_index)
         t, hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
-        fields = sample_count, object_index, ray_down, sample, ray_right, t, hit_data
+        fields = sample_count, object_index, ray_down, sample_index, ray_right, t, hit_data
         groups.append(_Intersections(shape, *fields))
     return groups
 
@@ -218,7 +218,7 @@ def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Floats:
     """
     nearest_t = np.full(samples.size, _MAX_T)
     for group in groups:
-        np.minimum.at(nearest_t, group.sample, group.t)
+        np.minimum.at(nearest_t, group.sample_index, group.t)
     return nearest_t
 
 
@@ -242,16 +242,16 @@ def _select_visible(
         The nearest intersection at each sample, in the same groups.  If several objects are at the
         same distance, only the first one in the scene file is selected.
     """
-    visible_groups = [group.select(group.t == nearest_t.take(group.sample)) for group in groups]
-    if sum(group.t.size for group in visible_groups) == np.count_nonzero(nearest_t < _MAX_T):
-        return visible_groups  # no sample has two nearest intersections
+    candidates = [group.select(group.t == nearest_t.take(group.sample_index)) for group in groups]
+    if sum(group.t.size for group in candidates) == np.count_nonzero(nearest_t < _MAX_T):
+        return candidates  # no sample has two nearest intersections
     file_index = scene.surfaces.file_index
-    first_file_index = np.full(nearest_t.size, file_index.size)
-    for group in visible_groups:
-        np.minimum.at(first_file_index, group.sample, file_index.take(group.pair_object))
+    min_file_index = np.full(nearest_t.size, file_index.size)
+    for group in candidates:
+        np.minimum.at(min_file_index, group.sample_index, file_index.take(group.pair_object))
     return [
-        group.select(file_index.take(group.pair_object) == first_file_index.take(group.sample))
-        for group in visible_groups
+        group.select(file_index.take(group.pair_object) == min_file_index.take(group.sample_index))
+        for group in candidates
     ]
 
 
@@ -287,9 +287,9 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
         tangent_planes = group.shape.compute_tangent_planes(
             run_object, run_length, group_from_eye, group.t, group.hit_data
         )
-        fields = group.shape, slice(start, end), group.sample, run_length, run_object
+        fields = group.shape, slice(start, end), group.sample_index, run_length, run_object
         shape_hits.append(ShapeHits(*fields, *tangent_planes))
     run_start = np.concatenate([no_hits, [0], *(group.run_length for group in shape_hits)]).cumsum()
-    sample = np.concatenate([no_hits, *(group.sample for group in shape_hits)])
+    sample_index = np.concatenate([no_hits, *(group.sample_index for group in shape_hits)])
     run_object = np.concatenate([no_hits, *(group.run_object for group in shape_hits)])
-    return Hits(scene, samples, from_eye, shape_hits, sample, run_start, run_object)
+    return Hits(scene, samples, from_eye, shape_hits, sample_index, run_start, run_object)
