@@ -353,8 +353,7 @@ class InverseDepth(NamedTuple):
         """Compute 1 / t for six rays per surface, each of which meets its surface at t * ray.
 
         For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the coefficients k and w of the
-        surface.  For planes, the square root is omitted.  A ray that misses a sphere is treated as
-        a tangent.
+        surface.  For planes, the root is omitted.  Rays that miss a sphere count as tangents.
 
         Parameters
         ----------
