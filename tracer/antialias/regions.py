@@ -189,6 +189,7 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
+        # The first part replaces the divided triangle; the others are appended.
         corners[:, parent] = a, on_ab, on_ac
         corners = np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
         parent_region = region[parent]
