@@ -65,7 +65,7 @@ def _format_element(element: Element[Any], line_start: str = "\n") -> str:
     Returns
     -------
     text : str
-        The lines of the element.  Each line follows a line break.
+        The lines of the element, each preceded by a line break.
     """
     if element.tag is Comment:
         return f"{line_start}<!--{element.text}-->"

@@ -145,7 +145,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     """Remove converted scenes from a list of paths, and print a line for each of them.
 
-    The shell pattern *.xml matches converted scenes, too.
+    They are no error, because the shell pattern *.xml matches them, too.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def _make_parser() -> CommandParser:
     """Create the command-line parser of `python -m converters.to_mitsuba`."""
     parser = CommandParser(__name__)
     add_scene_arguments(parser)
-    parser.add_argument("--flavour", choices=("stock", "exact"), help="see above")
+    parser.add_argument("--flavour", choices=("stock", "exact"), help="described above")
     samples_help = "samples per pixel, which may be rounded up (default: 64 for stock; 1 for exact,"
     samples_help += " at the pixel's centre)"
     parser.add_argument("--samples", type=parse_positive_int, metavar="N", help=samples_help)

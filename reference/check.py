@@ -571,8 +571,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     command_parser = make_parser("reference.check")
     add_scene_arguments(command_parser)
-    flavours = "exact", "stock"
-    command_parser.add_argument("--flavour", choices=flavours, default="exact", help="see above")
+    flavours, flavour_help = ("exact", "stock"), "described above"
+    command_parser.add_argument("--flavour", choices=flavours, default="exact", help=flavour_help)
     options = command_parser.parse_args(arguments)
     scene_paths = skip_converted_scenes(options.scenes)
     suffix = ".check.png" if options.flavour == "exact" else f".{options.flavour}.check.png"

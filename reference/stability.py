@@ -94,8 +94,8 @@ def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -
 def build_silhouette(distance: float) -> Scene:
     """Build a close-up of a unit sphere's silhouette, viewed from a given distance.
 
-    On each side of the silhouette, the picture shows 2**-20, about a millionth of the radius.  The
-    camera rays are exact in float64.
+    The picture shows a strip on each side of the silhouette, which is 2**-20 wide, about a
+    millionth of the radius.  The camera rays are exact in float64.
     """
     eye, light, window = (1, 0, distance), (8, 0, 2), (distance, 2.0**-19, 2.0**-19)
     return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
@@ -428,9 +428,9 @@ def main() -> None:
     """Measure the errors, store them in a table, and draw the chart."""
     columns = ("panel", "position", "method", "error")
     note = (
-        "Above: pictures by usual methods; below them: the same scenes by this tracer.  Each point"
-        " compares a picture with one in\n80-digit arithmetic, by the largest error of the radiance"
-        " (at most 1) or by the percentage of pixels that are wrongly lit or dark."
+        "Above: pictures by the usual methods; below them: the same scenes by this tracer.  Each"
+        " point shows how far a picture is from\nthat computed with 80 digits: the largest error of"
+        " the radiance (at most 1), or the percentage of pixels that are wrongly lit or dark."
     )
-    title = "Where usual methods of ray tracing fail"
+    title = "Where the usual methods of ray tracing fail"
     run_chart_command("stability", columns, _measure_all_panels, _draw_chart, title, note)

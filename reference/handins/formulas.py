@@ -144,9 +144,10 @@ def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Cal
     Parameters
     ----------
     intersect : callable
-        The correct function.  It returns an array of the t at which rays o + t d cross surfaces.
+        The correct function.  It returns an array of the numbers t for which o + t d is the point
+        where a ray with the origin o and the direction d crosses a surface.
     factor : float
-        The wrong factor.
+        The factor that makes the results wrong.
 
     Returns
     -------

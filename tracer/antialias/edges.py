@@ -261,10 +261,10 @@ class CellSurfaces(NamedTuple):
     cell_width: float
 
     def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
-        """Compute rays through six points of cells, and intersect them with the visible surfaces.
+        """Compute rays through six points of each cell, and intersect them with its surface.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  All six rays are
-        intersected with the surface of this hit.
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Its surface is
+        the one on which this hit lies.  The points are those of `compute_rays`.
 
         Parameters
         ----------
@@ -275,7 +275,7 @@ class CellSurfaces(NamedTuple):
         -------
         ray : tuple of three float arrays
             Components of the rays from the eye, in camera axes: two arrays (6, k), and an array
-            (1, k) that applies to all six points.  `compute_rays` lists the points.
+            (1, k) that applies to all six points.
         inverse_t : (6, k) float array
             1 / t for each ray, where t * ray is the vector from the eye to the surface.
         """

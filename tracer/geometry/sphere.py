@@ -438,7 +438,7 @@ class Spheres:
 def _find_slope_range(
     center_right: Floats, center_ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the range of slopes of the rays from the origin that meet each of n discs in a plane.
+    """Compute the slopes of the two lines through the origin that touch a disc, for n discs.
 
     The slope of a ray in the direction (right, ahead) is right / ahead.
 

@@ -165,8 +165,9 @@ class Distribution(Generic[_Item, _Result]):
     def _process_next_item(self) -> None:
         """Process the next item or, if none is left, an item that the executor has not finished.
 
-        If a worker has already begun this item, wait for the executor first.  Process the item only
-        if the executor finishes no item within the time limit of `_wait_for_executor`.
+        If a worker has already begun this item, wait for the executor first.  In that case, process
+        the item only if the executor finishes no item within the time limit of
+        `_wait_for_executor`.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
@@ -288,8 +289,8 @@ class WorkerPool:
     def _create_executor(self) -> ProcessPoolExecutor:
         """Create an executor that forks its processes if this is safe, and spawns them otherwise.
 
-        From then on, this process prints no warnings of Python's resource tracker, and no uncaught
-        exceptions in threads.
+        From then on, warnings of Python's resource tracker and tracebacks of threads are suppressed
+        in this process.
 
         Returns
         -------
