@@ -116,7 +116,7 @@ def draw_packets() -> None:
     is_facing_light = np.ones((1, hits.sample_index.size), dtype=np.bool_)
     square_level, row_level = build_packet_levels(hits, is_facing_light, None)
     # Sort the hits by row packet, and the row packets by square packet.
-    hit_index = join_ranges(row_level.child_start, row_level.child_count)
+    hit_index = join_ranges(row_level.child_count, row_level.child_start)
     row_packet_index = np.arange(row_level.child_count.size).repeat(row_level.child_count)
     square_packet_index = np.arange(square_level.child_count.size).repeat(square_level.child_count)
     _, axes = plt.subplots(1, 3, figsize=(_WIDTH, 2.2))

@@ -186,20 +186,20 @@ def enumerate_ranges(counts: Ints, starts: Ints | int = 0) -> tuple[Ints, Ints]:
     integers : (n,) int array
         The integers, range by range.
     """
-    return np.arange(counts.size).repeat(counts), join_ranges(starts, counts)
+    return np.arange(counts.size).repeat(counts), join_ranges(counts, starts)
 
 
-def join_ranges(starts: Ints | int, counts: Ints) -> Ints:
+def join_ranges(counts: Ints, starts: Ints | int) -> Ints:
     """Join ranges of consecutive integers into one array.
 
-    For example, starts (7, 4) and counts (2, 3) give (7, 8, 4, 5, 6).
+    For example, counts (2, 3) and starts (7, 4) give (7, 8, 4, 5, 6).
 
     Parameters
     ----------
-    starts : (m,) int array or int
-        First integer of each of m ranges; an int applies to all ranges.
     counts : (m,) int array
-        Number of integers in each range.
+        Number of integers in each of m ranges.
+    starts : (m,) int array or int
+        First integer of each range; an int applies to all ranges.
 
     Returns
     -------

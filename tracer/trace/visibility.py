@@ -191,7 +191,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.to_ray_down(samples.y)
     for shape in scene.shapes:
         object_index, row, start, sample_count = samples.find_spans(shape, scene)
-        sample_index = start if sample_count is None else join_ranges(start, sample_count)
+        sample_index = start if sample_count is None else join_ranges(sample_count, start)
         ray_down, ray_right = row_ray_down.take(row), sample_ray_right.take(sample_index)
         t, hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
         fields = sample_count, object_index, ray_down, sample_index, ray_right, t, hit_data

@@ -204,7 +204,7 @@ class LightGrid(NamedTuple):
         for part_index, starts, lengths in self._find_ranges(rectangles, patch_index):
             for batch in split_by_size(lengths, _PAIRS_PER_BATCH):
                 pair_part = part_index[batch].repeat(lengths[batch])
-                pair_entry = self.listed_entry.take(join_ranges(starts[batch], lengths[batch]))
+                pair_entry = self.listed_entry.take(join_ranges(lengths[batch], starts[batch]))
                 meets_bound = self.entry_bounds.take(pair_entry, 0) >= bounds.take(pair_part, 0)
                 # The same as meets_bound.all(axis=1), but much faster.
                 match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
