@@ -13,8 +13,8 @@ from tracer.antialias import refine as antialias
 from tracer.picture import render
 
 # Numbers of examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
-# tries the same examples in every run.  The thorough profile tries others, which the seed from
-# `.ci/run` determines.
+# tries the same examples in every run.  The thorough profile tries more, which depend on the seed
+# that `.ci/run` passes.
 settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
 settings.register_profile("thorough", max_examples=300, deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))

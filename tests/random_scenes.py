@@ -59,7 +59,7 @@ def random_scene(kind: str, seed: int, width: int = 13, height: int = 9) -> Scen
     scene : Scene
         The scene.
     """
-    return _scene(kind, Random(f"{kind} {seed}"), width, height)
+    return build_scene(kind, Random(f"{kind} {seed}"), width, height)
 
 
 @st.composite
@@ -90,13 +90,13 @@ def scenes(
         A scene of one of the kinds.
     """
     kind, random = draw(st.sampled_from([*kinds])), draw(st.randoms(use_true_random=False))
-    scene = _scene(kind, random, draw(width), draw(height))
+    scene = build_scene(kind, random, draw(width), draw(height))
     save_scene(scene, file := BytesIO())
     note(file.getvalue().decode())
     return scene
 
 
-def _scene(kind: str, random: Random, width: int, height: int) -> Scene:
+def build_scene(kind: str, random: Random, width: int, height: int) -> Scene:
     """Build a scene of one kind with one to three lights.
 
     Parameters
@@ -149,11 +149,17 @@ def _move(point: Vector, scale: float, direction: Vector) -> Vector:
     return x, y, z
 
 
+def _cosine(vector: Vector, other: Vector) -> float:
+    """Return the absolute value of the cosine of the angle between two vectors."""
+    dot_product = sum(a * b for a, b in zip(vector, other, strict=True))
+    return abs(dot_product) / (math.hypot(*vector) * math.hypot(*other))
+
+
 def _camera(random: Random, setting: Setting) -> Camera:
     """Return a camera that looks at the target of a setting from a random direction.
 
     One camera in four looks along an axis.  Four in ten have a window that is not perpendicular to
-    the view direction.
+    the view direction.  All random numbers, even if all are equal, define a window.
 
     Parameters
     ----------
@@ -175,11 +181,18 @@ def _camera(random: Random, setting: Setting) -> Camera:
         up = abs(z), abs(x), abs(y)
     direction = x, y * setting.height_factor, z
     is_oblique = random.randint(0, 9) < 4
+    normal = _move(direction, 0.5, _direction(random)) if is_oblique else direction
+    # Hypothesis reduces numbers until vectors are equal, and a direction may be shorter than 0.5.
+    if _cosine(normal, direction) < 0.01:
+        normal = direction
+    if _cosine(normal, up) > 0.99999:
+        lengths = [abs(component) for component in normal]
+        up = tuple(float(axis == lengths.index(min(lengths))) for axis in range(3))
     return Camera(
         view_point=_move(setting.target, -setting.reach, direction),
         view_dir=direction,
         view_up=up,
-        proj_normal=_move(direction, 0.5, _direction(random)) if is_oblique else None,
+        proj_normal=normal if is_oblique else None,
         # From far away, the lens is longer.
         proj_distance=_uniform(random, 0.5, 2) * max(1, setting.reach / 3),
         view_width=_uniform(random, 0.3, 3),

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
+from random import Random
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from probe import random_direction, rgb_lights, scale_and_shift, scene_of
-from random_scenes import FEW_OBJECTS, KINDS, random_scene, scenes
+from random_scenes import FEW_OBJECTS, KINDS, build_scene, random_scene, scenes
 from scene_files import NAMES, scene_parameters, small_scene
 
 from reference.command import SCENES, list_scene_files
@@ -28,8 +29,9 @@ from tracer.arrays import Bools, Floats
 # Perturbations that do not affect a certain pixel: shifts to the right and down, in pixels, and
 # relative changes of all radii.  The shifts exceed the tracer's rounding errors, even at a distance
 # of 10^8 times the size of the objects.  The changes of radii separate surfaces that nearly
-# coincide, such as a floor and a large sphere as the ground.
-_PERTURBATIONS = ((1e-3, 0, 1e-12), (-5e-4, 9e-4, -1e-12), (-5e-4, -9e-4, 1e-12))
+# coincide, such as a floor and a large sphere as the ground.  The smallest change keeps the eye
+# outside such a sphere, even if the eye is only 10^-9 above the floor.
+_PERTURBATIONS = ((1e-3, 0, 1e-12), (-5e-4, 9e-4, -1e-12), (-5e-4, -9e-4, 1e-15))
 
 
 class Comparison(NamedTuple):
@@ -118,6 +120,12 @@ def test_pixels_next_to_edges_and_nearly_coinciding_surfaces_are_not_certain():
         camera = Camera(view_point=(x + 1e-3, 1, 0), **down)
         scene = scene_of(floor, ground, camera=camera, size=(1, 1), lights=(0, 5, 0))
         assert compare(scene).is_certain.tolist() == [x > 0]
+    # From this near, a relative change of the radius by 1e-12 would put eye and light inside the
+    # ground, where they show only the floor.
+    eye = (0, 2e-9 - 1, 0)
+    camera = Camera(view_point=eye, **down)
+    scene = scene_of(floor, ground, camera=camera, size=(1, 1), lights=eye)
+    assert compare(scene).is_certain.tolist() == [False]
 
 
 @pytest.mark.parametrize("scale", [1e-60, 1e60])
@@ -160,6 +168,24 @@ def test_random_scenes(kind):
     # A light at the eye reaches all visible surfaces.
     eye_lights = [PointLight(position=scenes[0].camera.view_point)]
     assert_correct([*scenes, replace(scenes[0], lights=eye_lights)], TOLERANCES[kind])
+
+
+class _EqualNumbers(Random):
+    """A source whose numbers are all at one fraction of their range, as after a reduction."""
+
+    def __init__(self, fraction: float) -> None:
+        super().__init__(0)
+        self._fraction = fraction
+
+    def randint(self, low: int, high: int) -> int:
+        return low + int(self._fraction * (high - low))
+
+
+@pytest.mark.parametrize("kind", FEW_OBJECTS)
+@pytest.mark.parametrize("fraction", [0, 0.3, 0.5, 1])
+def test_equal_random_numbers_define_a_scene(kind, fraction):
+    scene = build_scene(kind, _EqualNumbers(fraction), 3, 2)
+    assert not compare(scene).describe_wrong_pixels(TOLERANCES[kind])
 
 
 @pytest.mark.parametrize("kind", FEW_OBJECTS)
