@@ -25,7 +25,7 @@ from reference.measured.charts import plt
 from tracer import Scene, load_scene, render, to_codes
 from tracer.antialias.classify import Cells, Classification, classify_cells
 from tracer.antialias.edges import find_silhouette_pixels
-from tracer.antialias.lattice import CENTERS, Lattice
+from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.arrays import Floats, join_ranges
 from tracer.trace.occlusion import build_packet_levels
 from tracer.trace.samples import Rows
@@ -64,7 +64,7 @@ def _load_prepared_scene(name: str, width: int) -> tuple[Scene, PreparedScene, R
     """
     scene = load_scene(SCENES / f"{name}.xml")
     scene = replace(scene, width=width, height=round(width * scene.height / scene.width))
-    return scene, PreparedScene(scene), CENTERS.place(slice(0, scene.height), slice(0, width))
+    return scene, PreparedScene(scene), PIXEL_CENTERS.place(slice(0, scene.height), slice(0, width))
 
 
 def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
@@ -206,7 +206,7 @@ def draw_classes() -> None:
     """Draw pixels in the colours of their classes, with the straight edges and samples inside."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
-    samples, every_pixel = CENTERS.place(rows, columns), np.arange(20 * 28)
+    samples, every_pixel = PIXEL_CENTERS.place(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.get_positions(every_pixel), pixel_index, object_index)

@@ -21,7 +21,7 @@ from scene_files import HARD_SCENES, HardScene, hard_scenes
 
 from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
-from tracer.antialias.lattice import CENTERS
+from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Bools, Floats, Ints
 from tracer.geometry.camera import ScreenBounds, compute_frame
 from tracer.geometry.sphere import Spheres
@@ -187,7 +187,7 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
 def test_runs_consist_of_neighbours():
     # A row of the floor consists of several runs if balls hide parts of it.
     scene = crowd(200, width=80, height=45)
-    samples = CENTERS.place(slice(0, 45), slice(0, 80))
+    samples = PIXEL_CENTERS.place(slice(0, 45), slice(0, 80))
     for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
         ends = np.append(0, group.run_length.cumsum())
         assert (group.run_length > 1).any()

@@ -166,4 +166,4 @@ class Lattice(NamedTuple):
 
 
 # One point in each pixel: the centre.
-CENTERS = Lattice(1, 1)
+PIXEL_CENTERS = Lattice(1, 1)

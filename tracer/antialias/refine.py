@@ -42,7 +42,7 @@ import numpy as np
 
 from tracer.antialias.classify import Cells, Classification, classify_cells
 from tracer.antialias.edges import find_silhouette_pixels
-from tracer.antialias.lattice import CENTERS, Lattice
+from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
 from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, find, split_indices
@@ -146,7 +146,9 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
     top, height = rows.start - 1, rows.stop + 2 - rows.start
     first_column, width = columns.start - 1, columns.stop + 2 - columns.start
-    samples = CENTERS.place(slice(top, top + height), slice(first_column, first_column + width))
+    samples = PIXEL_CENTERS.place(
+        slice(top, top + height), slice(first_column, first_column + width)
+    )
     pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
     pair_pixel = (pair_row - top) * width + pair_column - first_column
     pixel_index = np.arange(samples.size)

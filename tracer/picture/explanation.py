@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracer.antialias.lattice import CENTERS
+from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import Ints, Vector, take
 from tracer.picture.lint import name_element
 from tracer.picture.png import to_codes
@@ -249,7 +249,7 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     prepared_scene = PreparedScene(scene)
-    frame, samples = prepared_scene.frame, CENTERS.place(slice(y, y + 1), slice(x, x + 1))
+    frame, samples = prepared_scene.frame, PIXEL_CENTERS.place(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
     radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
     scene_hit = FirstHits.from_hits(hits)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.lattice import CENTERS
+from tracer.antialias.lattice import PIXEL_CENTERS
 from tracer.arrays import BATCH_SIZE, Floats, Ints
 from tracer.geometry.rounding import LIGHT_TOLERANCE
 from tracer.scene.model import Phong, Scene, Surfaces, VectorLike
@@ -227,7 +227,7 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
             1, scene.choose_batch_size(BATCH_SIZE) // (columns.stop - columns.start)
         )
         for top in range(rows.start, rows.stop, rows_per_batch):
-            samples = CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
+            samples = PIXEL_CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
             object_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
     return np.unique(np.concatenate(object_batches))
 

@@ -29,7 +29,7 @@ from typing import Any, SupportsFloat, SupportsIndex, TypeAlias
 
 import numpy as np
 
-from tracer.antialias.lattice import CENTERS, Lattice
+from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, lint_scene
@@ -304,7 +304,7 @@ class RenderJob:
         is_antialiased = per_side > 1
         uses_lattice = is_antialiased and is_supersampling_cheaper(self.prepared_scene, per_side)
         self._is_adaptive = is_antialiased and not uses_lattice
-        self._lattice = Lattice.choose(per_side) if uses_lattice else CENTERS
+        self._lattice = Lattice.choose(per_side) if uses_lattice else PIXEL_CENTERS
         max_samples = _MAX_TILE_SAMPLES * (_ADAPTIVE_FACTOR if self._is_adaptive else 1)
         self._max_samples = self.prepared_scene.choose_batch_size(max_samples)
         self.seconds = self._seconds_per_pixel * scene.width * scene.height
