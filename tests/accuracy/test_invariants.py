@@ -11,10 +11,11 @@ from tracer import Lambertian, Scene, render
 from tracer.antialias import refine
 from tracer.picture import render as render_module
 
-pytestmark = pytest.mark.usefixtures("pixels_are_split")
-
-each_kind = pytest.mark.parametrize("kind", KINDS)
-each_count = pytest.mark.parametrize("samples", [1, 16])
+pytestmark = [
+    pytest.mark.usefixtures("pixels_are_split"),
+    pytest.mark.parametrize("kind", KINDS),
+    pytest.mark.parametrize("samples", [1, 16]),
+]
 
 
 def random_scenes_of(kind: str, samples: int) -> list[Scene]:
@@ -25,8 +26,6 @@ def random_scenes_of(kind: str, samples: int) -> list[Scene]:
     return [random_scene(kind, seed, 31, 23) for seed in seeds]
 
 
-@each_kind
-@each_count
 def test_scale(kind, samples):
     for scene in random_scenes_of(kind, samples):
         image = render(scene, samples)
@@ -35,16 +34,12 @@ def test_scale(kind, samples):
             assert np.array_equal(render(scale_and_shift(scene, 2.0**power), samples), image), power
 
 
-@each_kind
-@each_count
 def test_duplicates(kind, samples):
     for scene in random_scenes_of(kind, samples):
         duplicated = replace(scene, surfaces=[*scene.surfaces] * 2)
         assert np.array_equal(render(duplicated, samples), render(scene, samples))
 
 
-@each_kind
-@each_count
 def test_order_of_lights(kind, samples):
     for scene in random_scenes_of(kind, samples):
         reversed_lights = replace(scene, lights=scene.lights[::-1])
@@ -62,8 +57,6 @@ def may_have_ties(kind: str, scene: Scene) -> bool:
     return kind in ("touching", "duplicated") and -1 <= scene.camera.view_point[1] <= 0
 
 
-@each_kind
-@each_count
 def test_order_of_surfaces_and_size_of_batches(kind, samples, monkeypatch):
     # If surfaces are at the same distance, the first in the file is visible.  So that the order
     # does not matter, all surfaces get one shader here.
