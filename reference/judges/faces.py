@@ -316,8 +316,8 @@ class Faces:
         box_count = self.object_count - self.sphere_count
         face = np.empty(hits.sample_index.size, dtype=np.intp)
         for group in hits.groups:
-            is_high_side = (group.sign > 0) ^ self.prepared_scene.is_eye_inside[group.run_object]
-            side = 2 * group.face + is_high_side
+            is_high_side = (group.normal_sign > 0) ^ hits.scene.is_eye_inside[group.run_object]
+            side = 2 * group.face_axis + is_high_side
             run_face = group.run_object + group.shape.is_planar * box_count * side
             face[group.interval] = group.repeat_runs(run_face)
         # A ray through the rim of a sheet may hit a side without area.

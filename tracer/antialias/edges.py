@@ -381,7 +381,7 @@ class CellSurfaces(NamedTuple):
         face_positions = scene.boxes.min_pt, scene.boxes.max_pt
         # Hits are grouped by shape.  The hits of a run lie on the same face of the same object.
         for group, axis in product(self.hits.groups, range(3)):
-            is_other_face = group.face != axis
+            is_other_face = group.face_axis != axis
             if not group.shape.is_planar or not np.any(is_other_face):
                 continue
             hit_index = np.arange(group.interval.start, group.interval.stop)

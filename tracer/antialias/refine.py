@@ -87,7 +87,7 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
         Whether the number of pairs of silhouettes that cross the same pixel is large for this
         number of samples.
     """
-    pairs_per_pixel = scene.bounds.estimate_silhouette_density(scene.frame)
+    pairs_per_pixel = scene.bounds.estimate_silhouette_pairs(scene.frame)
     return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
 
 

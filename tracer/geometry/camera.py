@@ -322,7 +322,7 @@ class ScreenBounds(NamedTuple):
         rows = (frame.to_row(slope * frame.depth) for slope in y_slopes)
         return cls(*rows, *(frame.to_column(slope * frame.depth) for slope in x_slopes))
 
-    def take(self, selection: Bools | slice) -> ScreenBounds:
+    def select(self, selection: Bools | slice) -> ScreenBounds:
         """Select rectangles by mask or slice.
 
         Parameters
@@ -371,7 +371,7 @@ class ScreenBounds(NamedTuple):
         rows, columns : slices
             Rows and columns of pixels; empty slices if no object is visible.
         """
-        visible_bounds = self.take(self.in_picture(frame))
+        visible_bounds = self.select(self.in_picture(frame))
 
         def find_covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
             """Return a slice of pixels, numbered from 0, that covers all intervals.
@@ -400,14 +400,14 @@ class ScreenBounds(NamedTuple):
         depth_complexity : float
             The bound on the mean over a row of pixels, for every row.  Hidden objects count, too.
         """
-        bounds, width = self.take(self.in_picture(frame)), frame.width
+        bounds, width = self.select(self.in_picture(frame)), frame.width
         covered_width = np.clip(bounds.right + 1, 0, width) - np.clip(bounds.left - 1, 0, width)
         # From row to row, add the widths of objects that begin and subtract those that end.
         order = np.append(bounds.top - 1, bounds.bottom + 1).argsort()
         width_change = np.append(covered_width, -covered_width)[order]
         return float(width_change.cumsum().max(initial=0) / width)
 
-    def estimate_silhouette_density(self, frame: CameraFrame) -> float:
+    def estimate_silhouette_pairs(self, frame: CameraFrame) -> float:
         """Estimate how often the silhouettes of two objects cross the same pixel.
 
         The estimate assumes that objects are as tall as they are wide, at random positions.

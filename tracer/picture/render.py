@@ -319,8 +319,8 @@ class RenderJob:
         scene, sample_count = self.prepared_scene, float(self._lattice.size)
         if self._is_adaptive:
             pixel_count = scene.frame.width * scene.frame.height
-            silhouette_density = scene.bounds.estimate_silhouette_density(scene.frame)
-            edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_density
+            silhouette_pairs = scene.bounds.estimate_silhouette_pairs(scene.frame)
+            edges_per_pixel = _EDGE_FACTOR / sqrt(pixel_count) + _PAIR_FACTOR * silhouette_pairs
             samples_per_edge = self._samples_per_side + self._samples_per_side**2 / _SQUARE_DIVISOR
             max_samples = _MAX_ADAPTIVE_FACTOR * self._samples_per_side**2
             sample_count = _ADAPTIVE_SAMPLES + min(edges_per_pixel * samples_per_edge, max_samples)

@@ -63,8 +63,8 @@ class FirstHits:
         point[sample_index], normal[sample_index] = np.transpose(hits.get_points(slice(None))), 0
         for group in hits.groups:
             if group.shape.is_planar:  # exact, unlike normals converted from camera axes
-                face, sign = group.repeat_runs(group.face), group.repeat_runs(group.sign)
-                normal[group.sample_index, face] = sign
+                face_axis, sign = map(group.repeat_runs, (group.face_axis, group.normal_sign))
+                normal[group.sample_index, face_axis] = sign
             else:
                 normal[group.sample_index] = np.transpose(frame.vector_to_scene(group.normal))
         return cls(surface, distance, normal, point)

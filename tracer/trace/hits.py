@@ -34,9 +34,9 @@ class ShapeHits(NamedTuple):
         Number of hits in each run.
     run_object : (runs,) int array
         Index of the object of each run, among all objects.
-    face : (runs,) int array
+    face_axis : (runs,) int array
         Axis to which each run's face is perpendicular: 0, 1 or 2; `NO_FACE` for spheres.
-    sign, level : (runs,) float arrays
+    normal_sign, face_position : (runs,) float arrays
         For boxes, the direction of each face's normal along this axis (1 or -1), and the coordinate
         of the face along this axis; meaningless for spheres.
     normal : tuple of three float arrays
@@ -51,9 +51,9 @@ class ShapeHits(NamedTuple):
     sample_index: Ints
     run_length: Ints
     run_object: Ints
-    face: Ints
-    sign: Floats
-    level: Floats
+    face_axis: Ints
+    normal_sign: Floats
+    face_position: Floats
     normal: Triple
     eye_height: Floats
 
@@ -105,10 +105,10 @@ class ShapeHits(NamedTuple):
         height : (n,) float array
             Signed distance of the point from each tangent plane; positive on the side of the eye.
         """
-        if self.shape.is_planar:
-            # In scene axes, a point in the plane of a face has a height of exactly 0.
-            return self.expand_to_hits(self.sign * (point[self.face] - self.level))
-        return dot(self.normal, to_point)
+        if not self.shape.is_planar:
+            return dot(self.normal, to_point)
+        # In scene axes, a point in the plane of a face has a height of exactly 0.
+        return self.expand_to_hits(self.normal_sign * (point[self.face_axis] - self.face_position))
 
 
 class Hits(NamedTuple):
@@ -149,10 +149,10 @@ class Hits(NamedTuple):
         return self.run_object.repeat(np.diff(self.run_start))
 
     @property
-    def hit_face(self) -> Ints:
+    def face_axis(self) -> Ints:
         """Axis (n,) to which the face at each hit is perpendicular; `NO_FACE` for spheres."""
-        faces = [group.repeat_runs(group.face) for group in self.groups]
-        return np.concatenate([np.zeros(0, dtype=np.intp), *faces])
+        group_axes = [group.repeat_runs(group.face_axis) for group in self.groups]
+        return np.concatenate([np.zeros(0, dtype=np.intp), *group_axes])
 
     @property
     def eye_height(self) -> Floats:

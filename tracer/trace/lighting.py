@@ -164,7 +164,7 @@ class Shading:
         # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
-        self.ids: Ints = 4 * hits.hit_object + hits.hit_face if with_ids else hits.sample_index[:0]
+        self.ids: Ints = 4 * hits.hit_object + hits.face_axis if with_ids else hits.sample_index[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
         """Add the light that hits reflect from one batch of lights, and update `ids`.

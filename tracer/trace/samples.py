@@ -66,7 +66,7 @@ def find_object_spans(
     left, right : (n,) float arrays
         Ends of each span, in pixels from the left edge of the picture; left <= right.
     """
-    bounds = scene.bounds.take(shape.objects.slice)
+    bounds = scene.bounds.select(shape.objects.slice)
     in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
     first_row = row_top.searchsorted(bounds.top[in_range_index] - pad - height)
     end_row = row_top.searchsorted(bounds.bottom[in_range_index] + pad, side="right")
