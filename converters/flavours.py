@@ -342,8 +342,8 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
 def make_pixels_square(scene: Scene) -> Scene:
     """Make the pixels of a scene's picture square by changing the number of rows.
 
-    The number of rows is rounded to an integer of at least 1.  The height of the camera's window is
-    adjusted to this number.
+    The number of rows is rounded to an integer of at least 1, and the height of the camera's window
+    is changed to match.
 
     Parameters
     ----------
@@ -446,8 +446,8 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
 def _round_up_samples(min_samples: int, light_count: int) -> int:
     """Round up the number of samples per pixel, so that all lights get the same number of samples.
 
-    With Mitsuba's "multijitter" sampler, this requires that the number of samples is divisible by
-    (1) the number of lights, and (2) its own square root, rounded down.
+    For Mitsuba's "multijitter" sampler, the number of samples must be a multiple of the number of
+    lights, and of its own square root, rounded down.
 
     Parameters
     ----------
@@ -525,8 +525,8 @@ def _convert_light(
 ) -> Element:
     """Convert a light to a Mitsuba point light, which falls off with the squared distance.
 
-    At one distance, the Mitsuba light is as strong as the original.  This distance minimises the
-    sum of the squared errors of the irradiance at the given points.
+    The Mitsuba light is as strong as the original at one distance only.  This distance is chosen to
+    minimise the sum of the squared errors of the irradiance at the given points.
 
     Parameters
     ----------
@@ -535,7 +535,7 @@ def _convert_light(
     normalisation : Normalisation
         The translation and scaling to apply to the light and to the points.
     divisor : float
-        Number by which all reflectances are divided, and the intensity is multiplied.
+        Number by which all reflectances are divided.  The intensity is multiplied by it.
     points : (n, 3) float array
         Points of visible surfaces, in the coordinates of the scene.
 
@@ -545,10 +545,10 @@ def _convert_light(
         A plugin of type "point", with a comment that states this distance.
     """
     position = normalisation(np.array(light.position))
-    squared_distance = ((normalisation(points) - position) ** 2).sum(axis=1)
+    squared_distances = ((normalisation(points) - position) ** 2).sum(axis=1)
     # Divide by the largest square to avoid overflow.  The minimum of 1e-12 avoids division by 0.
-    largest_square = float(squared_distance.max()) or 1.0
-    falloff = 1 / np.maximum(squared_distance / largest_square, 1e-12)
+    largest_square = float(squared_distances.max()) or 1.0
+    falloff = 1 / np.maximum(squared_distances / largest_square, 1e-12)
     best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())
     # Mitsuba's diffuse BSDF is the reflectance divided by pi.
     intensity = np.array(light.intensity) * (np.pi * divisor * best_squared_distance)

@@ -183,10 +183,10 @@ class BlinnPhong(mi.BSDF):
     def eval(self, context, hit, to_light, active=True):
         """Compute the Blinn-Phong shading of a point that is lit from a given direction.
 
-        Mitsuba calls this method, and expects the product of the BSDF and the cosine n.l.  This
-        product is kd n.l + ks (n.h)^exponent, where kd and ks are the diffuse and specular colours,
-        n is the normal, l the direction to the light, and h the half vector between the directions
-        to the light and to the eye.
+        Mitsuba calls this method, and expects the product of the BSDF and the cosine n.l, which is
+        kd n.l + ks (n.h)^exponent.  Here kd and ks are the diffuse and specular colours, n is the
+        normal, l is the direction to the light, and h is the unit vector halfway between l and the
+        direction to the eye.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Add the direct light of all emitters to compute the radiance along a ray from the eye.
+        """Compute the radiance along a ray from the eye: the sum of every emitter's direct light.
 
         Mitsuba calls this method.
 

@@ -145,7 +145,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     """Remove converted scenes from a list of paths, and print a line for each of them.
 
-    They are no error, because the shell pattern *.xml matches them, too.
+    This is not an error, because the shell pattern *.xml matches converted scenes, too.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
     Returns
     -------
     png_path, exr_path : Path
-        The paths.  If `output_path` ends in .png or .exr, it is one of them.
+        The paths.  If `output_path` ends in .png or .exr, one of the two is `output_path` itself.
     """
     path = Path(output_path)
     if path.suffix.lower() == ".exr":
@@ -266,7 +266,7 @@ def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespac
         Path of the PNG or the EXR file.  The other file is written next to it.
     options : argparse.Namespace
         The parsed command line.  `flavour` is "stock" or "exact".  `samples` is the number of
-        samples per pixel, and `variant` is Mitsuba's variant; either is None for the default.
+        samples per pixel, and `variant` is Mitsuba's variant; None stands for the default.
 
     Raises
     ------

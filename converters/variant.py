@@ -106,7 +106,7 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     return Choice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
 
 
-_find_once = cache(find_fastest_variant)
+_find_fastest_once = cache(find_fastest_variant)
 
 
 def use_variant(variant: str | None = None) -> Choice:
@@ -127,7 +127,7 @@ def use_variant(variant: str | None = None) -> Choice:
     ImportError
         If the requested variant does not work on this machine, or is not an RGB variant.
     """
-    choice = _find_once()
+    choice = _find_fastest_once()
     if variant is not None and variant != choice.variant:
         rgb_variants = [name for name in mi.variants() if name.endswith("_rgb")]
         if variant not in rgb_variants:

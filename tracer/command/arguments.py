@@ -47,11 +47,11 @@ class CommandParser(argparse.ArgumentParser):
         Parameters
         ----------
         message : str
-            What is wrong.  Unprintable characters are escaped.  A suggested fix is added if a file
-            name that begins with "-" may be the cause.
+            What is wrong.  Unprintable characters are escaped.  If an argument that begins with "-"
+            may be the cause, a suggested fix is added.
         """
         if message.endswith("expected one argument"):
-            message += "; a value that begins with - is joined to its option by ="
+            message += "; if the value begins with -, write OPTION=VALUE"
         for argument in sys.argv[1:]:
             if argument.startswith("-") and len(argument) > 1 and os.path.lexists(argument):
                 message += f"; for the file named {argument}, write ./{argument}"
@@ -205,7 +205,7 @@ def choose_output_paths(
             if absolute_path in scene_of_file:
                 both_scenes = f"{scene_of_file[absolute_path]} and {scene}"
                 parser.error(
-                    f"{path}: {both_scenes} would both be written there; do them one by one"
+                    f"{path}: {both_scenes} would both be written there; process them one by one"
                 )
             scene_of_file[absolute_path] = scene
     return result_paths

@@ -138,7 +138,7 @@ class Batch:
         self._finished_count = self._pixel_count = 0
 
     def render(self, jobs: Sequence[Job]) -> bool:
-        """Render scenes, write their pictures, and print a line about each, in the order of `jobs`.
+        """Render scenes, write their pictures, and print a line about each scene, in order.
 
         If a scene cannot be rendered, an error is printed, and the other scenes are still rendered.
 
@@ -153,7 +153,7 @@ class Batch:
             Whether all pictures were written.
         """
         self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
-        # The last scenes are fewer than the processes, so all processes share the large ones.
+        # The last few scenes cannot occupy all processes, so all processes share the larger ones.
         worker_count = self._pool.worker_count
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
         queued_jobs = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
@@ -180,7 +180,7 @@ class Batch:
         self._pool.close()
 
     def _try_render(self, job: Job) -> Report:
-        """Read a scene, render it and write the picture, or report why this failed.
+        """Read a scene, render it and write the picture, or report the failure.
 
         Parameters
         ----------
@@ -261,7 +261,7 @@ class Batch:
         return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
 
     def _show_progress(self, rendered_fraction: float, rendered_pixel_count: int) -> None:
-        """Show how many pictures and pixels are finished, including part of the current picture.
+        """Show progress in pictures and pixels, including the rendered part of the current picture.
 
         Parameters
         ----------
@@ -292,8 +292,8 @@ def _render_in_worker(settings: Settings, job: Job) -> Report:
     Raises
     ------
     Failure
-        If the scene cannot be read or rendered, or the picture cannot be written.  A worker cannot
-        read standard input.  It also fails if all processes should share the picture.
+        If the scene cannot be read or rendered, the picture cannot be written, or all processes
+        should share the picture.  A worker cannot read standard input.
     """
     return Batch(settings, max_processes=1)._render_to_file(job)
 

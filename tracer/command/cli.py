@@ -191,8 +191,8 @@ def _make_jobs(parser: CommandParser, arguments: argparse.Namespace, file_format
     arguments : Namespace
         The parsed arguments of the command.
     file_format : str
-        Format of the pictures: a key of `FORMATS`.  Without the option -o, it is added to the name
-        of the scene file, for example in SCENE.xml.png.
+        Format of the pictures: a key of `FORMATS`.  Without the option -o, the format is added to
+        the name of the scene file, as in SCENE.xml.png.
 
     Returns
     -------
@@ -238,7 +238,7 @@ def _explain_pixels(parser: CommandParser, arguments: argparse.Namespace) -> int
     ----------
     parser : CommandParser
         Prints an error and ends the process with exit status 2 if the option --pixel is combined
-        with options for pictures.
+        with an option that is only for pictures.
     arguments : Namespace
         The parsed arguments of the command.
 
@@ -281,7 +281,7 @@ def _watch(jobs: Sequence[Job], batch: Batch, *, quiet: bool) -> int:
     Returns
     -------
     exit_status : int
-        0, as soon as the reader of standard output has gone away.
+        0, once standard output is closed, for example because its reader has gone away.
     """
     if not quiet:
         scenes_text = "1 scene" if len(jobs) == 1 else f"{len(jobs)} scenes"

@@ -62,7 +62,7 @@ def errors_as_failure(
     subject : str or path-like
         The file or stream that the block uses.
     participle : str
-        What the block does with the file, for example "read", "written" or "compared".
+        Past participle for the message, for example "read" for "cannot be read".
     remedy : str
         What the user can do about the failure, for example "choose another with -o".
     memory_remedy : str
@@ -75,7 +75,7 @@ def errors_as_failure(
     Raises
     ------
     Failure
-        If the block raises an error of these classes.  A Failure of the block is passed on.
+        If the block raises an error of these classes.  A Failure that it raises is passed on.
     BrokenPipeError
         If the block raises it.  It is not converted, because a command must end silently when the
         reader of its output has gone away.
@@ -100,9 +100,9 @@ def errors_as_failure(
 def describe_cause(error: BaseException) -> str:
     """Describe the cause of an error in one line, for example "No such file or directory".
 
-    The line is "not enough memory" for a MemoryError or ChildProcessError, and the message of the
-    system for any other OSError.  Otherwise, it is the text of the error; if the text is empty, the
-    name of its class.  Unprintable characters are escaped.
+    For a MemoryError or ChildProcessError, the line is "not enough memory".  For another OSError,
+    it is the system's message, if there is one.  Otherwise, it is the text of the error, or the
+    name of its class if there is no text.  Unprintable characters are escaped.
     """
     # Dr.Jit raises chains of RuntimeErrors: only the first error in a chain states the cause.
     while isinstance(error, RuntimeError) and error.__cause__ is not None:

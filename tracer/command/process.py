@@ -113,7 +113,7 @@ def attempt(function: Callable[..., _Result], *arguments: object) -> _Result | F
 def print_line(stream: TextIO | None, text: str) -> None:
     """Print a line immediately, above the progress bar if one is shown, and ignore errors.
 
-    This is for notices: a command must not fail if a notice cannot be printed.
+    Use this for notices: a command must not fail because a notice cannot be printed.
 
     Parameters
     ----------

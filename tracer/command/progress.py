@@ -86,7 +86,7 @@ class Progress:
             tqdm.monitor_interval = 0  # otherwise tqdm starts a thread
             options = {"bar_format": _BAR_FORMAT, "leave": False, "smoothing": 0, "miniters": 0}
             bar = tqdm(total=self._total, unit=self._unit, **options)
-            # Let the elapsed time begin when the work began, and show the next update.
+            # Count the elapsed time from the start of the work, and show the next update directly.
             bar.start_t = bar.last_print_t = bar.start_t - seconds
             return bar
         return False

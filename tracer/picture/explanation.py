@@ -193,13 +193,13 @@ class Explanation:
             If the light is not blocked, two lines show how its diffuse and its specular radiance
             are computed.
         """
-        other_surfaces = [str(ref) for ref in light.occluders if ref != self.surface]
-        occluders = other_surfaces or ["the surface itself"] * len(light.occluders)
-        outcome = f"blocked by {', '.join(occluders)}" if occluders else "reaches the point"
+        other_names = [str(ref) for ref in light.occluders if ref != self.surface]
+        surface_names = other_names or ["the surface itself"] * len(light.occluders)
+        outcome = f"blocked by {', '.join(surface_names)}" if surface_names else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
         light_name = name_element("light", light_index, light.line)
         yield f"{light_name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
-        if not occluders:
+        if not light.occluders:
             intensity, kd, ks = map(_format_vector, (light.intensity, self.kd, self.ks))
             highlight = f"{n_dot_h}^{self.exponent:g}"
             yield f"  diffuse   {_format_vector(light.diffuse)} = {intensity} * {kd} * {n_dot_l}"
@@ -295,7 +295,7 @@ def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: i
     Returns
     -------
     contribution : LightPart
-        The contribution of the light.
+        The radiance that the light adds, and the numbers from which it is computed.
     """
     light = scene.lights[light_index]
     prepared_light = hit.scene.prepare_lights(slice(light_index, light_index + 1))

@@ -84,7 +84,7 @@ class Exposure(NamedTuple):
         row_step = _ROW_STEP if pixel_count > _MIN_ESTIMATED_PIXELS else 1
         red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
         max_component = np.maximum(np.maximum(red, green), blue)
-        weight = pixel_count / max_component.size  # number of pixels that each one stands for
+        weight = pixel_count / max_component.size  # pixels that each examined pixel represents
         lit_count = round(weight * np.count_nonzero(max_component)) or int(radiance.any())
         return cls(pixel_count, lit_count, round(weight * np.count_nonzero(max_component > 1)))
 
@@ -125,10 +125,10 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
 
 
 def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
-    """Yield a warning if a light has intensity 0, and one if a light is inside a surface.
+    """Yield warnings about lights that have no effect, at most one for each cause.
 
-    A light inside a surface has no effect if the eye is outside.  This is not checked in scenes
-    with more than `_MAX_PAIRS` pairs of a light and a surface.
+    The causes are an intensity of 0, and a surface that encloses the light but not the eye.  The
+    latter is not checked in scenes with more than `_MAX_PAIRS` pairs of a light and a surface.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     Yields
     ------
     warning : str
-        One line of text: what is wrong with the first such light, and a suggested fix.
+        One line of text: which light has no effect, why, and a suggested fix.
     """
     dark_indices = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
     for light_index in islice(dark_indices, 1):
@@ -192,9 +192,9 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
             return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"
-    # Whether each channel (red, green and blue) is reflected by an object, and emitted by a light.
-    has_color = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
-    reflects_channel = has_color[:, visible_objects]
+    # Which channels (red, green, blue) does each object reflect, and each light emit?
+    has_reflectance = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
+    reflects_channel = has_reflectance[:, visible_objects]
     emits_channel = np.array([light.intensity for light in scene.lights]) > 0
     if not reflects_channel.any():
         return "all surfaces in view are black", shader_remedy
@@ -233,7 +233,7 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
 
 
 def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
-    """Yield a warning about shaders that no surface uses, and one about exponents without effect.
+    """Yield warnings about shaders that no surface uses, and about exponents without effect.
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
     skipped.
@@ -303,7 +303,7 @@ def _name_light(scene: Scene, index: int) -> str:
 
 
 def _name_surface(scene: Scene, object_indices: Ints) -> str:
-    """Return the name of the first of several objects, in the order of the file.
+    """Return the name of the surface that comes first in the file among the given objects.
 
     Parameters
     ----------
@@ -317,10 +317,10 @@ def _name_surface(scene: Scene, object_indices: Ints) -> str:
 
 
 def _check_color_ranges(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour that seems to be given as 0 to 255 instead of 0 to 1.
+    """Yield a warning for each colour that seems to be on a scale of 0 to 255 instead of 0 to 1.
 
-    The components of such a colour are integers up to 255, at least one of them not small.  The
-    warning names the light, or the first surface with the colour, and suggests a colour in 0 to 1.
+    The components of such a colour are integers up to 255, and one is at least `_MIN_PEAK` (10).
+    The warning names the light, or the first surface with the colour, and suggests a new colour.
     """
     surfaces = scene.surfaces
     colors: list[tuple[str, VectorLike, str, int]] = [

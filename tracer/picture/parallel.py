@@ -141,8 +141,8 @@ class Distribution(Generic[_Item, _Result]):
     def submit_items(self) -> None:
         """Submit enough items to the executor to keep all its workers busy.
 
-        Iterating calls this method before each item that is processed in this process.  A
-        `function` that takes long should also call it from time to time.
+        Iteration calls this method before each item that this process takes.  A slow `function`
+        should also call this method from time to time.
 
         If the executor fails, `executor` is set to None, and this process does the remaining work.
         """
@@ -165,9 +165,8 @@ class Distribution(Generic[_Item, _Result]):
     def _process_next_item(self) -> None:
         """Process the next item or, if none is left, an item that the executor has not finished.
 
-        If a worker has already begun this item, wait for the executor first.  In that case, process
-        the item only if the executor finishes no item within the time limit of
-        `_wait_for_executor`.
+        If a worker may have begun this item, wait for the executor first.  If the executor then
+        finishes any item in time (see `_wait_for_executor`), do not process the item.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
@@ -193,7 +192,7 @@ class Distribution(Generic[_Item, _Result]):
         finished_indices = [index for index, future in self._futures.items() if future.done()]
         for index in finished_indices:
             future = self._futures.pop(index)
-            # The exception may be a worker's KeyboardInterrupt, which must not be raised here.
+            # future.result() would raise a worker's exception, even a KeyboardInterrupt.
             has_result = not future.cancelled() and future.exception() is None
             if has_result and self.is_valid(self.items[index], future.result()):
                 self._results[index] = future.result()
@@ -273,8 +272,8 @@ class WorkerPool:
                 raise RuntimeError("workers cannot be started, or have died several times")
             self._start_count += 1
             self._executor = self._create_executor()
-        # Block SIGINT while workers start: they inherit the block.  Otherwise Ctrl-C could make a
-        # worker print a traceback before it ignores SIGINT.
+        # Block SIGINT, so that workers start with it blocked.  Otherwise, a worker that Ctrl-C
+        # interrupts before it ignores SIGINT would print a traceback.
         if sys.platform != "win32":
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -289,8 +288,8 @@ class WorkerPool:
     def _create_executor(self) -> ProcessPoolExecutor:
         """Create an executor that forks its processes if this is safe, and spawns them otherwise.
 
-        From then on, warnings of Python's resource tracker and tracebacks of threads are suppressed
-        in this process.
+        Also suppress, in this process, the warnings of Python's resource tracker and the tracebacks
+        of threads.
 
         Returns
         -------

@@ -393,8 +393,8 @@ class RenderJob:
         rectangle : (slice, slice)
             Rows and columns of the tile in the picture.
         out : (rows, columns, 3) float array, optional
-            Array to store the radiance in.  It must contain only zeros, because black pixels may
-            not be written.
+            Array to store the radiance in.  It must contain only zeros, because some black
+            pixels are never written.
 
         Returns
         -------
