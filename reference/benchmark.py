@@ -116,7 +116,7 @@ def format_section(
 
 
 def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Timing]:
-    """Time the tracer and Mitsuba alternately, as both render a scene in this process.
+    """Time alternate renderings of a scene by the tracer and by Mitsuba, in this process.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def benchmark_objects(quick: bool) -> str:
 
 
 def _time_mitsuba_once(mitsuba_xml: str) -> list[Timing]:
-    """Time Mitsuba once, as it loads a scene and renders it twice.
+    """Time how long Mitsuba takes to load a scene and to render it twice.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def _time_mitsuba_once(mitsuba_xml: str) -> list[Timing]:
 
     Returns
     -------
-    timings : list of three Timing
+    timings : list of Timing
         The times for loading, for the first rendering (including the compilation of kernels), and
         for the second rendering.
     """
@@ -309,9 +309,9 @@ def prepare_animation_commands(
     Returns
     -------
     commands : dict of str to list of commands
-        Maps the name of each renderer to its commands, which run one after another.  POV-Ray has a
-        command for each frame, and is missing if it is not installed; the others have one command.
-        A command is a list of a program and its arguments.
+        Maps the name of each renderer to its commands, which run one after another.  POV-Ray, if
+        it is installed, has one command per frame; each other renderer has a single command.  A
+        command is a list of a program and its arguments.
     """
     scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)

@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        1 if the picture given by `--judge` has codes that are certainly wrong, otherwise 0.
+        1 if the picture given with `--judge` has 8-bit codes that are certainly wrong, otherwise 0.
 
     Raises
     ------
@@ -123,14 +123,14 @@ def _parse_positive_fraction(argument: str) -> Fraction:
 
 
 def _read_codes(path: str, scene: Scene) -> Codes:
-    """Read the 8-bit codes of a picture, and check that the picture has a scene's size.
+    """Read the 8-bit codes of a picture, and check that its size matches a scene's.
 
     Parameters
     ----------
     path : str
         The picture file.
     scene : Scene
-        The scene whose size the picture must have.
+        The scene, which states the size that the picture must have.
 
     Returns
     -------

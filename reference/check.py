@@ -53,7 +53,7 @@ from converters.to_mitsuba import (
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
-from reference.figures import Figures, measure_differences, select_largest_channel, write_comparison
+from reference.figures import Figures, get_largest_difference, measure_differences, write_comparison
 from reference.judges import plain
 from reference.judges.arrays import Bools, Floats
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render, to_codes
@@ -220,10 +220,10 @@ def describe_exceeded_tolerances(figures: Figures) -> list[str]:
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find the pixels that may differ because an edge is close to their centre.
+    """Find pixels that may differ from the tracer's because an edge is close to their centre.
 
     The tracer renders the scene four times, each time with all samples shifted diagonally.  If a
-    pixel's radiance lies in the range of these four pictures, a nearby edge can account for it.
+    pixel's radiance lies in the range of these four pictures, a nearby edge can explain it.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     Returns
     -------
     is_near_edge : (h, w) bool array
-        Pixels for whose radiance a nearby edge can account.
+        Pixels whose radiance a nearby edge can explain.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]
@@ -282,7 +282,7 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Render a scene with the tracer and with this project's Mitsuba plugins, and compare.
+    """Compare the pictures of a scene by the tracer and by this project's Mitsuba plugins.
 
     Parameters
     ----------
@@ -312,9 +312,10 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
 
 
 def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the tracer and Mitsuba's built-in (stock) plugins on the diffuse light of a scene.
+    """Compare a scene's diffuse light as rendered by the tracer and by Mitsuba's stock plugins.
 
-    Mitsuba requires square pixels, so the height of both pictures may differ from the scene's.
+    Stock plugins are built into Mitsuba.  They require square pixels, so the height of both
+    pictures may differ from the scene's.
 
     Parameters
     ----------
@@ -353,8 +354,8 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     """Render the diffuse light of a scene with a single light, using Mitsuba's stock plugins.
 
     Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
-    To undo the fall-off, the radiance of each pixel is multiplied by the squared distance from the
-    point that the pixel shows to the light.
+    To undo the fall-off, each pixel's radiance is multiplied by the squared distance between the
+    light and the point seen in the pixel.
 
     Parameters
     ----------
@@ -387,7 +388,7 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     point_element, rgb_element = next(emitter.iter("point")), next(emitter.iter("rgb"))
     vector_from_light = hit_position - [float(point_element.get(axis, "")) for axis in "xyz"]
     squared_distance: Floats = (vector_from_light**2).sum(axis=2, keepdims=True)
-    # Mitsuba's radiance at distance 1 for a reflectance of 1 and perpendicular light.
+    # Mitsuba's radiance at distance 1, for a reflectance of 1 and light at normal incidence.
     divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
     unit_radiance = float(rgb_element.get("value", "").split()[0]) / divisor
     return radiance * squared_distance / unit_radiance * light.intensity
@@ -474,7 +475,7 @@ def _examine_exactly(
     may be unable to tell the two apart.  If surfaces coincide, the tracer must show the first of
     them in the scene file, and Mitsuba may show the first or the last.
 
-    Pixels are examined in batches, up to the first batch with a pixel that is not a tie.
+    Pixels are examined in batches, until a batch contains a pixel that is wrong in either picture.
 
     Parameters
     ----------
@@ -559,8 +560,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is undecided and
-        none is worse.
+        1 if a scene differs or cannot be compared; otherwise 3 if one is undecided; otherwise 0.
 
     Raises
     ------
@@ -598,8 +598,7 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     Returns
     -------
     exit_status : int
-        1 if a scene differs or a comparison failed, 3 if one is undecided and none is worse,
-        otherwise 0.
+        1 if a scene differs or a comparison failed; otherwise 3 if one is undecided; otherwise 0.
     """
     statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
@@ -632,7 +631,7 @@ def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namesp
     """
     result = check_file(path, options.variant, options.flavour)
     picture_pair = to_codes(result.tracer_image), to_codes(result.mitsuba.image)
-    difference = select_largest_channel(result.tracer_image - result.mitsuba.image)
+    difference = get_largest_difference(result.tracer_image - result.mitsuba.image)
     labels = ("tracer", f"Mitsuba {result.mitsuba.variant}")
     with errors_as_failure(comparison_path, "written", OUTPUT_REMEDY):
         write_comparison(comparison_path, picture_pair, difference, labels)

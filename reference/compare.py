@@ -94,7 +94,7 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     Raises
     ------
     SystemExit
-        For wrong usage; a message is printed, and the exit status is 2.
+        If the arguments are wrong; a message is printed, and the exit status is 2.
     Failure
         If a file does not exist.
     """
@@ -137,20 +137,20 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
 
 
 def _choose_comparison_path(options: argparse.Namespace, picture_path: Path) -> Path:
-    """Choose the file in which to draw a submitted picture beside its reference.
+    """Choose the path of the comparison picture for a submitted picture.
 
     Parameters
     ----------
     options : Namespace
-        The command-line options.  Its `output` is the argument of -o.
+        The command-line options.  Its `output` is the path given with -o.
     picture_path : Path
         The submitted picture.
 
     Returns
     -------
     path : Path
-        The argument of -o if it names a file.  If it names a folder, a different file in that
-        folder for each submitted picture.
+        The path given with -o if it names a file.  If it names a folder, a path in that folder
+        that is unique to the submitted picture.
     """
     if not is_folder(options.output):
         return Path(options.output)
@@ -176,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises
     ------
     SystemExit
-        For wrong usage, with exit status 2.
+        If the arguments are wrong; the exit status is 2.
     Failure
         If a file does not exist or cannot be written, or if the only picture cannot be compared.
     """
@@ -243,9 +243,9 @@ def _compare_with_progress_bar(
 
 
 def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
-    """Return a sort key that puts pictures first, by path, then missing pictures, by student.
+    """Return the key that sorts pictures by path, followed by missing pictures by student.
 
-    Scenes that nobody has handed in come last.
+    Scenes that nobody handed in come last.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, st
 
 @lru_cache(maxsize=1)
 def _load_reference(path: Path) -> Reference:
-    """Load the scene or picture to compare hand-ins with; cache only the most recent one.
+    """Load the reference for submitted pictures; the most recent one is cached.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def _load_reference(path: Path) -> Reference:
     Returns
     -------
     reference : Reference
-        Its method `diagnose` finds the mistakes in a hand-in.
+        Its method `diagnose` finds the mistakes in a submitted picture.
 
     Raises
     ------
@@ -348,8 +348,8 @@ def _compare_files(
     Returns
     -------
     result : Result
-        A copy of `result` to which the mistakes are added, and, if the sizes are equal, measures of
-        the difference.
+        A copy of `result`, completed with the mistakes and, if the sizes are equal, with measures
+        of the difference.
     pair : Pair or None
         Both pictures, for the HTML page.  None if no page is requested, or if the sizes differ.
 

@@ -156,19 +156,19 @@ def compare_codes(codes_a: Codes, codes_b: Codes) -> tuple[float, float, float, 
     """
     (height, width, _), window_margin = codes_a.shape, _SSIM_SIDE - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows in which a window of the structural similarity can begin.
-    window_row_count = max(1, height - window_margin)
+    # Number of rows that can be the top row of a window of the structural similarity.
+    top_row_count = max(1, height - window_margin)
     ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
     for band_start in range(0, height, band_height):
-        # The windows that begin in a band extend into the rows below it.
+        # Windows whose top row is in the band may extend below it.
         rows = slice(band_start, band_start + band_height + window_margin)
         light_a, light_b = decode_to_linear(codes_a[rows]), decode_to_linear(codes_b[rows])
         figures = measure_differences(light_a, light_b)
-        weight = max(0, min(band_height, window_row_count - band_start)) / window_row_count
+        weight = max(0, min(band_height, top_row_count - band_start)) / top_row_count
         ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
         channel_difference = (light_a - light_b)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
-        difference_bands.append(select_largest_channel(channel_difference))
+        difference_bands.append(get_largest_difference(channel_difference))
     rmse = float(np.sqrt(sum_of_squares / codes_a.size))
     return ssim, rmse, maximum, np.concatenate(difference_bands)
 
@@ -220,8 +220,8 @@ def write_comparison(
         sheet.save(file, format="PNG")
 
 
-def select_largest_channel(channel_difference: Floats) -> Differences:
-    """Select the difference of the channel that differs most, for each pixel of two pictures.
+def get_largest_difference(channel_difference: Floats) -> Differences:
+    """Return each pixel's largest difference among the three channels.
 
     Parameters
     ----------
@@ -233,8 +233,8 @@ def select_largest_channel(channel_difference: Floats) -> Differences:
     difference : (height, width) float32 array
         For each pixel, the signed difference with the largest absolute value.
     """
-    lowest, highest = channel_difference.min(axis=2), channel_difference.max(axis=2)
-    difference: Differences = np.where(highest >= -lowest, highest, lowest).astype(np.float32)
+    minimum, maximum = channel_difference.min(axis=2), channel_difference.max(axis=2)
+    difference: Differences = np.where(maximum >= -minimum, maximum, minimum).astype(np.float32)
     return difference
 
 
@@ -252,17 +252,17 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     codes : (height, width, 3) uint8 array
         A picture that is orange where the first picture is brighter, and blue where it is darker.
     gain : float
-        Factor by which the difference is amplified; 0 if the pictures are equal.  It is 1, 2 or 5
-        times a power of ten: the largest for which 99.9 % of the results are at most 1.
+        Factor by which the difference is amplified; 0 if the pictures are equal.  Otherwise it is
+        1, 2 or 5 times a power of ten: the largest that keeps 99.9 % of the pixels at or below 1.
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
-    largest_shown = float(np.percentile(np.abs(difference), _PERCENTILE))
-    largest_shown = largest_shown or float(np.abs(difference).max())
-    if largest_shown == 0:
+    shown_maximum = float(np.percentile(np.abs(difference), _PERCENTILE))
+    shown_maximum = shown_maximum or float(np.abs(difference).max())
+    if shown_maximum == 0:
         return codes, 0.0
-    power_of_ten = float(10.0 ** np.floor(np.log10(1 / largest_shown)))
+    power_of_ten = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
     gains = [factor * power_of_ten for factor in (1, 2, 5)]
-    gain = max(gain for gain in gains if gain * largest_shown <= 1)
+    gain = max(gain for gain in gains if gain * shown_maximum <= 1)
     brighter_code, darker_code = (255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])).astype(
         np.float32
     )

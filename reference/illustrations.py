@@ -38,8 +38,8 @@ _FOLDER = HERE / "study"
 # Resolution of the pictures, and width of a picture in inches.
 _DOTS_PER_INCH, _WIDTH = 100, 9.0
 
-# Colours of pixels by class: smooth, crossed by straight edges, unresolved.  They stay apart for
-# colour-blind eyes.
+# Colours of pixels by class: smooth, crossed by straight edges, unresolved.  Colour-blind readers
+# can tell them apart.
 _CLASS_COLORS = np.array([[0.86, 0.93, 0.98], [0.99, 0.86, 0.6], [0.94, 0.62, 0.5]])
 
 
@@ -85,7 +85,7 @@ def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
 
 
 def draw_spans() -> None:
-    """Draw the spans of all objects in one row of pixels.
+    """Draw `spans.png`: the spans of all objects in one row of pixels.
 
     The span of an object is an interval of columns.  Only camera rays in these columns are tested
     against the object.
@@ -110,7 +110,7 @@ def draw_spans() -> None:
 
 
 def draw_packets() -> None:
-    """Draw the packets (groups of neighbouring hits) of a picture, each in a random colour."""
+    """Draw `packets.png`: a picture's packets (groups of neighbouring hits) in random colours."""
     scene, prepared_scene, samples = _load_prepared_scene("room", 96)
     hits = find_nearest_hits(prepared_scene, samples)
     is_facing_light = np.ones((1, hits.sample_index.size), dtype=np.bool_)
@@ -152,7 +152,7 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     for octant, patch_index in enumerate(grid.patch_of_octant.tolist()):
         if patch_index >= 0:
             origin, size = grid.patch_origin[:, patch_index], grid.patch_size[:, patch_index]
-            # The grid's lines are at u and v, the absolute coordinates in an inner octant.
+            # The grid's lines are at u and v, which are |x| and |y| in the inner diamond.
             u, v = np.meshgrid(*(origin + size * fraction[:, None]).T)
             # Bit k of `octant` is set where component k of the direction is negative.
             x, y = (1 - v, 1 - u) if octant & 4 else (u, v)
@@ -164,7 +164,7 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
 
 
 def draw_light_grid() -> None:
-    """Draw the grid of directions around a light, and colour cells by their number of objects."""
+    """Draw `light-grid.png`: a light's grid of directions, its cells coloured by object count."""
     scene, prepared_scene, _ = _load_prepared_scene("many-objects", 320)
     grid = prepared_scene.prepare_lights(slice(1, 2)).grid
     assert grid is not None
@@ -180,12 +180,12 @@ def draw_light_grid() -> None:
 
 
 def _clip_lines(classification: Classification) -> Iterable[Floats]:
-    """Clip the lines along straight edges to the cells (pixels or parts of pixels).
+    """Clip each straight edge to the cell (a pixel or a part of one) that it crosses.
 
     Parameters
     ----------
     classification : Classification
-        The cells, and for each of them the lines that cross it.
+        The cells, and for each of them the lines along the edges that cross it.
 
     Yields
     ------
@@ -194,7 +194,7 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
     """
     cells, sides = classification.cells, np.array([-0.5, 0.5])
     for cell_index, a, b, c in zip(*classification.lines, strict=True):
-        # The line a x + b y + c = 0 meets each of the four sides of the square at most once.
+        # The line a x + b y + c = 0 meets each of the cell's four sides at most once.
         crossings = [*zip(sides, -(c + a * sides) / b, strict=True)]
         crossings += [*zip(-(c + b * sides) / a, sides, strict=True)]
         ends = [point for point in crossings if np.abs(point).max() <= 0.5 + 1e-9]
@@ -203,7 +203,7 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
 
 
 def draw_classes() -> None:
-    """Draw pixels in the colours of their classes, with the straight edges and samples inside."""
+    """Draw `classes.png`: pixels coloured by class, with the straight edges and samples in them."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, every_pixel = PIXEL_CENTERS.place(rows, columns), np.arange(20 * 28)
@@ -232,7 +232,7 @@ def draw_classes() -> None:
 
 
 def draw_certificate() -> None:
-    """Draw the cells into which the certificate divides a picture."""
+    """Draw `certificate.png`: the cells into which the certificate divides a picture."""
     scene, _, _ = _load_prepared_scene("four-spheres", 48)
     with patch.object(_Picture, "add_cells", autospec=True, side_effect=_Picture.add_cells) as mock:
         certificate = certify(scene, 1 / 256)

@@ -126,7 +126,7 @@ def render_page(**content: Any) -> str:
     id_by_png: dict[bytes, str] = {}
 
     def format_image_attributes(png: bytes) -> Markup:
-        """Format an image's id and data the first time, then a reference to the same image."""
+        """Format an image's id and data when it first occurs, and a reference to it later."""
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"

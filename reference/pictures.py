@@ -75,9 +75,9 @@ def read_picture(path: Path) -> Picture:
     Raises
     ------
     Failure
-        If the file does not exist, is not a regular file, is not a picture in a known format, or is
-        damaged; if the picture has more than 9 million pixels, or pixels that are not RGB, palette
-        or grey; or if memory runs out.
+        If the file is missing, damaged, not a regular file, or not a picture in a known format; if
+        it has more than 9 million pixels, or pixels that are not RGB, palette or grey; or if memory
+        runs out.
     """
     # Pillow raises a SyntaxError for a damaged PNG.
     error_types = SyntaxError, ValueError
@@ -141,7 +141,7 @@ def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
 
 
 def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
-    """Test whether a picture file has more than 8 bits per channel, of which Pillow drops some.
+    """Test whether a picture file has more than the 8 bits per channel that Pillow keeps.
 
     Parameters
     ----------
@@ -158,25 +158,25 @@ def _has_more_than_8_bits(image: ImageFile.ImageFile) -> bool:
 
 
 def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
-    """Make a function that compresses pictures as a given JPEG is compressed.
+    """Make a function that re-encodes pictures with the settings of a given JPEG.
 
     Parameters
     ----------
     image : Image
-        The opened JPEG, whose quantisation tables and chroma subsampling are used.
+        The opened JPEG.  Its quantisation tables and chroma subsampling are used.
 
     Returns
     -------
     reencode : callable
-        Takes the 8-bit codes (h, w, 3) of a picture.  Returns the codes that are read back after
-        the picture is saved as a JPEG.
+        Saves the 8-bit codes (h, w, 3) of a picture as a JPEG, and returns the codes (h, w, 3)
+        that are read back.
     """
     quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
 
     def reencode(codes: Codes) -> Codes:
-        """Save a picture as a JPEG in memory, and return the codes that are read back."""
-        reloaded = np.empty_like(codes)
+        """Save a picture (h, w, 3) as a JPEG in memory, and return the codes that are read back."""
+        reloaded_codes = np.empty_like(codes)
         band_height = JPEG_BLOCK * max(1, _PIXELS_PER_BAND // (JPEG_BLOCK * codes.shape[1]))
         for start in range(0, len(codes), band_height):
             # The neighbouring blocks are compressed, too, because they affect the outermost rows.
@@ -184,8 +184,8 @@ def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
             jpeg_file, band = io.BytesIO(), Image.fromarray(codes[first_row:end])
             band.save(jpeg_file, "JPEG", qtables=quantization_tables, subsampling=subsampling)
             rows = slice(start - first_row, start - first_row + band_height)
-            reloaded[start : start + band_height] = np.asarray(Image.open(jpeg_file))[rows]
-        return reloaded
+            reloaded_codes[start : start + band_height] = np.asarray(Image.open(jpeg_file))[rows]
+        return reloaded_codes
 
     return reencode
 
@@ -201,7 +201,7 @@ def to_picture(columns: Codes, width: int) -> Codes:
 
 
 def compare_levels(first_codes: Codes, second_codes: Codes, axis: int = -2) -> Codes:
-    """Compute the difference of two pictures at each pixel, in the channel that differs most.
+    """Compute the largest difference among the channels, for each pixel of two pictures.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def compare_levels(first_codes: Codes, second_codes: Codes, axis: int = -2) -> C
     Returns
     -------
     levels : (..., n) or (h, w) uint8 array
-        The absolute differences in levels, which are the units of the codes.
+        The absolute differences, in levels (units of the codes).
     """
     # The codes are unsigned, so subtracting the larger from the smaller would wrap around.
     low, high = np.minimum(first_codes, second_codes), np.maximum(first_codes, second_codes)

@@ -28,7 +28,7 @@ import numpy as np
 from converters.to_mitsuba import set_up_mitsuba
 from reference.check import EXACT, CheckResult, check_file, choose_exit_status
 from reference.command import BUILD, HERE, forbid_overwriting_inputs, list_scene_files, make_parser
-from reference.figures import amplify_difference, select_largest_channel
+from reference.figures import amplify_difference, get_largest_difference
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
@@ -135,9 +135,9 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
     pair : Pair
         The values that the template shows: pictures, text and figures.
     """
-    is_excluded, metrics, is_good = result.is_excluded, result.figures, result.verdict == "agrees"
+    is_excluded, figures, is_good = result.is_excluded, result.figures, result.verdict == "agrees"
     mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
-    difference = select_largest_channel(result.tracer_image - mitsuba_image)
+    difference = get_largest_difference(result.tracer_image - mitsuba_image)
     difference_codes, gain = amplify_difference(difference)
     difference_codes[is_excluded] = _EXCLUDED_CODE
     remarks = [f"{remark[0].upper()}{remark[1:]}." for remark in result.remarks]
@@ -154,9 +154,9 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         faults=[] if is_good else remarks,
         notes=remarks if is_good else [],
         figures=(
-            ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
-            ("99.9th percentile", f"{metrics.p999:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
-            ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.over_count),
+            ("SSIM", f"{figures.ssim:.6f}"), ("largest difference", f"{figures.max:.2e}"),
+            ("99.9th percentile", f"{figures.p999:.2e}"), ("RMSE", f"{figures.rmse:.2e}"),
+            ("median", f"{figures.median:.2e}"), ("pixels over 1e-3", figures.over_count),
             ("edge pixels excluded", result.is_edge.sum()), ("ties excluded", result.is_tie.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
             (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
@@ -199,8 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree, 1 if one differs or cannot be compared, 3 if one is undecided and
-        none is worse.
+        1 if a scene differs or cannot be compared; otherwise 3 if one is undecided; otherwise 0.
 
     Raises
     ------

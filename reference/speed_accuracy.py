@@ -34,7 +34,7 @@ from reference.judges.certificate import certify
 from reference.judges.sampling import compute_rms_error, render_supersampled
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from reference.measured.measurements import time_alternately
-from reference.measured.workloads import crowd, resize_picture
+from reference.measured.workloads import build_crowd, resize_picture
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
@@ -67,7 +67,7 @@ _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
 def _render_all_pairs(scene: Scene, samples_per_side: int) -> Floats:
-    """Render a scene in float32, as simple NumPy tracers do: test every ray against every object.
+    """Render a scene as simple NumPy tracers do: test every ray against every object, in float32.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Cal
     scene : Scene
         The scene.
     level : int
-        Level of sampling.  From level to level, the number of samples is multiplied by 4.
+        Level of sampling.  Each level has 4 times the samples of the one before.
 
     Returns
     -------
@@ -218,7 +218,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
         ("four-spheres", load_scene(SCENES / "four-spheres.xml"), 320, 180),
         ("sticks-perspective", sticks, 320, 180),
         ("sticks-perspective", sticks, 1280, 720),
-        ("1,000 small objects", crowd(1000), 320, 180),
+        ("1,000 small objects", build_crowd(1000), 320, 180),
     ]
     return {
         f"{name}, {width}×{height}": resize_picture(scene, width, height)
@@ -237,7 +237,7 @@ def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
     Yields
     ------
     row : tuple
-        A row of the table: see `measure_scene`.
+        A row of the table: scene, method, samples per pixel, error and times; see `measure_scene`.
     """
     use_variant(LLVM)
     mi.set_log_level(mi.LogLevel.Error)

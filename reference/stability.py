@@ -52,7 +52,7 @@ def _build_scene(
     light : vector (x, y, z)
         Position of the light.
     *spheres : Sphere
-        The spheres, in the order of the scene's surfaces.
+        The spheres, which become the scene's surfaces in this order.
     window : (float, float, float)
         Distance of the camera's window from the eye, and the window's width and height.
     pixels : int
@@ -76,7 +76,7 @@ def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -
     Parameters
     ----------
     distance : float
-        Distance from the eye to the sphere's centre, and to the camera's window.
+        Distance of both the sphere's centre and the camera's window from the eye.
     width, height : float
         Size of the window, which has 24 pixels per unit of length.  The default window shows
         neither the silhouette nor a shadow.
@@ -94,8 +94,8 @@ def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -
 def build_silhouette(distance: float) -> Scene:
     """Build a close-up of a unit sphere's silhouette, viewed from a given distance.
 
-    The picture shows a strip on each side of the silhouette, which is 2**-20 wide, about a
-    millionth of the radius.  The camera rays are exact in float64.
+    The picture shows a strip, 2**-20 wide, on each side of the silhouette.  The camera rays are
+    exact in float64.
     """
     eye, light, window = (1, 0, distance), (8, 0, 2), (distance, 2.0**-19, 2.0**-19)
     return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
@@ -134,8 +134,7 @@ def build_ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 12
     scale : float
         Factor for all lengths.
     offset : float
-        Distance by which the scaled scene is moved along each axis.  If `scale` and `offset` are
-        powers of two, all numbers are exact in float64.
+        Distance by which the scaled scene is moved along each axis.
     radius : float
         Radius of the ground before scaling.  The ball's radius is 0.5 before scaling.
 
@@ -185,7 +184,7 @@ def measure_largest_error(image: Floats, exact_image: Floats) -> float:
     return float(np.nan_to_num(np.abs(image - exact_image), nan=1.0).max())
 
 
-def measure_wrong_percentage(image: Floats, exact_image: Floats) -> float:
+def measure_wrong_pixels(image: Floats, exact_image: Floats) -> float:
     """Compute the percentage of pixels that are dark but should be lit, or vice versa.
 
     Parameters
@@ -248,23 +247,23 @@ PANELS = (
     Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), build_distant_sphere,
           measure_largest_error, _HIT_METHODS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), build_silhouette, measure_wrong_percentage, _HIT_METHODS),
+          np.logspace(3, 25, 12, base=2), build_silhouette, measure_wrong_pixels, _HIT_METHODS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17),
           build_moved_sphere, measure_largest_error, _OFFSET_METHODS, ("ε offset", "ε offset²"),
           _NEARBY_FACTORS),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
           np.logspace(0, 28, 15, base=2), lambda x: build_ball_on_ground(offset=x),
-          measure_wrong_percentage, _SHADOW_METHODS),
+          measure_wrong_pixels, _SHADOW_METHODS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
           build_ground, measure_largest_error, _HIT_METHODS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
           np.logspace(1, 27, 14, base=2), lambda x: build_ball_on_ground(radius=x / 2),
-          measure_wrong_percentage, _SHADOW_METHODS),
+          measure_wrong_pixels, _SHADOW_METHODS),
     Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), build_highlight,
           measure_largest_error, _HIGHLIGHT_METHODS, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
           np.logspace(-30, 30, 16, base=2), lambda x: build_ball_on_ground(scale=x),
-          measure_wrong_percentage, _SHADOW_METHODS),
+          measure_wrong_pixels, _SHADOW_METHODS),
 )
 # fmt: on
 
@@ -381,7 +380,7 @@ def _draw_panel(
 ) -> None:
     """Draw one panel of the chart: a curve for each method, and guide lines.
 
-    At a position x, the guide lines show errors of eps x and eps x^2, where eps is the rounding
+    A guide line shows an error of eps x or eps x^2 at each position x, where eps is the rounding
     error of float32 or float64.
 
     Parameters
@@ -391,7 +390,7 @@ def _draw_panel(
     panel : Panel
         The panel.
     rows : sequence of sequences of str
-        The rows of the panel in the table: position, method and error.
+        The panel's rows of the table: position, method and error.
     styles : dict of str to dict
         For each method, the line style of its curve.
     """
@@ -401,7 +400,7 @@ def _draw_panel(
     }
     is_radiance_error, x = panel.measure_error is measure_largest_error, curves["this tracer"][0]
     scene = panel.build_scene(x[0])
-    min_percentage = 25 / (scene.width * scene.height)  # a quarter of that of one pixel
+    min_percentage = 25 / (scene.width * scene.height)  # a quarter of one pixel
     min_error, max_error = (_MIN_ERROR, 1.0) if is_radiance_error else (min_percentage, 100.0)
     # Errors of zero are drawn at a different height for each curve, so that all are visible.
     zero_height = {method: min_error / _CURVE_SPACING**index for index, method in enumerate(curves)}

@@ -61,11 +61,9 @@ def run_chart_command(
     columns : sequence of str
         Titles of the table's columns.
     measure : callable
-        Function that yields the measured rows of the table.  Its argument is True for a quick
-        measurement.
+        Function that yields the rows of the table.  Its argument is True to measure fewer points.
     draw : callable
-        Function that draws the chart, and returns it as a matplotlib Figure.  Its argument contains
-        the rows of the CSV file.
+        Function that draws the chart from the rows of the CSV file, and returns it as a Figure.
     title, note : str
         The chart's title, and a note below the title.
     """

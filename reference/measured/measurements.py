@@ -65,8 +65,8 @@ def time_alternately(
 ) -> dict[_Name, Timing]:
     """Time tasks alternately, so that a slow period of the machine affects all tasks alike.
 
-    Each round runs every task once.  Before the first round, every task runs once untimed; a short
-    task does so before each round.
+    Each round runs every task once.  Before the first round, every task runs once untimed.  Short
+    tasks also run untimed before each of their rounds.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def time_alternately(
     rounds : int
         Minimum number of rounds.
     min_seconds : float
-        A task runs in more rounds until its total time reaches this many seconds, but in at most
-        five times `rounds`.
+        After `rounds` rounds, a task keeps running until its times add up to this many seconds, but
+        not beyond five times `rounds` rounds.
 
     Returns
     -------
@@ -89,18 +89,18 @@ def time_alternately(
         start = perf_counter()
         task()
         warm_up_seconds[name] = perf_counter() - start
-    results: dict[_Name, list[float]] = {name: [] for name in tasks}
+    seconds: dict[_Name, list[float]] = {name: [] for name in tasks}
     for round_index in range(_MAX_ROUNDS_FACTOR * rounds):
         for name, task in tasks.items():
-            if round_index < rounds or sum(results[name]) < min_seconds:
+            if round_index < rounds or sum(seconds[name]) < min_seconds:
                 sleep(_PAUSE_SECONDS)
                 if warm_up_seconds[name] < _MAX_WARM_UP_SECONDS:
                     task()
                 start = perf_counter()
                 result = task()
                 elapsed = perf_counter() - start
-                results[name].append(result if isinstance(result, float) else elapsed)
-    return {name: Timing(median(times), min(times), max(times)) for name, times in results.items()}
+                seconds[name].append(result if isinstance(result, float) else elapsed)
+    return {name: Timing(median(times), min(times), max(times)) for name, times in seconds.items()}
 
 
 def make_command_task(command: Sequence[str]) -> Task:

@@ -17,11 +17,11 @@ _SHADERS = (
 )
 
 
-def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
+def build_crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
-    Half of the objects are spheres and half are boxes, lit by two lights.  They cover about the
-    same fraction of the picture, however many there are.  Equal arguments give equal scenes.
+    Half of the objects are spheres, the others are boxes.  However many there are, they cover about
+    the same fraction of the picture.  Equal arguments give equal scenes.
 
     Parameters
     ----------

@@ -49,8 +49,8 @@ def test_error_grows_with_distance_as_eps_times_its_power(
 )
 def test_usual_methods_fail_where_the_chart_shows_it(scene, method):
     exact = plain.render(scene, arithmetic="decimal")
-    assert stability.measure_wrong_percentage(stability.METHODS[method](scene), exact) > 1
-    assert stability.measure_wrong_percentage(render(scene), exact) == 0
+    assert stability.measure_wrong_pixels(stability.METHODS[method](scene), exact) > 1
+    assert stability.measure_wrong_pixels(render(scene), exact) == 0
 
 
 @pytest.mark.parametrize("panel", stability.PANELS, ids=lambda panel: panel.title)
@@ -67,7 +67,7 @@ def test_errors_of_small_pictures(monkeypatch):
     unknown[0, 0, 1] = np.nan
     for image, largest, percentage in ((changed, 0.25, 50), (unknown, 1, 25)):
         assert stability.measure_largest_error(image, exact) == largest
-        assert stability.measure_wrong_percentage(image, exact) == percentage
+        assert stability.measure_wrong_pixels(image, exact) == percentage
     # A point of the chart shows the largest error of several scenes at nearby positions.
     panel = replace(stability.PANELS[0], position_factors=(1.0, 3.0, 2.0))
     monkeypatch.setitem(

@@ -26,7 +26,7 @@ from skimage.metrics import structural_similarity
 
 from reference.command import SCENES
 from reference.compare import compare_hand_in, main
-from reference.figures import measure_differences, select_largest_channel, write_comparison
+from reference.figures import get_largest_difference, measure_differences, write_comparison
 from reference.handins.diagnosis import Reference
 from reference.handins.formulas import Array
 from reference.handins.search import MistakeRenderer
@@ -95,7 +95,7 @@ def test_comparison_shows_sign_and_size(width: int, tmp_path: Path) -> None:
     a[:, :100] += 0.04
     a[:, 200:] -= 0.02
     a[19, 150] += 0.4
-    difference, labels = select_largest_channel(a - b), ("A" * 200, "B")
+    difference, labels = get_largest_difference(a - b), ("A" * 200, "B")
     write_comparison(tmp_path / "out.png", (to_codes(a), to_codes(b)), difference, labels)
     shown = read_picture(tmp_path / "out.png").codes
     # A long name stays in its column.
