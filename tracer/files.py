@@ -32,7 +32,7 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
         Path of the file.  If a file already exists there, it must be writable, and it must be empty
         or begin with `magic`.
     magic : bytes
-        The first bytes of all files of this kind.  If empty, files of all kinds are replaced.
+        The first bytes of every file of this kind.  If empty, a file of any kind is replaced.
 
     Yields
     ------
@@ -43,8 +43,7 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     Raises
     ------
     OSError
-        If the file cannot be written, or `path` names a folder or something else that is not a
-        regular file.
+        If the file cannot be written, or `path` exists but is not a regular file.
     FileExistsError
         If a file of another kind exists at `path`.  This is a subclass of OSError.
     """

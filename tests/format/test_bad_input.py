@@ -123,7 +123,7 @@ def test_the_number_of_errors_is_bounded():
 
 
 TOKEN = "a tag or comment of more than 1048576 bytes; make it shorter"
-TOO_MANY = "more than 64 elements or attributes in it; close <{0}> of line 1 earlier, or"
+TOO_MANY = "contains more than 64 elements or attributes; close <{0}> of line 1 earlier, or"
 ATTRIBUTES = " ".join(f'a{k}=""' for k in range(65))
 
 LIMITS = {

@@ -30,19 +30,19 @@ from tracer.command.process import end_on_signals, print_line
 from tracer.command.progress import Progress
 from tracer.files import open_atomically
 from tracer.messages import make_printable
-from tracer.picture.linear import EXR, NPY, encode_raw, write_exr, write_npy
+from tracer.picture.linear import EXR_MAGIC, NPY_MAGIC, encode_raw, write_exr, write_npy
 from tracer.picture.lint import Exposure, lint_scene
 from tracer.picture.parallel import Distribution, WorkerPool
-from tracer.picture.png import PNG, compress_tile, write_tiles
+from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
 from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, render_tiles
 from tracer.scene.model import Scene
 from tracer.scene.reader import load_scene
 from tracer.scene.schema import SceneError
 
 FORMATS: dict[str, tuple[bytes, Callable[..., Any], Callable[..., None]]] = {
-    "png": (PNG, compress_tile, write_tiles),
-    "npy": (NPY, encode_raw, write_npy),
-    "exr": (EXR, encode_raw, write_exr),
+    "png": (PNG_MAGIC, compress_tile, write_tiles),
+    "npy": (NPY_MAGIC, encode_raw, write_npy),
+    "exr": (EXR_MAGIC, encode_raw, write_exr),
 }
 """Picture formats.  The key is the suffix of the file name.  The value contains the first bytes of
 a file, the function that encodes a tile, and the function that writes a file from encoded tiles."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from tracer.arrays import Floats
 
-NPY, EXR = b"\x93NUMPY", b"\x76\x2f\x31\x01"
+NPY_MAGIC, EXR_MAGIC = b"\x93NUMPY", b"\x76\x2f\x31\x01"
 """The first bytes of files of these formats."""
 
 
@@ -24,8 +24,7 @@ def encode_raw(radiance: Floats, *, is_leftmost: bool = True) -> bytes:
     radiance : (rows, columns, 3) float array
         Linear RGB radiance of the pixels.
     is_leftmost : bool
-        Ignored.  All functions that encode tiles have this parameter: whether the tile is at the
-        left edge of the picture.
+        Whether the tile is at the left edge of the picture; ignored in this format.
 
     Returns
     -------

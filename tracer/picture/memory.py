@@ -24,7 +24,7 @@ _LARGE_PAGE_BYTES = 1 << 27
 
 @cache
 def keep_freed_memory() -> None:
-    """Make the C library of Linux (glibc) keep freed memory for later arrays, in large pages.
+    """Make glibc, the C library of Linux, keep freed memory for later arrays.
 
     By default, glibc returns freed memory to the system.  Requesting memory again often takes
     longer than the arithmetic on the new arrays.
@@ -37,8 +37,7 @@ def keep_freed_memory() -> None:
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
         # For arrays of this size, NumPy requests large pages with madvise(2).  The arrays are never
-        # written to, so they use no memory.  If they cannot be allocated, there may still be
-        # enough memory for the picture.
+        # written to, so they use no memory.  A failure is no error: the picture may need less.
         with suppress(MemoryError):
             _ = [
                 np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)

@@ -4,7 +4,7 @@ A picture is written tile by tile, in the order of its pixels, so only one tile 
 memory.  Each tile is compressed separately, in any process.  The checksum of the file is computed
 from those of the tiles.
 
-Codes are free of rounding errors.  The power function in float64 has an error of a few units in the
+Codes are rounded exactly.  The power function in float64 has an error of a few units in the
 last place, so it may give a wrong code near a threshold between two codes.  Tables of exact
 thresholds give the correct code in half the time.
 """
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.files import open_atomically
 
-PNG = b"\x89PNG\r\n\x1a\n"
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file (5.2)."""
 
 # The code of radiance x is round(_MAX_CODE x^(1 / gamma)).  Gamma is 11 / 5 = 2.2, given as two
@@ -75,7 +75,7 @@ def write_png(file: str | bytes | os.PathLike[str] | IO[bytes], image: ArrayLike
     stem, suffix = os.path.splitext(path)
     if suffix.lower() not in ("", ".png"):
         raise ValueError(f"{path}: pictures are PNG files; name it {stem}.png")
-    with open_atomically(path, PNG) as stream:
+    with open_atomically(path, PNG_MAGIC) as stream:
         write_tiles(stream, width, height, tiles)
 
 
@@ -160,15 +160,15 @@ def write_tiles(file: IO[bytes], width: int, height: int, tiles: Iterable[Compre
         file.write(data)
         file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(chunk_type))))
 
-    file.write(PNG)
+    file.write(PNG_MAGIC)
     # 8 bits per channel, RGB, the standard compression and filter methods, not interlaced.
     write_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
     # The pixels are one zlib stream (RFC 1950).  It has a header (window of 32 KB, fast
     # compression), the blocks of the tiles, an empty last block, and a checksum.
-    prefix, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
+    zlib_header, checksum, remaining_bytes = b"\x78\x5e", 1, height * (1 + 3 * width)
     for tile in tiles:
-        write_chunk(b"IDAT", prefix + tile.data)
-        prefix, checksum = b"", _combine_checksums(checksum, tile.checksum, tile.size)
+        write_chunk(b"IDAT", zlib_header + tile.data)
+        zlib_header, checksum = b"", _combine_checksums(checksum, tile.checksum, tile.size)
         remaining_bytes -= tile.size
     if remaining_bytes:
         raise ValueError(f"tiles do not make up a picture of {width} x {height} pixels")
@@ -180,7 +180,7 @@ def _combine_checksums(first_checksum: int, second_checksum: int, second_size: i
     """Combine the Adler-32 checksums of two byte strings into the checksum of the joined string.
 
     An Adler-32 checksum (RFC 1950) has two halves of 16 bits, modulo 65521.  The lower half is 1
-    plus the sum of the bytes.  The upper half adds up the values of the lower half after each byte.
+    plus the sum of the bytes.  The upper half is the sum of the lower halves after each byte.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     Returns
     -------
     codes : (height, width, 3) uint8 array
-        The 8-bit codes, free of rounding errors.
+        The 8-bit codes, rounded exactly.
 
     Raises
     ------
@@ -231,8 +231,8 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
         values = np.clip(flat_radiance[batch], min_radiance, 1.0)
-        # A cell is a range of float64 values with the same leading bits.  It contains at most two
-        # codes: the code of its smallest value, and the next one.
+        # A cell is a range of float64 values with the same leading bits, which are its number.  It
+        # contains at most two codes: the code of its smallest value, and the next one.
         lower_codes = cell_codes.take((values.view(np.int64) >> _CELL_BITS) - first_cell)
         np.add(lower_codes, values >= next_thresholds.take(lower_codes), out=flat_codes[batch])
     return codes
@@ -283,17 +283,17 @@ _CELL_BITS = 52 - 7
 def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
     """Compute tables for looking up the 8-bit code of a radiance.
 
-    A cell is a range of float64 values with the same leading bits: all but the last `_CELL_BITS`.
-    The cells range from `min_radiance` to 1.
+    A cell is a range of float64 values that differ only in the last `_CELL_BITS` bits.  The other
+    bits are the number of the cell.
 
     Returns
     -------
     min_radiance : float
-        A power of two.  All values up to this one have code 0.
+        The smallest value in the first cell, a power of two.  All values up to it have code 0.
     first_cell : int
-        The leading bits of the values in the first cell, as an integer.
+        Number of the first cell.
     cell_codes : (cells,) uint8 array
-        The code of the smallest value in each cell.
+        For each cell from `min_radiance` to 1, the code of its smallest value.
     next_thresholds : (_MAX_CODE + 1,) float array
         For each code, the smallest float64 that has a larger code; infinite for the last code.
     """
@@ -317,11 +317,11 @@ def _compute_threshold(code: int) -> float:
     Returns
     -------
     threshold : float
-        The smallest radiance whose code is at least `code`.
+        The exact threshold.
     """
     p, q = _GAMMA  # gamma is p / q
     relative_code = (code - 0.5) / _MAX_CODE
-    # With two exponents, the error is only a few units in the last place (ulps).
+    # Splitting the exponent limits the error to a few units in the last place (ulps).
     estimate: float = relative_code ** (p // q) * relative_code ** (p % q / q)
 
     def reaches_threshold(radiance: float) -> bool:

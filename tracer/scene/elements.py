@@ -213,14 +213,14 @@ class Parser:
         if self.byte_count > MAX_BYTES:
             raise FatalError(0, f"has more than the {MAX_BYTES} bytes allowed")
 
-    def _diagnose_syntax_error(self, error: expat.ExpatError, following_bytes: bytes) -> FatalError:
+    def _diagnose_syntax_error(self, error: expat.ExpatError, next_bytes: bytes) -> FatalError:
         """Convert a syntax error found by expat to a `FatalError` with a suggested fix.
 
         Parameters
         ----------
         error : ExpatError
             The error from expat, the XML parser.
-        following_bytes : bytes
+        next_bytes : bytes
             The bytes that follow the current chunk in the file.
 
         Returns
@@ -237,11 +237,10 @@ class Parser:
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
-        context = self.recent_bytes[:position], self.recent_bytes[position:] + following_bytes
-        elements, encoding = self.open_elements, self.encoding
-        remedy = suggest_syntax_fix(message, error.lineno, *context, elements, encoding)
-        place = f"at column {error.offset + 1}"
-        return FatalError(error.lineno, f"not XML: {message} {place}; {remedy}")
+        prefix, suffix = self.recent_bytes[:position], self.recent_bytes[position:] + next_bytes
+        line, column = error.lineno, error.offset + 1
+        fix = suggest_syntax_fix(message, line, prefix, suffix, self.open_elements, self.encoding)
+        return FatalError(line, f"not XML: {message} at column {column}; {fix}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
         """Handle a start tag: create an element, and add it to its parent.
@@ -275,10 +274,11 @@ class Parser:
         else:
             self.descendant_count = 0
         if self.descendant_count > MAX_DESCENDANTS or len(attrib) > MAX_DESCENDANTS:
-            child = open_elements[:2][-1]  # the child of the root, or the root itself
-            remedy = f"close <{shorten(child.tag)}> of line {child.line} earlier, or remove it"
-            message = f"more than {MAX_DESCENDANTS} elements or attributes in it; {remedy}"
-            raise FatalError(element.line, f"{shorten(child.tag)}: {message}")
+            container = open_elements[:2][-1]  # the child of the root, or the root itself
+            container_tag = shorten(container.tag)
+            message = f"contains more than {MAX_DESCENDANTS} elements or attributes"
+            remedy = f"close <{container_tag}> of line {container.line} earlier, or remove it"
+            raise FatalError(element.line, f"{container_tag}: {message}; {remedy}")
 
     def _handle_end_tag(self, _tag: str) -> None:
         """Handle an end tag: close the innermost open element.
@@ -329,9 +329,8 @@ class Parser:
     ) -> None:
         """Handle a DOCTYPE: refuse it if it contains declarations or refers to another file.
 
-        Declarations can define entities, which are names for pieces of text.  Entities that contain
-        other entities can grow exponentially, and entities from another file would be ignored
-        silently.
+        Declarations can define entities, which stand for pieces of text.  Nested entities can grow
+        exponentially.  Entities defined in another file would silently be ignored.
 
         Parameters
         ----------

@@ -69,10 +69,10 @@ _MESSAGE_REMEDIES = {
 _CHARACTER_REMEDIES = {"Cf": "remove it", "Pd": "write - in its place"}
 _CHARACTER_REMEDIES |= dict.fromkeys(("Zs", "Zl", "Zp"), "write a plain space in its place")
 
-# Names of elements and attributes in other scene formats, in lower case, and their equivalents in
-# this one.  The first equivalent that is allowed in the surrounding element is suggested.  Any text
-# after a comma is part of the suggestion.  "" means that there is no equivalent.
-_EQUIVALENTS: dict[str, Sequence[str]] = {
+# Names of elements and attributes in other scene formats, in lower case, and what to write in their
+# place.  The first replacement that is allowed in the surrounding element is suggested, with any
+# text after its comma.  "" means that there is no replacement.
+_REPLACEMENTS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("position", "eye", "from"), ("viewPoint", "center")),
     **dict.fromkeys(("direction", "gaze"), ("viewDir",)),
     "up": ("viewUp",),
@@ -97,7 +97,7 @@ def suggest_syntax_fix(
     line : int
         Line of the error.
     prefix, suffix : bytes
-        Part of the file that ends just before the error, and part that begins at the error.
+        The bytes of the file just before the error, and the bytes from the error on.
     elements : sequence of Element
         Elements that are still open at the error, starting with the root.
     encoding : str
@@ -131,8 +131,8 @@ def suggest_syntax_fix(
 def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | None]:
     """Suggest an allowed name in place of an unknown one.
 
-    Upper and lower case are equivalent.  Only the first `_MAX_COMPARED` allowed names are compared,
-    and only the beginning of long names.
+    The case of letters is ignored.  To save time, only the first `_MAX_COMPARED` allowed names and
+    the beginnings of long names are compared.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | No
     Returns
     -------
     remedy : str
-        A suggestion of the most similar name, such as 'did you mean "center"?'.  If no name is
-        similar, the remedy lists at most `_MAX_LISTED` allowed names, or is "remove it".
+        The suggested fix, such as "did you mean 'center'?".  If no name is similar, the fix lists
+        up to `_MAX_LISTED` allowed names, or is "remove it" if there are none.
     similar_name : str or None
         The most similar allowed name, or None if none is similar.
     """
@@ -176,11 +176,11 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | Non
     intended_name : str or None
         What the author of the file probably meant, such as "center"; None if this is unclear.
     """
-    for equivalent in _EQUIVALENTS.get(tag.lower(), ()):
-        if not equivalent:
+    for replacement in _REPLACEMENTS.get(tag.lower(), ()):
+        if not replacement:
             return "remove it", None
-        if equivalent.startswith("<") or equivalent.split(",")[0] in allowed_tags:
-            return f"write {equivalent}", equivalent
+        if replacement.startswith("<") or replacement.split(",")[0] in allowed_tags:
+            return f"write {replacement}", replacement
     return suggest_name(tag, allowed_tags)
 
 

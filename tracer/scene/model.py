@@ -293,12 +293,12 @@ class Box(Validated):
         """
         min_pt, max_pt = field_arrays["min_pt"], field_arrays["max_pt"]
         for index in np.flatnonzero((min_pt > max_pt).any(axis=1)).tolist():
-            excesses = [
-                f"{axis} has {format_number(low)} > {format_number(high)}"
-                for axis, low, high in zip("xyz", min_pt[index], max_pt[index], strict=True)
-                if low > high
+            conflicts = [
+                f"{axis} has {format_number(minimum)} > {format_number(maximum)}"
+                for axis, minimum, maximum in zip("xyz", min_pt[index], max_pt[index], strict=True)
+                if minimum > maximum
             ]
-            message = f"must not exceed max_pt, but {' and '.join(excesses)}; swap these"
+            message = f"must not exceed max_pt, but {' and '.join(conflicts)}; swap these"
             yield index, "min_pt", message
 
 
@@ -399,10 +399,10 @@ class Surfaces(Sequence[Sphere | Box]):
         """
         field_arrays = {name: getattr(self, name) for name in ("center", "min_pt", "max_pt")}
         field_arrays["radius"] = self.radius[:, None]
-        start_of_type: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
-        for surface_type, start_index in start_of_type.items():
+        first_index_of_type: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
+        for surface_type, first_index in first_index_of_type.items():
             for index, name, message in schema.find_errors(surface_type, field_arrays):
-                yield self.file_index.item(start_index + index), f"{name}: {message}"
+                yield self.file_index.item(first_index + index), f"{name}: {message}"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
@@ -415,7 +415,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @classmethod
     def from_objects(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
-        """Store a sequence of spheres and boxes as arrays, keeping their order.
+        """Convert a sequence of spheres and boxes to arrays.
 
         Parameters
         ----------
@@ -425,7 +425,7 @@ class Surfaces(Sequence[Sphere | Box]):
         Returns
         -------
         surface_arrays : Surfaces
-            The same spheres and boxes, in the same order.
+            A sequence of the same spheres and boxes, in the same order.
 
         Raises
         ------
@@ -464,9 +464,9 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """Position of each surface in the arrays: an int array, in the order of the file.
+        """Compute the index of each surface in the arrays, in the order of the file.
 
-        In the arrays, all spheres come before all boxes.  `file_index` is the inverse permutation.
+        In the arrays, all spheres come before all boxes.  The result is a read-only int array.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)
@@ -486,7 +486,7 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _make_surface(self, index: int) -> Sphere | Box:
-        """Create a `Sphere` or `Box` object from the numbers of one surface in the arrays.
+        """Create the `Sphere` or `Box` object of one surface.
 
         Parameters
         ----------
@@ -496,14 +496,14 @@ class Surfaces(Sequence[Sphere | Box]):
         Returns
         -------
         surface : Sphere or Box
-            A new object with the numbers, shader and line of the surface.
+            A new object with the surface's numbers, its shader, and its line in the file.
         """
         shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
         construct, box_index = schema.construct_unchecked, index - self.sphere_count
-        if box_index < 0:
+        if index < self.sphere_count:
             center, radius = tuple(self.center[index].tolist()), self.radius.item(index)
             return construct(Sphere, center=center, radius=radius, shader=shader, line=line)
-        min_pt, max_pt = (tuple(pt[box_index].tolist()) for pt in (self.min_pt, self.max_pt))
+        min_pt, max_pt = (tuple(point[box_index].tolist()) for point in (self.min_pt, self.max_pt))
         return construct(Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line)
 
     def __eq__(self, other: object) -> bool:
@@ -570,7 +570,7 @@ class Scene(Validated):
             raise schema.SceneError([f"width, height: {message}; {limit}"])
 
     def _repr_png_(self) -> bytes:
-        """Render the scene to the bytes of a PNG file; notebooks call this to display the scene."""
+        """Render the scene, and return the bytes of a PNG file, which notebooks display."""
         # The only import from a higher layer, needed because Jupyter calls this method of a scene.
         from tracer.picture.render import to_png
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import MISSING, replace
 from itertools import count
@@ -202,8 +202,7 @@ class _Reader:
     def read_element(self, element: Element) -> None:
         """Read the next part of the file: first the root element, then its children one by one.
 
-        Each child except <image> becomes a row in the table of cameras, lights, shaders or
-        surfaces.  Its errors are added to the list of errors.
+        Each child except <image> becomes a row in a table.  Errors are added to the list `errors`.
 
         Parameters
         ----------
@@ -251,13 +250,19 @@ class _Reader:
         if element.tag != "scene":
             raise FatalError(element.line, f"{shorten(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
-            message = "scene: has a version, so it is for Mitsuba; use the scene it was made from"
+            message = "scene: has a version, so the file is for Mitsuba; use the original scene"
             raise FatalError(element.line, message)
         self.report_unknown_attributes(element)
         self.unique_elements["scene"] = element
 
     def read_image(self, element: Element) -> None:
-        """Read the picture size from <image> into `empty_scene`, or report the element's errors."""
+        """Read the picture size, and store it in `empty_scene`.
+
+        Parameters
+        ----------
+        element : Element
+            The element <image>, whose errors are reported.
+        """
         self.match_children(element, {})
         number_pattern = r"\s*([-+]?\d{1,18})"
         match = re.fullmatch(rf"{number_pattern}\s{number_pattern}\s*", element.text, re.ASCII)
@@ -270,8 +275,8 @@ class _Reader:
         try:
             self.empty_scene = Scene(width=int(match[1]), height=int(match[2]))
         except SceneError as error:
-            for line in error.lines:
-                self.report(element, line)
+            for message in error.lines:
+                self.report(element, message)
 
     def read_surface(self, element: Element) -> None:
         """Add a surface to the table for its type, such as "Sphere".
@@ -287,7 +292,7 @@ class _Reader:
         table = self.surface_tables.get(element.attrib.get("type", ""))
         if table is None:
             # The children are not checked, but shaders among them are still defined.
-            self.report_type(element, self.surface_tables)
+            self.report_invalid_type(element, self.surface_tables)
             for child in element:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
@@ -314,12 +319,12 @@ class _Reader:
         name = element.attrib.get("name")
         index = self.find_or_add_shader(name)
         if name is not None and self.definition_lines[index]:
-            definition = f"the shader in line {self.definition_lines[index]}"
-            self.report(element, f"the name {quote(name)} is taken by {definition}; choose another")
+            owner = f"the shader in line {self.definition_lines[index]}"
+            self.report(element, f"the name {quote(name)} is taken by {owner}; choose another")
         else:
             self.definition_lines[index] = element.line
         if table is None:
-            self.report_type(element, self.shader_tables, "name")
+            self.report_invalid_type(element, self.shader_tables, "name")
         else:
             table.object_index.append(index)
             self.add_row(table, element, "name", "type")
@@ -370,7 +375,7 @@ class _Reader:
         return index
 
     def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Add the numbers in an element to a table as a row, and report errors in the element.
+        """Read an element into a new row of a table, and report the element's errors.
 
         Parameters
         ----------
@@ -384,7 +389,7 @@ class _Reader:
         Returns
         -------
         children : dict of str to Element
-            The child elements, by the name of the dataclass field that they define.
+            For each field name, the child element that gives the field's value.
         """
         children, intended_names = self.match_children(element, table.field_of_tag, *attributes)
         table.lines.append(element.line)
@@ -402,7 +407,7 @@ class _Reader:
     def match_children(
         self, element: Element, field_of_tag: Mapping[str, str], *attributes: str
     ) -> tuple[dict[str, Element], set[str | None]]:
-        """Match the children of an element with the dataclass fields that they define.
+        """Match the children of an element to dataclass fields by tag.
 
         Unknown attributes, unknown children and duplicate children are reported as errors.
 
@@ -411,17 +416,16 @@ class _Reader:
         element : Element
             The element.
         field_of_tag : mapping of str to str
-            Maps each tag that a child may have to the name of the field that the child defines.
+            For each tag that a child may have, the name of its dataclass field.
         *attributes : str
             Names of the attributes that the element may have.
 
         Returns
         -------
         children : dict of str to Element
-            The child elements, by the name of the dataclass field that they define.
+            For each field name, the child element that gives the field's value.
         intended_names : set of (str or None)
-            The names that the author of the file probably meant by unknown attributes and tags.
-            It contains None if the meaning of an attribute or tag is unclear.
+            What the author probably meant by unknown attributes and tags; None for unclear ones.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -438,20 +442,20 @@ class _Reader:
         return children, intended_names
 
     def read_numbers(self, element: Element, validator: NumberValidator) -> list[float]:
-        """Parse the numbers in an element such as <center>, and report errors in the element.
+        """Read the numbers in an element such as <center>, and report the element's errors.
 
         Parameters
         ----------
         element : Element
             The element.
         validator : NumberValidator
-            Validator of the dataclass field.  It gives the required count of numbers; the numbers
-            are validated later.
+            Validator of the dataclass field.  Only the count of the numbers is checked here; their
+            values are validated later.
 
         Returns
         -------
         numbers : list of float
-            The numbers, or a list of NaN of the required length if they are invalid.
+            The numbers.  If one of them is invalid, or their count is wrong, all are NaN.
         """
         if element or element.attrib:  # children and attributes are errors here
             self.match_children(element, {})
@@ -468,7 +472,7 @@ class _Reader:
 
     # Errors in elements and attributes
 
-    def report_type(self, element: Element, tables: Mapping[str, Table], *attributes: str) -> None:
+    def report_invalid_type(self, element: Element, types: Iterable[str], *attributes: str) -> None:
         """Report that the type of a shader or surface is missing or unknown.
 
         Unknown attributes are reported, too.
@@ -477,18 +481,18 @@ class _Reader:
         ----------
         element : Element
             The shader or surface.
-        tables : mapping of str to Table
-            A table for each allowed type.
+        types : iterable of str
+            The allowed types.
         *attributes : str
             Names of the attributes that the element may have in addition to `type`.
         """
         intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
         if unknown_type is not None:
-            remedy, _ = suggest_name(unknown_type, tables)
+            remedy, _ = suggest_name(unknown_type, types)
             self.report(element, f"unknown type {quote(unknown_type)}; {remedy}")
         elif "type" not in intended_names:
-            choices = " or ".join(f'type="{known_type}"' for known_type in tables)
+            choices = " or ".join(f'type="{known_type}"' for known_type in types)
             self.report(element, f"has no type; add {choices}")
 
     def report_unknown_element(
@@ -508,7 +512,7 @@ class _Reader:
         Returns
         -------
         intended_tag : str or None
-            The tag that the author of the file probably meant, or None if this is unclear.
+            The tag that the author probably meant, or None if this is unclear.
         """
         if element.tag in _SCENE_TAGS:
             remedy, intended_tag = f"close the {parent.tag} of line {parent.line} first", None
@@ -526,11 +530,10 @@ class _Reader:
         element : Element
             The later element.
         original : Element
-            The earlier element.  Its tag may be different, because <intensity> and <color> have the
-            same meaning.
+            The earlier element.  Its tag may differ: <intensity> and <color> have the same meaning.
         """
-        description = "given" if original.tag == element.tag else f"{original.tag} is given"
-        self.report(element, f"{description} already, in line {original.line}; keep one of the two")
+        subject = "" if original.tag == element.tag else f"{original.tag} is "
+        self.report(element, f"{subject}already given in line {original.line}; keep one of the two")
 
     def report_unknown_attributes(
         self, element: Element, allowed_names: Sequence[str] = (), child_tags: Collection[str] = ()
@@ -544,14 +547,12 @@ class _Reader:
         allowed_names : sequence of str
             Names of the attributes that the element may have.
         child_tags : collection of str
-            Tags that children of the element may have.  An unknown attribute with a similar name
-            was probably meant to be such a child.
+            Tags that children of the element may have; an attribute may be a misplaced child.
 
         Returns
         -------
         intended_names : set of (str or None)
-            The attribute names and child tags that the author of the file probably meant by unknown
-            attributes.  It contains None if the meaning of an attribute is unclear.
+            What the author probably meant by unknown attributes; None stands for unclear ones.
         """
         intended_names: set[str | None] = set()
         for name, value in element.attrib.items():

@@ -204,21 +204,21 @@ class NumberValidator:
         """
         array = _copy_floats(value, name)
         if array.size != self.count or array.ndim > 1:
-            actual_size = f"shape {array.shape}" if array.ndim > 1 else array.size
-            raise SceneError([f"{name}: {self.requirement}, but has {actual_size}"])
+            shape_or_size = f"shape {array.shape}" if array.ndim > 1 else array.size
+            raise SceneError([f"{name}: {self.requirement}, but has {shape_or_size}"])
         row = array.reshape(1, self.count)
         raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
         return tuple(row[0].tolist()) if self.count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Floats:
-        """Copy the values of one field of many objects into an array, without validating them.
+        """Copy the values of a field into an array, with one row for each object.
 
-        Only the shape is checked: `count` is the required count of numbers per object.
+        Only the shape and the type are checked here; `find_errors` checks the numbers themselves.
 
         Parameters
         ----------
         values : (n, count) array_like, or (n,) array_like if `count` is 1
-            The values of the field in n objects.
+            The values of the field in n objects; `count` is the number of numbers per object.
         name : str
             Name of the field, for messages.
 
@@ -281,7 +281,7 @@ def get_number_validators(dataclass: Any) -> dict[str, NumberValidator]:
     Returns
     -------
     validators : dict of str to NumberValidator
-        Maps the name of each field that consists of numbers to its validator.
+        The validator of each field that consists of numbers, under the name of the field.
     """
     items = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
     return {name: validator for name, validator in items if isinstance(validator, NumberValidator)}
@@ -354,7 +354,7 @@ def validate_picture_side(value: int, name: str) -> int:
 
     Returns
     -------
-    pixel_count : int
+    side : int
         The same number as a Python int.
 
     Raises
@@ -363,14 +363,14 @@ def validate_picture_side(value: int, name: str) -> int:
         If the value is not an integer from 1 to `MAX_PIXELS`.
     """
     try:
-        pixel_count = int(operator.index(value))  # products of NumPy integers may overflow
+        side = int(operator.index(value))  # products of NumPy integers may overflow
     except TypeError:
         raise SceneError([f"{name}: must be an int, not {value!r}"]) from None
-    if not 1 <= pixel_count <= MAX_PIXELS:
+    if not 1 <= side <= MAX_PIXELS:
         # Python cannot format integers that have too many digits.
-        actual_value = f", not {pixel_count}" if abs(pixel_count) < 1e18 else ""
+        actual_value = f", not {side}" if abs(side) < 1e18 else ""
         raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{actual_value}"])
-    return pixel_count
+    return side
 
 
 def require_list(*types: type) -> _Validator:
@@ -417,8 +417,8 @@ def require_type(*types: type) -> _Validator:
         A function that takes an object and the name of a field.  It returns the object, or
         raises `SceneError` if the object is of another type.
     """
-    check_list = require_list(*types)
-    return lambda value, name: check_list([value], name)[0]
+    validate_list = require_list(*types)
+    return lambda value, name: validate_list([value], name)[0]
 
 
 def _copy_floats(value: ArrayLike, name: str) -> Floats:

@@ -49,8 +49,8 @@ def parse_numbers(text: str, count: int) -> list[float]:
     except ValueError:
         return []
     if 0 in numbers and _may_underflow(text):  # a nonzero number may have become 0
-        is_exact = (number or _is_zero(word) for number, word in zip(numbers, words, strict=True))
-        return numbers if all(is_exact) else []
+        zero_words = (word for number, word in zip(numbers, words, strict=True) if number == 0)
+        return numbers if all(map(_is_zero, zero_words)) else []
     return numbers
 
 
@@ -91,16 +91,16 @@ class Column:
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append the numbers of the next object as a row.
+        """Append a row: the numbers of the next object, which come from one XML element.
 
         Parameters
         ----------
         numbers : list of float
-            The numbers in the element, or `default_row` if the element is absent.
+            The numbers in the element, or `default_row` if there is no element.
         line : int
-            Line of the element in the file, or 0 if the element is absent.
+            Line of the element in the file, or 0 if there is no element.
         tag : str
-            Tag of the element, or any allowed tag if the element is absent.
+            Tag of the element, or any allowed tag if there is no element.
         """
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
@@ -111,13 +111,13 @@ class Column:
         return np.reshape(self.numbers, (-1, self.validator.count))
 
     def get_values(self) -> Iterable[Any]:
-        """Return the values of the field for the dataclass, one for each row of the table.
+        """Return the value of the field for each object, to be passed to the dataclass.
 
         Returns
         -------
         values : iterable
-            A tuple of floats for each row, or a float if the field consists of one number.  All are
-            the field's default if no object in the file has the field's element.
+            Floats if the field consists of one number, otherwise tuples of floats.  If no object in
+            the file gives a value, the field's default for each object.
         """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
@@ -201,8 +201,8 @@ class Table:
         instance : object of the dataclass
             The instance made from the next row.
         """
-        values = {name: column.get_values() for name, column in self.columns.items()}
+        field_values = {name: column.get_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):
-            values["line"] = self.lines
-        for row in zip(*values.values(), strict=True):
-            yield construct_unchecked(self.dataclass, **dict(zip(values, row, strict=True)))
+            field_values["line"] = self.lines
+        for row in zip(*field_values.values(), strict=True):
+            yield construct_unchecked(self.dataclass, **dict(zip(field_values, row, strict=True)))

@@ -17,7 +17,7 @@ from tracer.scene.schema import NumberValidator, format_number
 
 
 def save_scene(scene: Scene, target: FileOrPath) -> None:
-    """Write a scene to a file, from which `load_scene` can restore it.
+    """Write a scene to a file that `load_scene` can read.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def _format_scene(scene: Scene) -> Iterator[str]:
 
     Yields
     ------
-    lines : str
-        The next part of the file, with line breaks.
+    text : str
+        The next lines of the file, with line breaks.
     """
     surfaces = scene.surfaces
     yield f"<scene>\n  <camera>{_format_numbers(scene.camera)} </camera>\n"
@@ -116,7 +116,7 @@ def _format_numbers(scene_object: Any) -> str:
     Returns
     -------
     text : str
-        One element for each field, all on one line, such as " <center>0 0 0</center>".
+        The elements, each after a space, such as " <center>0 0 0</center> <radius>1</radius>".
     """
     text_of_tag = {
         field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
