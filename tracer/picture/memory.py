@@ -37,7 +37,7 @@ def keep_freed_memory() -> None:
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
         # For arrays of this size, NumPy requests large pages with madvise(2).  The arrays are never
-        # written to, so they use no memory.  A failure is no error: the picture may need less.
+        # written to, so they use no memory.  If allocating them fails, the picture may still fit.
         with suppress(MemoryError):
             _ = [
                 np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)

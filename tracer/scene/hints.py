@@ -174,7 +174,7 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | Non
     remedy : str
         The suggested fix.
     intended_name : str or None
-        What the author of the file probably meant, such as "center"; None if this is unclear.
+        The tag or text that was probably meant, such as "center"; None if this is unclear.
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if not replacement:

@@ -372,11 +372,11 @@ class Surfaces(Sequence[Sphere | Box]):
         message : str
             Name of an array, and what is wrong with it.
         """
-        requirements = {"radius": (len(self.center), "the length of center")}
-        requirements |= {"max_pt": (len(self.min_pt), "the length of min_pt")}
-        surface_requirement = len(self), "the number of surfaces"
-        requirements |= dict.fromkeys(("shader_index", "file_index", "line"), surface_requirement)
-        for name, (required_length, reason) in requirements.items():
+        requirements = [("radius", len(self.center), "the length of center")]
+        requirements += [("max_pt", len(self.min_pt), "the length of min_pt")]
+        for name in ("shader_index", "file_index", "line"):
+            requirements += [(name, len(self), "the number of surfaces")]
+        for name, required_length, reason in requirements:
             if (length := len(getattr(self, name))) != required_length:
                 yield f"{name}: must have length {required_length} ({reason}), not {length}"
         shader_index, shader_count = self.shader_index, len(self.shaders)

@@ -91,7 +91,7 @@ class Column:
         self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append a row: the numbers of the next object, which come from one XML element.
+        """Append a row with the numbers that an XML element gives for the next object.
 
         Parameters
         ----------
@@ -111,13 +111,13 @@ class Column:
         return np.reshape(self.numbers, (-1, self.validator.count))
 
     def get_values(self) -> Iterable[Any]:
-        """Return the value of the field for each object, to be passed to the dataclass.
+        """Return the field's values for all objects, as the dataclass stores them.
 
         Returns
         -------
         values : iterable
             Floats if the field consists of one number, otherwise tuples of floats.  If no object in
-            the file gives a value, the field's default for each object.
+            the file gives a value, every value is the field's default.
         """
         if not any(self.lines):
             return repeat(self.default, len(self.lines))  # the rows share one tuple
