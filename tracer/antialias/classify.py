@@ -120,11 +120,11 @@ class Cells(NamedTuple):
         """
         quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
         x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
-        parent_number = np.full(self.center_x.size, -1)  # position of each cell in `cell_index`
-        parent_number[cell_index] = np.arange(cell_index.size)
-        pair_parent = parent_number[self.pair_cell]
-        kept_index = find(pair_parent >= 0)
-        pair_quarter = (4 * pair_parent[kept_index, None] + np.arange(4)).ravel()
+        quartet = np.full(self.center_x.size, -1)  # number of each cell's four quarters; or -1
+        quartet[cell_index] = np.arange(cell_index.size)
+        pair_quartet = quartet[self.pair_cell]
+        kept_index = find(pair_quartet >= 0)
+        pair_quarter = (4 * pair_quartet[kept_index, None] + np.arange(4)).ravel()
         pairs = pair_quarter, self.pair_object[kept_index].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 
@@ -160,8 +160,8 @@ def classify_cells(
 
     A cell is a pixel, or a square part of a pixel.  Edges are silhouettes, creases between faces,
     intersections of surfaces, shadow edges, and terminators (where a surface turns away from a
-    light).  Silhouettes are computed for all (cell, object) pairs in `cells`.  The other edges are
-    searched for around the hit of each sample.
+    light).  Silhouettes are computed for all (cell, object) pairs in `cells`.  All other edges are
+    searched for around the hits of the samples.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ def classify_cells(
     Returns
     -------
     classification : Classification
-        The cells, their samples, and at most `MAX_LINES` straight edges in each cell.  A cell that
-        may contain other edges is unresolved.  A cell is crowded if finding all its edges would
-        take longer than sampling it densely.
+        The cells, their samples, and at most `MAX_LINES` straight lines for each cell.  A cell is
+        unresolved if it may contain something other than straight edges.  It is crowded if finding
+        all its edges would take longer than sampling it densely.
     """
     cell_count, tolerance = sample_cell.size, cells.tolerance
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
@@ -193,7 +193,7 @@ def classify_cells(
     is_unresolved[curved_index] = True
     shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
     for lights in scene.light_batches:
-        light_lines, unresolved_index, crowded_index = _add_lights(
+        light_lines, unresolved_index, crowded_index = _shade_and_find_edges(
             shading, surfaces, lights, tolerance
         )
         all_lines.append(light_lines)
@@ -209,10 +209,10 @@ def classify_cells(
     return Classification(cells, center_samples, lines, is_unresolved, is_crowded)
 
 
-def _add_lights(
+def _shade_and_find_edges(
     shading: Shading, surfaces: CellSurfaces, lights: Lights, tolerance: float
 ) -> tuple[Lines, Ints, Ints]:
-    """Add lights to the radiance of hits, and find the edges that the lights cause in cells.
+    """Add lights to the radiance of hits, and find the edges that these lights cause.
 
     A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The edges that may
     cross it are shadow edges and terminators (where a surface turns away from a light).
@@ -220,7 +220,7 @@ def _add_lights(
     Parameters
     ----------
     shading : Shading
-        The radiance that the hits reflect, summed over lights.  This function adds to the sum.
+        The radiance that the hits reflect, summed over lights.  The lights are added to it.
     surfaces : CellSurfaces
         The hit in each cell, and the surface around the hit.
     lights : Lights
@@ -287,5 +287,5 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
         ray_right = frame.to_ray_right(cells.center_x[cell_index])
         ray_down = frame.to_ray_down(cells.center_y[cell_index])
         ray = compute_rays(frame, ray_right, ray_down, cells.width)
-        triples = np.array([np.zeros_like(cell_index), cell_index, object_index])
-        yield from evaluate_silhouettes(scene, frame.eye[None], triples, ray)
+        candidates = np.array([np.zeros_like(cell_index), cell_index, object_index])
+        yield from evaluate_silhouettes(scene, frame.eye[None], candidates, ray)

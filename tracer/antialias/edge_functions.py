@@ -98,7 +98,7 @@ class Lines(NamedTuple):
 
         Returns
         -------
-        selected : Lines
+        selected_lines : Lines
             The k selected lines, in the order of `line_index`.
         """
         return Lines._make(field[line_index] for field in self)
@@ -209,24 +209,24 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     Returns
     -------
     lines : Lines
-        One line for each edge that crosses its cell, but not for edges that turn by more than
-        `_MAX_TURN` radians.
+        A line for each edge that turns by at most `_MAX_TURN` radians in its cell, unless the line
+        misses the cell.
     curved_index : (k,) int array
-        Index of the cell of each curved edge.  An edge counts as curved if no line represents it
-        within the tolerance, or if values are unknown.
+        Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
+        the tolerance, or if values are unknown.
     """
     no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
-    fits = (_fit_batch(*batch, tolerance) for batch in chain([no_edges], edges))
+    fits = (_fit_line_batch(*batch, tolerance) for batch in chain([no_edges], edges))
     batch_lines, curved_index = zip(*fits, strict=True)
     return Lines.concatenate(batch_lines), np.concatenate(curved_index)
 
 
-def _fit_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
+def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each of n edges, and list the cells of curved edges.
 
     A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
-    smooth function f on the picture that is zero at the edge.  The line is a tangent of the edge
-    near the centre of the cell, shifted to the mean position of the edge.
+    smooth function f on the picture that is zero at the edge.  The line is parallel to the edge
+    near the centre of the cell, and lies at the edge's mean position.
 
     Parameters
     ----------
@@ -241,27 +241,27 @@ def _fit_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Line
     Returns
     -------
     lines : Lines
-        One line for each edge that crosses its cell, but not for edges that turn by more than
-        `_MAX_TURN` radians.
+        A line for each edge that turns by at most `_MAX_TURN` radians in its cell, unless the line
+        misses the cell.
     curved_index : (k,) int array
-        Index of the cell of each curved edge.  An edge counts as curved if no line represents it
-        within the tolerance, or if values are unknown.
+        Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
+        the tolerance, or if values are unknown.
     """
-    # Scale the values so that powers of the derivatives are finite in any unit of length.
+    # Scale the values so that powers of the derivatives are finite, whatever the unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
-    # Near the centre, f(p) = c + g . p + p . H p / 2 with the gradient g = (a, b) and the matrix H
-    # of second derivatives: h_across and h_along are those across and along the edge.
+    # Near the centre, f(p) = c + g . p + p . H p / 2, with the gradient g = (a, b) and a matrix H.
+    # The second derivatives across and along the edge are h_across and h_along.
     a, b = right - left, lower - upper
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
     h_xy = 4 * (corner - right - lower + center)
     gradient2 = a * a + b * b
-    # Find the point p = s g nearest to the centre where f is zero, and move it into the cell.
+    # Find the zero p = step * g of f that is nearest to the centre, and move it into the cell.
     h_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / gradient2
-    sqrt_term = np.sqrt(np.abs(gradient2 * (gradient2 - 2 * center * h_across)))
-    s = -2 * center / (gradient2 + sqrt_term)
-    s_at_border = 0.5 / np.maximum(np.abs(a), np.abs(b))
-    s = np.clip(s, -s_at_border, s_at_border)
-    x, y = s * a, s * b
+    root = np.sqrt(np.abs(gradient2 * (gradient2 - 2 * center * h_across)))
+    step = -2 * center / (gradient2 + root)
+    max_step = 0.5 / np.maximum(np.abs(a), np.abs(b))
+    step = np.clip(step, -max_step, max_step)
+    x, y = step * a, step * b
     # Replace f by its tangent plane c + a x + b y at this point.
     c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
@@ -275,11 +275,11 @@ def _fit_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Line
     # Over a length of 1, the edge turns by |h_along| / |g| radians.  If the gradient changes much
     # across the edge, the cell may contain both sides of a small object.
     turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(gradient2)
-    has_line, line_crosses = turn <= _MAX_TURN, np.abs(lines.c) < 1
-    # A curved edge may cross a cell that its tangent misses.  The comparison is True for NaN.
-    may_cross = np.where(has_line, line_crosses, ~(np.abs(center) > 1))
+    has_line, crosses_cell = turn <= _MAX_TURN, np.abs(lines.c) < 1
+    # A curved edge may cross a cell that its tangent misses.  The negated tests are True for NaN.
+    may_cross = np.where(has_line, crosses_cell, ~(np.abs(center) > 1))
     is_curved = may_cross & ~(turn <= min(_TURN_PER_TOLERANCE * tolerance, _MAX_TURN))
-    return lines.take(find(has_line & line_crosses)), cell_index[find(is_curved)]
+    return lines.take(find(has_line & crosses_cell)), cell_index[find(is_curved)]
 
 
 class InverseDepth(NamedTuple):
@@ -328,7 +328,7 @@ class InverseDepth(NamedTuple):
             k[:, interval] = [group.expand_to_hits(n / -group.eye_height) for n in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
-                power = spheres.power[sphere_index]
+                power = spheres.power[sphere_index]  # squared distance minus squared radius
                 center = np.array(take(spheres.from_eye, sphere_index))
                 w[interval] = np.where(power != 0, 1 / power, 0)
                 k[:, interval] = np.where(power != 0, center / power, k[:, interval])
@@ -344,16 +344,16 @@ class InverseDepth(NamedTuple):
 
         Returns
         -------
-        selected : InverseDepth
+        selected_surfaces : InverseDepth
             The m selected surfaces, in the order of `surface_index`.
         """
         return InverseDepth(take(self.k, surface_index), self.w[surface_index])
 
     def compute_inverse_t(self, ray: Triple) -> Floats:
-        """Compute 1 / t for six rays per surface, each of which meets its surface at t * ray.
+        """Compute 1 / t for six rays to each surface, where t * ray is the point on the surface.
 
         For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the coefficients k and w of the
-        surface.  For planes, the root is omitted.  Rays that miss a sphere count as tangents.
+        surface.  For planes, the root is omitted.  If a ray misses a sphere, the root is 0.
 
         Parameters
         ----------

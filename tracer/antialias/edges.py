@@ -46,10 +46,10 @@ _MIN_COSINE_RATIO = 1e-3
 
 
 def compute_footprints(hits: Hits, cell_width: float) -> Floats:
-    """Compute the radius of the footprint of each hit.
+    """Compute the footprint of each hit: the radius of the area that is visible in a cell.
 
-    The footprint is the part of the surface that is visible in a cell (a pixel, or a square part of
-    a pixel).  The hit is where the ray through the centre of the cell meets the surface.
+    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
+    the cell meets the surface.
 
     Parameters
     ----------
@@ -60,24 +60,23 @@ def compute_footprints(hits: Hits, cell_width: float) -> Floats:
 
     Returns
     -------
-    radius : (n,) float array
-        Radius of each footprint, in the scene's unit of length.
+    footprint : (n,) float array
+        Radius around each hit, in the scene's unit of length.
     """
-    cell_angle = _compute_cell_angle(hits.scene.frame, cell_width)
-    all_cell_radii, distance = hits.from_eye[2] * cell_angle, hits.distance
-    radius = np.empty(distance.size)
+    cell_angle, distance = _compute_cell_angle(hits.scene.frame, cell_width), hits.distance
+    footprint = np.empty(distance.size)
     for group in hits.groups:
-        cell_radius = all_cell_radii[group.interval]
+        cell_radius = hits.from_eye[2][group.interval] * cell_angle
         cosine = group.expand_to_hits(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            radius[group.interval] = _compute_face_footprint(cell_radius, cosine, cell_angle)
+            footprint[group.interval] = _compute_face_footprint(cell_radius, cosine, cell_angle)
             continue
         # A strip of width r along the silhouette of a sphere of radius R shows a part of the sphere
         # that is at most sqrt(2 r R) wide.
         curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
-        max_radius = np.sqrt(2 * cell_radius / curvature)
-        radius[group.interval] = np.fmin(cell_radius / cosine, max_radius)
-    return radius
+        max_footprint = np.sqrt(2 * cell_radius / curvature)
+        footprint[group.interval] = np.fmin(cell_radius / cosine, max_footprint)
+    return footprint
 
 
 def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
@@ -100,10 +99,10 @@ def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
 
 
 def _compute_face_footprint(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
-    """Compute the radius of the footprint of each of n hits on planar faces.
+    """Compute the footprint of each of n hits: the radius of the area that is visible in a cell.
 
-    The footprint is the part of the face that is visible in a cell (a pixel, or a square part of a
-    pixel).  The hit is where the ray through the centre of the cell meets the face.
+    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
+    the cell meets a planar face.
 
     Parameters
     ----------
@@ -116,8 +115,8 @@ def _compute_face_footprint(cell_radius: Floats, cosine: Floats, cell_angle: flo
 
     Returns
     -------
-    radius : (n,) float array
-        Radius of each footprint, in the scene's unit of length.
+    footprint : (n,) float array
+        Radius around each hit, in the scene's unit of length.
     """
     # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))
@@ -162,7 +161,7 @@ def find_silhouette_pixels(
         covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])
         covers_row &= covered_start < covered_stop
         start, stop = np.floor(left), np.floor(right) + 1
-        # Exclude pixels that are covered in part.  Empty intervals lie at the end.
+        # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
         covered_start, covered_stop = np.ceil(covered_start), np.floor(covered_stop)
         covered_start = np.where(covers_row, covered_start, stop).clip(start, stop)
         covered_stop = np.where(covers_row, covered_stop, stop).clip(covered_start, stop)
@@ -175,9 +174,9 @@ def find_silhouette_pixels(
 
 
 def evaluate_silhouettes(
-    scene: PreparedScene, apex_position: Floats, triples: Ints, ray: Triple
+    scene: PreparedScene, apex_position: Floats, candidates: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Yield the silhouettes that may cross cells, seen from the eye or from lights.
+    """Evaluate the silhouettes that may cross cells, seen from the eye or from lights.
 
     A cell is a pixel, or a square part of a pixel.  The eye or the light is called the apex.  Each
     silhouette is given by its edge function, a smooth function that is zero at the silhouette.
@@ -188,11 +187,11 @@ def evaluate_silhouettes(
         The scene, prepared for the camera.
     apex_position : (m, 3) float array
         Positions of the apexes, in scene axes.
-    triples : (3, n) int array
-        Row 0 contains apex indices, row 1 cell indices, and row 2 object indices.
+    candidates : (3, n) int array
+        The silhouettes: row 0 contains apex indices, row 1 cell indices, and row 2 object indices.
     ray : tuple of three (6, n) float arrays
-        Directions from the apex to the visible surface at six points of each cell, in camera axes.
-        An array with a single row applies to all six points.
+        Directions from the apex to the visible surface at six points of each cell, in camera axes
+        (see `compute_rays`).  An array with a single row applies to all six points.
 
     Yields
     ------
@@ -203,7 +202,7 @@ def evaluate_silhouettes(
         Values of the edge function at the six points of the cell.
     """
     frame, spheres, boxes = scene.frame, scene.spheres, scene.boxes
-    apex_index, cell_index, object_index = triples
+    apex_index, cell_index, object_index = candidates
     sphere_columns = find(spheres.objects.contains(object_index))
     if sphere_columns.size:
         sphere_index = spheres.objects.to_local(object_index[sphere_columns])
@@ -228,7 +227,7 @@ def evaluate_silhouettes(
         variation, center_value = bound_variation(values), values[0]
         # An edge of the outline ends where the value for a neighbouring edge becomes negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
-        # Exclude planes of zeros, unless all six are zeros: then the outline may be anywhere.
+        # A normal of 0 stands for no edge.  But if all six are 0, the outline may be anywhere.
         may_cross &= (variation > 0) | ~(variation > 0).any(axis=0)
         yield cell_index[box_columns[may_cross.nonzero()[1]]], values[:, may_cross]
 
@@ -261,10 +260,10 @@ class CellSurfaces(NamedTuple):
     cell_width: float
 
     def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
-        """Compute rays through six points of each cell, and intersect them with its surface.
+        """Compute rays through six points of each cell, and intersect them with a surface.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Its surface is
-        the one on which this hit lies.  The points are those of `compute_rays`.
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  This hit lies on
+        the surface.  The points are those of `compute_rays`.
 
         Parameters
         ----------
@@ -314,9 +313,9 @@ class CellSurfaces(NamedTuple):
             ray, inverse_t = self.trace_rays(visible_index[hidden_index])
             hidden_inverse_t = hidden_surfaces.take(hidden_index).compute_inverse_t(ray)
             yield self.cell[visible_index[hidden_index]], inverse_t - hidden_inverse_t
-        yield from self._intersect_other_faces(hidden_hits, visible_index, is_close)
+        yield from self._intersect_box_faces(hidden_hits, visible_index, is_close)
 
-    def _intersect_other_faces(
+    def _intersect_box_faces(
         self, hidden_hits: Hits, visible_index: Ints, is_close: Bools
     ) -> Iterator[EdgeValues]:
         """Yield the edges where a visible surface may meet the faces of a box behind it.
@@ -332,7 +331,7 @@ class CellSurfaces(NamedTuple):
         visible_index : (n,) int array
             Index of the visible hit in front of each hidden hit, on the same ray.
         is_close : (n,) bool array
-            Whether to search around the hidden hit.  Boxes around the eye are always searched.
+            Whether the surfaces may meet near the hidden hit.  Boxes around the eye always count.
 
         Yields
         ------
@@ -388,10 +387,10 @@ class CellSurfaces(NamedTuple):
             hit_offset = frame.project_onto_axis(take(self.hits.from_eye, group.interval), axis)
             box_index = scene.boxes.objects.to_local(group.run_object)
             for face_position, normal_sign in zip(face_positions, (-1, 1), strict=True):
-                run_offset = face_position[axis, box_index] - frame.eye[axis]
-                is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * run_offset < 0)
+                face_offset = face_position[axis, box_index] - frame.eye[axis]
+                is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * face_offset < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
-                plane_offset = group.repeat_runs(run_offset)
+                plane_offset = group.repeat_runs(face_offset)
                 may_meet = np.abs(hit_offset - plane_offset) < self.footprint[group.interval]
                 may_meet &= is_visible
                 yield from self._intersect_planes(axis, hit_index, plane_offset, may_meet)
@@ -430,7 +429,7 @@ class CellSurfaces(NamedTuple):
     def evaluate_shadow_edges(
         self, light_position: Floats, shadow_edges: Ints
     ) -> Iterator[EdgeValues]:
-        """Yield the edges of shadows that may cross cells.
+        """Evaluate the edges of shadows that may cross cells.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The edge of a
         shadow is the silhouette of an occluder, seen from a light.
@@ -457,8 +456,8 @@ class CellSurfaces(NamedTuple):
             # The vector from the light to the surface is t * ray - light.  Divide it by t.
             scaled_light = scale(take(light_from_eye, light_index), inverse_t)
             light_ray = map_xyz(np.subtract, ray, scaled_light)
-            triples = np.array([light_index, self.cell[hit_index], occluder_index])
-            yield from evaluate_silhouettes(scene, light_position, triples, light_ray)
+            candidates = np.array([light_index, self.cell[hit_index], occluder_index])
+            yield from evaluate_silhouettes(scene, light_position, candidates, light_ray)
 
     def find_terminators(
         self, light_position: Floats, n_dot_l: Floats, distance2: Floats
@@ -496,7 +495,7 @@ class CellSurfaces(NamedTuple):
             sphere_index = spheres.objects.to_local(hit_object[hit_index])
             center = take(spheres.from_eye, sphere_index)
             normal = map_xyz(np.subtract, ray, scale(center, inverse_t))
-            light = scale(take(light_from_eye, light_index), inverse_t)
-            to_light = map_xyz(np.subtract, light, ray)
+            scaled_light = scale(take(light_from_eye, light_index), inverse_t)
+            to_light = map_xyz(np.subtract, scaled_light, ray)
             length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
             yield self.cell[hit_index], dot(normal, to_light) / length_product

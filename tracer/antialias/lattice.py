@@ -59,14 +59,14 @@ class Lattice(NamedTuple):
     rows: int
 
     @classmethod
-    def choose(cls, grid_side: int, ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Choose the smallest rotated lattice to sample a pixel instead of an upright grid.
+    def choose(cls, grid_side: int, min_ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
+        """Choose the smallest rotated lattice that can replace an upright grid of samples.
 
         Parameters
         ----------
         grid_side : int
             Number of points along each side of the grid; at least 1.
-        ratio : float
+        min_ratio : float
             Minimum ratio of lattice points to grid points; at most 5.  With the default, the
             lattice is usually more accurate than the grid.
 
@@ -76,9 +76,9 @@ class Lattice(NamedTuple):
             A rank-1 lattice of 13, 25 or 65 points, or copies of a rank-1 lattice of 5 points.
         """
         repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
-        candidates = *(cls(1, count) for count in (13, 25, 65)), *repeated_lattices
-        large_enough = (lattice for lattice in candidates if lattice.size >= ratio * grid_side**2)
-        return min(large_enough, key=lambda lattice: lattice.size)
+        candidates = [*(cls(1, count) for count in (13, 25, 65)), *repeated_lattices]
+        candidates.sort(key=lambda lattice: lattice.size)
+        return next(lattice for lattice in candidates if lattice.size >= min_ratio * grid_side**2)
 
     @property
     def size(self) -> int:
@@ -160,7 +160,7 @@ class Lattice(NamedTuple):
         point_count = self.rows // self.columns
         middle = point_count // 2
         column = (_COLUMN_STEPS.get(point_count, 0) * (sample_row - middle) + middle) % point_count
-        # If all pixels had the same lattice, an edge could be parallel to its lines in all of them.
+        # If all lattices were the same, an edge could be parallel to lattice lines in every pixel.
         is_mirrored = sample_row // self.rows % 2
         return np.where(is_mirrored, middle - column, column - middle) / point_count
 

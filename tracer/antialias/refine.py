@@ -84,19 +84,19 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
     Returns
     -------
     is_cheaper : bool
-        Whether the number of pairs of silhouettes that cross the same pixel is large for this
-        number of samples.
+        Whether uniform samples are cheaper.  The cost of the search grows with the number of pairs
+        of silhouettes that cross the same pixel.
     """
     pairs_per_pixel = scene.bounds.estimate_silhouette_pairs(scene.frame)
     return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
 
 
 def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:
-    """Choose how to refine cells that edges cross: by lattices of samples, or by division.
+    """Choose how to refine cells that edges cross.
 
-    A cell is a pixel, or a square part of a pixel.  In a first step, it is sampled on a lattice.
-    If the samples reveal an edge that was missed, the cell is sampled on another lattice, or
-    divided into quarters, in a second step.
+    A cell is a pixel, or a square part of a pixel.  First, cells are sampled on a lattice.  If the
+    samples reveal an edge that was missed, a second step follows: the cell is sampled on another
+    lattice, or divided into quarters.
 
     Parameters
     ----------
@@ -110,13 +110,13 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     includes_unresolved : bool
         Whether the first step includes cells that may contain something other than straight edges.
     second_lattice : Lattice or None
-        Sample points of the second step; None if the cells are divided into quarters instead.
+        Sample points of the second step; None if it divides cells into quarters instead.
     """
     # Tuned on the project's scenes.
     if cells.samples_per_side > 2 * _MAX_SAMPLED_SIDE:
         return None, False, None
     if cells.samples_per_side > _MAX_SAMPLED_SIDE:
-        return Lattice(1, 25), False, None  # Without the first step, times are 1.1 times as long.
+        return Lattice(1, 25), False, None  # Without the first step, the time is 1.1 times as long.
     if cells.width == 1:  # Without the first step, errors are up to 1.7 times as large.
         return Lattice(1, 5), False, Lattice.choose(cells.samples_per_side)
     # Without the first step, such cells take 1.6 to 2.2 times as long.  Without the second step,
@@ -124,7 +124,7 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
     return Lattice(1, 13), True, Lattice.choose(5)
 
 
-def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
+def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
     The root-mean-square error should not exceed that of a uniform grid of samples in each pixel.
@@ -161,7 +161,7 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
     is_refinable = is_inner & ~classification.is_crowded
     pixel_mean = _compute_cell_means(scene, classification, estimate, is_refinable)
     crowded_index = find(is_inner & classification.is_crowded)
-    lattice = Lattice.choose(grid_side, ratio=1)
+    lattice = Lattice.choose(grid_side, min_ratio=1)
     pixel_mean[:, crowded_index], _ = _sample_cells(scene, classification, crowded_index, lattice)
     # Some samples have negative weights, so the mean of a pixel may be less than 0.
     return np.stack([*pixel_mean.reshape(3, height, width)[:, 1:-1, 1:-1].clip(0)], axis=2)
@@ -170,10 +170,10 @@ def refine_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: 
 def _compute_cell_means(
     scene: PreparedScene, classification: Classification, estimate: SmoothMeans, is_refinable: Bools
 ) -> Floats:
-    """Compute the mean radiance of cells, and refine the cells that edges may cross.
+    """Compute the mean radiance of cells, refining the cells that edges may cross.
 
-    A cell is a pixel, or a square part of a pixel.  A cell without edges has its estimated mean, if
-    the estimated error is within the tolerance.  All other cells are sampled on a lattice or
+    A cell is a pixel, or a square part of a pixel.  A cell without edges keeps its estimated mean
+    if the estimated error is within the tolerance.  All other cells are sampled on a lattice or
     divided into quarters.
 
     Parameters
@@ -185,7 +185,7 @@ def _compute_cell_means(
     estimate : SmoothMeans
         Estimated mean radiance of each cell, valid if no edge crosses the cell.
     is_refinable : (n,) bool array
-        Whether the cell may be refined.  All other cells have their estimated mean.
+        Whether the cell may be refined.  All other cells keep their estimated mean.
 
     Returns
     -------
@@ -213,7 +213,7 @@ def _compute_cell_means(
         )
         return cell_mean
     for batch in split_indices(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
-        cell_mean[:, batch] = _refine_quarters(scene, classification, estimate.error, batch)
+        cell_mean[:, batch] = _divide_and_average(scene, classification, estimate.error, batch)
     return cell_mean
 
 
@@ -280,15 +280,15 @@ def _sample_cells(
     return cell_mean, misses_edge
 
 
-def _refine_quarters(
+def _divide_and_average(
     scene: PreparedScene, classification: Classification, error: Floats, cell_index: Ints
 ) -> Floats:
-    """Divide cells into quarters, and compute the mean radiance of each cell.
+    """Divide cells into quarters, and average the mean radiance of the quarters of each cell.
 
-    A cell is a pixel, or a square part of a pixel.  A cell may be smooth if all its quarters are
-    unresolved (they may contain something other than straight edges) but have no straight edges.
-    Such a cell is sampled on a lattice.  If the samples confirm that it is smooth, their mean is
-    used, and the quarters are not refined.
+    A cell is a pixel, or a square part of a pixel.  A quarter is unresolved if it may contain
+    something other than straight edges.  If all quarters of a cell are unresolved and none has a
+    straight edge, the cell is also sampled on a lattice.  If these samples show that the cell is
+    smooth, their mean is used, and the quarters are not refined.
 
     Parameters
     ----------
@@ -313,11 +313,11 @@ def _refine_quarters(
     parent_samples = classification.center_samples.take(cell_index)
     quarter_samples = classified_quarters.center_samples
     estimate = estimate_quarter_means(parent_samples, error[cell_index], quarter_samples, tolerance)
-    is_unresolved = classified_quarters.is_unresolved.reshape(cell_count, 4).all(axis=1)
+    is_all_unresolved = classified_quarters.is_unresolved.reshape(cell_count, 4).all(axis=1)
     line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=cell_count)
-    tested_index = find(is_unresolved & (line_count == 0))
+    tested_index = find(is_all_unresolved & (line_count == 0))
     tested_cell = cell_index[tested_index]
-    lattice = Lattice.choose(classification.cells.samples_per_side, ratio=1)
+    lattice = Lattice.choose(classification.cells.samples_per_side, min_ratio=1)
     sampled_mean, misses_edge = _sample_cells(scene, classification, tested_cell, lattice)
     expected_mean = estimate.radiance.reshape(3, -1, 4).take(tested_index, axis=1).mean(axis=2)
     is_confirmed = ~misses_edge & (np.abs(sampled_mean - expected_mean).max(axis=0) <= tolerance)

@@ -77,21 +77,21 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
         The m points of the first cell, then those of the second cell, and so on.  For regions with
         too few points, the centroids of triangles that cover these regions are added at the end.
     """
-    cells, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
+    cell, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
     max_lines = int(np.diff(line_start).max(initial=0))
     # The number of a region has one bit for each line of its cell: 1 on the line's positive side.
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
-    region = np.repeat(cells[None] << max_lines, points.size, axis=0)
+    region = np.repeat(cell[None] << max_lines, points.size, axis=0)
     for line_number in range(max_lines):
-        crossed_cell, values = _evaluate_lines(lines, line_start, line_number, cells, position)
+        crossed_cell, values = _evaluate_lines(lines, line_start, line_number, cell, position)
         region[:, crossed_cell] |= (values > 0) << line_number
     position, region = position.T.ravel(), region.T.ravel()
     triangles = _divide_into_triangles(lines, line_start, max_lines)
     weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
     added_index = find(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
-    placed_points = WeightedPoints(cells.repeat(points.size), position, weight, region)
-    pairs = zip(placed_points, triangles, strict=True)
-    return WeightedPoints(*(np.append(field, added[added_index]) for field, added in pairs))
+    placed_points = WeightedPoints(cell.repeat(points.size), position, weight, region)
+    added_points = (field[added_index] for field in triangles)
+    return WeightedPoints._make(map(np.append, placed_points, added_points))
 
 
 def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
@@ -111,7 +111,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     Returns
     -------
     mixed_index : (k,) int array
-        Indices of the samples, at least one in each region with different ids.
+        Indices of samples: at least one in each region where ids differ.
     """
     reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region] = sample_id  # the id of an arbitrary sample in the region
@@ -121,7 +121,7 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 def _evaluate_lines(
     lines: Lines, line_start: Ints, line_number: int, cell_index: Ints, position: Points2D
 ) -> tuple[Ints, Floats]:
-    """Evaluate one line of each cell at points in the cell (a pixel or a square part of a pixel).
+    """Evaluate one line of each cell at points in the cell.
 
     Parameters
     ----------
@@ -130,16 +130,16 @@ def _evaluate_lines(
     line_start : (cells + 1,) int array
         The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     line_number : int
-        Which line of each cell to evaluate, numbered from 0.
+        Number of the line to evaluate in each cell, from 0.
     cell_index : (n,) int array
-        Index of the cell of each column of `position`.
+        Index of the cell (a pixel or a square part of a pixel) of each column of `position`.
     position : (m, n) complex array
         Points x + iy, with m points in each column.
 
     Returns
     -------
     column_index : (k,) int array
-        Indices of the columns whose cell has a line of this number.
+        Indices of the columns whose cell has a line with this number.
     values : (m, k) float array
         Value c + a x + b y of the line at each point in these columns.
     """
@@ -176,13 +176,13 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
     square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corners: Points2D = np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
-        tested_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
+        triangle, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
-        region[tested_index[positive_count == 3]] |= 1 << line_number
+        region[triangle[positive_count == 3]] |= 1 << line_number
         split_index = find((positive_count == 1) | (positive_count == 2))
         # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
-        is_a_positive, parent = positive_count[split_index] == 1, tested_index[split_index]
+        is_a_positive, parent = positive_count[split_index] == 1, triangle[split_index]
         lone_corner = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
         order = (lone_corner + np.arange(3)[:, None]) % 3
         (a, b, c), (a_value, b_value, c_value) = corners[order, parent], values[order, split_index]
@@ -205,7 +205,7 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
 def _compute_weights(
     position: Points2D, region: Ints, triangles: WeightedPoints, region_count: int
 ) -> tuple[Floats, Bools]:
-    """Compute weights for points so that they represent the regions of a cell.
+    """Compute weights that make the points in each region represent the region.
 
     In each region, the weights add up to the area, and the weighted mean of the points is the
     centroid.
@@ -214,7 +214,7 @@ def _compute_weights(
     ----------
     position : (n,) complex array
         Points x + iy relative to the centre of a cell (a pixel or a square part of a pixel), with
-        x and y between -1/2 and 1/2 of its width.
+        x and y between -1/2 and 1/2 of the cell's width.
     region : (n,) int array
         Number of the region that contains each point.
     triangles : WeightedPoints
@@ -249,12 +249,12 @@ def _compute_weights(
     determinant = cov_xx * cov_yy - cov_xy * cov_xy
     is_represented: Bools = determinant > _MIN_DETERMINANT
     moment = triangles.weight * triangles.position.real, triangles.weight * triangles.position.imag
-    # The vector from the mean to the centroid, times the area.
-    offset_x = sum_by_region(triangles.region, moment[0]) - area * mean_x
-    offset_y = sum_by_region(triangles.region, moment[1]) - area * mean_y
+    # The vector from the mean to the centroid, scaled by the area.
+    scaled_offset_x = sum_by_region(triangles.region, moment[0]) - area * mean_x
+    scaled_offset_y = sum_by_region(triangles.region, moment[1]) - area * mean_y
     divisor = np.where(is_represented, point_count * determinant, np.inf)
     # The vector w t.
-    slope_x = (cov_yy * offset_x - cov_xy * offset_y) / divisor
-    slope_y = (cov_xx * offset_y - cov_xy * offset_x) / divisor
+    slope_x = (cov_yy * scaled_offset_x - cov_xy * scaled_offset_y) / divisor
+    slope_y = (cov_xx * scaled_offset_y - cov_xy * scaled_offset_x) / divisor
     weight = np.where(is_represented, area / point_count, 0)[region]
     return weight + slope_x[region] * x + slope_y[region] * y, is_represented

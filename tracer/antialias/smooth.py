@@ -40,7 +40,7 @@ class CenterSamples(NamedTuple):
 
         Returns
         -------
-        selected : CenterSamples
+        selected_samples : CenterSamples
             The k selected samples, in the order of `sample_index`.
         """
         return CenterSamples(self.radiance[:, sample_index], self.id[sample_index])
@@ -65,10 +65,10 @@ class SmoothMeans(NamedTuple):
 def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
     """Estimate the mean radiance of pixels without edges from samples at their centres.
 
-    The mean of a smooth function over a pixel is about its value at the centre, plus 1/24 of the
-    sum of its two second derivatives.  These are approximated by differences between neighbouring
-    pixels with the same id.  Samples with the same id hit the same face of the same object, under
-    the same lights.
+    Over a pixel, the mean of a smooth function is about the value at the centre plus 1/24 of the
+    sum of the second derivatives along x and y.  They are approximated by differences between
+    neighbouring pixels with the same id.  Samples with the same id hit the same face of the same
+    object, under the same lights.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
     -------
     means : SmoothMeans
         Estimated mean radiance of each pixel (`radiance`), and its estimated error (`error`).  The
-        error is NaN if no neighbour along the row, or along the column, has the same id.  The
-        results at the border of the rectangle are meaningless.
+        error is NaN if neither neighbour in the row, or neither neighbour in the column, has the
+        same id.  The results at the border of the rectangle are meaningless.
     """
     radiance, pixel_id = pixel_samples
     correction, error = np.zeros(radiance.shape), np.zeros(pixel_id.size)
@@ -91,19 +91,19 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
         has_same_id = pixel_id[neighbor_step:] == pixel_id[:-neighbor_step]
         difference = (radiance[:, neighbor_step:] - radiance[:, :-neighbor_step]) * has_same_id
         axis_correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
-        is_same_before, is_same_after = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
+        has_id_before, has_id_after = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
         # If only one neighbour has the id, its difference from the pixel estimates the error.
         max_correction = np.abs(axis_correction).max(axis=0)
-        axis_error = np.where(is_same_before | is_same_after, max_correction, np.nan)
+        axis_error = np.where(has_id_before | has_id_after, max_correction, np.nan)
         error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
-        correction[:, inner_pixels] += axis_correction * (is_same_before & is_same_after)
+        correction[:, inner_pixels] += axis_correction * (has_id_before & has_id_after)
     return SmoothMeans(radiance + correction, error)
 
 
 def estimate_quarter_means(
     cell_samples: CenterSamples, error: Floats, quarter_samples: CenterSamples, tolerance: float
 ) -> SmoothMeans:
-    """Estimate the mean radiance of quarters of cells from samples at their centres.
+    """Estimate the mean radiance of the quarters of m cells.
 
     A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: subtract
     the sample of the cell from the mean of the four quarter samples, and add a third of the
@@ -134,8 +134,8 @@ def estimate_quarter_means(
     correction = np.where(has_same_id, (mean_of_quarters - cell_samples.radiance) / 3, 0)
     # The remaining error is of higher order in the width of the cell than the correction.
     quarter_error = np.where(has_same_id, np.abs(correction).max(axis=0) / 2, np.nan).repeat(4)
-    # Errors decrease with the square of the width.  But if ids differ, an edge may be near, where
-    # light may decrease like a square root.
+    # Halving the width of a cell divides its error by 4.  But near an edge, which different ids
+    # suggest, the error may decrease more slowly.
     inherited_error = error.repeat(4) / np.where(np.isnan(quarter_error), 2, 4)
     # Ignore a small error of the cell if the quarter shows a different surface.
     hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)

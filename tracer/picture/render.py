@@ -30,7 +30,7 @@ from typing import Any, SupportsFloat, SupportsIndex, TypeAlias
 import numpy as np
 
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
-from tracer.antialias.refine import is_supersampling_cheaper, refine_pixels
+from tracer.antialias.refine import average_pixels, is_supersampling_cheaper
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, lint_scene
 from tracer.picture.memory import keep_freed_memory
@@ -411,7 +411,7 @@ class RenderJob:
             return radiance
         visible_radiance = radiance[_to_tile_range(visible_rows, rows)]
         if self._is_adaptive:
-            visible_radiance[:, _to_tile_range(visible_columns, columns)] = refine_pixels(
+            visible_radiance[:, _to_tile_range(visible_columns, columns)] = average_pixels(
                 scene, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance

@@ -37,7 +37,7 @@ def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None 
 
 
 def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance at each sample, and an id of what is visible there.
+    """Compute the radiance at each sample, and an id of the surface and lights visible there.
 
     Parameters
     ----------

@@ -18,9 +18,9 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Spans are widened by this many pixels on both sides: far more than their rounding errors.
 _SPAN_PADDING = 0.5
 
-# Maximum magnitude of the numbers by which scattered samples are sorted.  At this magnitude, the
-# rounding errors are less than 1e-4 pixels.
-_MAX_ROUGH_KEY = 2.0**39
+# Maximum magnitude of the numbers that combine the row and x of a scattered sample.  At this
+# magnitude, the rounding errors are less than 1e-4 pixels.
+_MAX_COMBINED_KEY = 2.0**39
 
 # Scattered samples are sorted along a row if they are at most this many pixels from the left edge
 # of the picture.  Samples farther away are treated as equally far, so they are tested with more
@@ -108,7 +108,7 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Typical number of samples across a pixel, from which the size of packets is derived.
+        """Typical number of samples across a pixel, used to choose the size of packets.
 
         A packet is a group of neighbouring hits.  Samples along x count more than samples along y,
         because most packets lie along a row.
@@ -149,7 +149,7 @@ class Rows(NamedTuple):
         return self.x[column] + self.shift[row], self.y[row]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, Ints]:
-        """Find the samples at which the objects of one shape may be visible, as spans.
+        """Find spans of samples at which the objects of one shape may be visible.
 
         A span consists of consecutive samples in one row, and belongs to one object.
 
@@ -220,9 +220,9 @@ class Scattered(NamedTuple):
         """
         row = np.floor(y)
         # Sorting by one number is faster than by two, but large numbers have large rounding errors.
-        row_and_x = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
-        if np.abs(row_and_x).max(initial=0) < _MAX_ROUGH_KEY:
-            order = row_and_x.argsort(kind="stable")
+        combined_key = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
+        if np.abs(combined_key).max(initial=0) < _MAX_COMBINED_KEY:
+            order = combined_key.argsort(kind="stable")
         else:
             order = np.lexsort((x, row))
         y, x = y[order], x[order]
@@ -271,9 +271,9 @@ class Scattered(NamedTuple):
         return self.x[sample_index], self.y[sample_index]
 
     def find_spans(self, shape: Shape, scene: PreparedScene) -> tuple[Ints, Ints, Ints, None]:
-        """Find the samples at which the objects of one shape may be visible, as spans.
+        """Find spans of samples at which the objects of one shape may be visible.
 
-        A span belongs to one object.  It has only one sample, unlike those of `Rows.find_spans`.
+        A span belongs to one object, and has only one sample.
 
         Parameters
         ----------
@@ -287,7 +287,7 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's sample.  Both arrays are the same: each sample is a row of its own.
+            Index of each span's sample.  Both arrays are the same: each sample has its own row.
         sample_count : None
             None, because each span has one sample.
         """
