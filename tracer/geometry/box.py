@@ -68,7 +68,7 @@ class Boxes:
         Returns
         -------
         boxes : Boxes
-            All n boxes, with their corners, silhouette planes and bounding rectangles.
+            All n boxes, with the planes through their silhouette edges, and bounding rectangles.
         """
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
@@ -97,7 +97,7 @@ class Boxes:
     # Intersections with rays from the eye.
 
     def find_columns(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute which columns each of n boxes covers in a row of the picture.
+        """Compute the range of columns that each of n boxes covers in a row of the picture.
 
         Parameters
         ----------
@@ -111,8 +111,8 @@ class Boxes:
         Returns
         -------
         left, right : (n,) float arrays
-            Range of columns, in pixels from the left edge of the picture.  It contains all rays of
-            the row that meet the box.  If no ray meets the box, left > right.
+            Ends of the range, in pixels from the left edge of the picture.  All rays of the row
+            that meet the box lie in it.  If there are none, left > right.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_down = frame.to_ray_down(top + height / 2)
@@ -156,8 +156,8 @@ class Boxes:
         Returns
         -------
         t : (n,) float array
-            Each ray enters the box at t times its direction; infinity if the ray misses.  If the
-            eye is inside the box or on its surface, t is where the ray leaves the box.
+            Each ray hits the box at t times its direction; t is infinity if the ray misses.  If the
+            eye is inside the box or on its surface, the hit is where the ray leaves the box.
         face_code : (n,) int8 array
             Code of the face that is hit: twice the axis (0, 1 or 2) of its normal, plus 1 if the
             normal towards the eye points in the positive direction of the axis.
@@ -200,7 +200,7 @@ class Boxes:
         return np.where(is_hit & (t > 0), t, np.inf), face_code
 
     def compute_tangent_planes(
-        self, object_index: Ints, run_length: Ints, hit: Floats, t: Floats, face_code: Sides
+        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the plane of the face on which each run of hits lies.
 
@@ -212,11 +212,11 @@ class Boxes:
             Index of each run's box among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        hit, t : (3, n) and (n,) float arrays
+        to_hit, t : (3, n) and (n,) float arrays
             Ignored: only `Spheres.compute_tangent_planes` uses them.
         face_code : (n,) int8 array
-            Code of the face of each hit: twice the axis of its normal, plus 1 if the normal points
-            in the positive direction of the axis.
+            Code of the face that is hit: twice the axis of its normal, plus 1 if the normal towards
+            the eye points in the positive direction of the axis.
 
         Returns
         -------
@@ -260,14 +260,14 @@ class Boxes:
         return take(self.min_pt, box_index), take(self.max_pt, box_index)
 
     def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Determine on which side of each of n boxes a light lies.
+        """Determine whether lights are outside or inside n boxes.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each box among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of lights, in scene axes, broadcastable with (n,).
+            Coordinates x, y and z of the lights, in scene axes, broadcastable with (n,).
 
         Returns
         -------
@@ -279,19 +279,19 @@ class Boxes:
         return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
 
     def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distance of a point from each of n boxes.
+        """Compute the signed distances of points from n boxes.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each box among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of points, in scene axes, broadcastable with (n,).
+            Coordinates x, y and z of the points, in scene axes, broadcastable with (n,).
 
         Returns
         -------
         distance : float array
-            Largest signed distance from the planes of the six faces: negative inside the box.  The
+            Largest signed distance from the planes of the six faces; negative inside the box.  The
             shape is that of `object_index` and the points, broadcast together.
         """
         low, high = self.get_corners(object_index)
@@ -308,9 +308,9 @@ class Boxes:
     ) -> Bools:
         """Test whether each of n boxes blocks the segment from a hit to a light.
 
-        A segment is blocked if it crosses the surface of the box strictly between its ends, but not
-        if it lies in the plane of a face.  Ends within rounding error of such a plane are moved
-        onto the plane before the test.
+        A segment is blocked if it crosses the surface of the box strictly between its ends.  A
+        segment in the plane of a face is not blocked.  Before the test, ends within rounding error
+        of such a plane are moved onto the plane.
 
         Parameters
         ----------
@@ -326,7 +326,7 @@ class Boxes:
 
         Returns
         -------
-        blocked : (n,) bool array
+        occludes : (n,) bool array
             Whether the box blocks the segment.
         """
         low, high = self.get_corners(object_index)
@@ -336,25 +336,25 @@ class Boxes:
         tolerance = compute_hit_tolerance(coordinate_bound, hit, self.frame.eye)
         snapped_hit = _snap_to_faces(hit, low, high, tolerance)
         snapped_light = _snap_to_faces(light, low, high, LIGHT_TOLERANCE * coordinate_bound)
-        blocked = _crosses_surface(snapped_hit, snapped_light, low, high)
+        occludes = _crosses_surface(snapped_hit, snapped_light, low, high)
         if growth is not None:
-            blocked &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
-        return blocked
+            occludes &= (low[0] <= high[0]) & (low[1] <= high[1]) & (low[2] <= high[2])
+        return occludes
 
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
         """Test whether each of n boxes blocks some or all of the segments in a capsule.
 
-        The segments start within a distance `capsule_radius` of `start`, and all lead to `end`
-        (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
+        The segments start at most `capsule_radius` away from the point `start`, and all lead to the
+        point `end` (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index, among all objects of the scene, of the box to test with each capsule.
         start, end : tuples of three (n,) float arrays
-            Coordinates x, y and z of the ends of each capsule's axis, in scene axes.
+            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
             Radius of each capsule.
 
@@ -368,8 +368,8 @@ class Boxes:
         # Allow for the distance by which `occludes` moves the ends of a segment.
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
         capsule_radius = capsule_radius + 2 * SURFACE_TOLERANCE * coordinate_bound
-        # Fractions of the axis at which it enters and leaves the box, grown or shrunk by the radius
-        # of the capsule.
+        # Positions on the axis, from 0 to 1, at which it enters and leaves the box after the box is
+        # grown or shrunk by the radius of the capsule.
         enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
         low, high = self.get_corners(object_index)
         # Coordinate i is x in the first pass, then y, then z.
@@ -447,7 +447,7 @@ def _crosses_surface(start: Triple, end: Triple, low: Triple, high: Triple) -> B
 
 
 def _snap_to_faces(point: Triple, low: Triple, high: Triple, tolerance: Floats) -> Triple:
-    """Move points onto the planes of box faces if they are close to these planes.
+    """Move points that are close to the plane of a box face onto this plane.
 
     Parameters
     ----------
@@ -488,7 +488,7 @@ def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> Screen
         The rectangle of each box: infinite if the box is partly behind the eye, and empty if it is
         entirely behind the eye.
     """
-    # Bit `axis` of i decides whether corner i has the coordinate `high` or `low` along that axis.
+    # Bit `axis` of i is 1 if corner i has the coordinate `high` along this axis, and 0 for `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
     right, down, ahead = frame.vector_to_camera((x, y, z))
     has_corner_behind, has_corner_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0

@@ -82,7 +82,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         rotated_vector : tuple of three float arrays
-            Rightward, downward and forward components, in arrays of that shape.
+            Rightward, downward and forward components, in arrays of the same shape.
         """
         right, down, ahead = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
         return right, down, ahead
@@ -98,7 +98,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         rotated_vector : tuple of three float arrays
-            Components x, y and z, in arrays of that shape.
+            Components x, y and z, in arrays of the same shape.
         """
         x, y, z = (self.project_onto_axis(vector, axis) for axis in range(3))
         return x, y, z
@@ -133,7 +133,7 @@ class CameraFrame(NamedTuple):
         Returns
         -------
         component : float array
-            Component of each vector along this axis, in an array of that shape.
+            Component of each vector along this axis, in an array of the same shape.
         """
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))
@@ -228,8 +228,8 @@ class CameraFrame(NamedTuple):
             Layer number of each point; larger for layers farther from the eye.
         """
         relative_thickness = min(_LAYER_ASPECT * packet_width * self.pixel_width / self.depth, 1.0)
-        # Read as an integer, the bits of a float grow almost linearly with its logarithm: they
-        # increase by 2^52 when the float doubles.
+        # The bits of a positive float, read as an integer, grow almost linearly with its logarithm:
+        # by 2^52 when the float doubles.
         return depth.view(np.int64) // max(1, int(2**52 * relative_thickness))
 
     @property
@@ -304,8 +304,8 @@ class ScreenBounds(NamedTuple):
     ) -> ScreenBounds:
         """Compute the bounding rectangles of n objects from the slopes of the rays that meet them.
 
-        The y slope of a ray is its downward component divided by its forward component, the x slope
-        its rightward component divided by its forward component.
+        The slope of a ray is its downward component (y slope) or its rightward component (x slope),
+        divided by its forward component.
 
         Parameters
         ----------
@@ -374,10 +374,10 @@ class ScreenBounds(NamedTuple):
         visible_bounds = self.select(self.in_picture(frame))
 
         def find_covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
-            """Return a slice of pixels, numbered from 0, that covers all intervals.
+            """Return a slice of the pixel indices that covers all intervals [starts[i], stops[i]].
 
-            Interval i leads from starts[i] to stops[i], in pixels.  A margin of one pixel at each
-            end allows for rounding errors.  There are `pixel_count` pixels.
+            A margin of one pixel at each end allows for rounding errors.  The pixels have the
+            indices 0 to pixel_count - 1.
             """
             start, stop = starts.min(initial=np.inf) - 1, stops.max(initial=-np.inf) + 1
             return slice(int(np.clip(start, 0, pixel_count)), ceil(np.clip(stop, 0, pixel_count)))
@@ -388,7 +388,7 @@ class ScreenBounds(NamedTuple):
         )
 
     def compute_depth_complexity(self, frame: CameraFrame) -> float:
-        """Compute an upper bound on the mean number of objects that a ray meets.
+        """Compute an upper bound on the mean number of objects per ray in any row of pixels.
 
         Parameters
         ----------
@@ -398,7 +398,7 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         depth_complexity : float
-            The bound on the mean over a row of pixels, for every row.  Hidden objects count, too.
+            The upper bound.  Objects behind other objects count, too.
         """
         bounds, width = self.select(self.in_picture(frame)), frame.width
         covered_width = np.clip(bounds.right + 1, 0, width) - np.clip(bounds.left - 1, 0, width)
@@ -408,9 +408,9 @@ class ScreenBounds(NamedTuple):
         return float(width_change.cumsum().max(initial=0) / width)
 
     def estimate_silhouette_pairs(self, frame: CameraFrame) -> float:
-        """Estimate how often the silhouettes of two objects cross the same pixel.
+        """Estimate how many pairs of silhouettes cross the same pixel, on average.
 
-        The estimate assumes that objects are as tall as they are wide, at random positions.
+        Objects are assumed to be as tall as they are wide, and to lie at random positions.
 
         Parameters
         ----------
@@ -420,8 +420,7 @@ class ScreenBounds(NamedTuple):
         Returns
         -------
         pair_count : float
-            Mean number of pairs of objects whose silhouettes cross the same pixel.  The pairs
-            (i, j) and (j, i) both count.
+            Mean number of pairs per pixel.  The pairs (i, j) and (j, i) both count.
         """
         top, bottom = (side.clip(0, frame.height) for side in (self.top, self.bottom))
         # A silhouette that is as tall as it is wide crosses about 4 * height pixels.

@@ -69,7 +69,7 @@ class ObjectRange(NamedTuple):
         Returns
         -------
         local_index : (n,) int array
-            Indices in arrays of this shape only.  The result may be `object_index` itself.
+            Indices among the objects of this shape.  The result may be `object_index` itself.
         """
         return object_index - self.start if self.start else object_index
 

@@ -102,7 +102,7 @@ def determine_side(distance: Floats, tolerance: Floats) -> NDArray[np.int8]:
 
 
 def compute_hit_tolerance(coordinate_bound: Floats, hit: Triple, eye: Floats) -> Floats:
-    """Compute the maximum distance at which each of n hits counts as on a surface.
+    """Compute how far each of n hits may be from a surface and still count as on it.
 
     A hit is the point where a ray from the eye meets a surface.  The rounding error of a hit grows
     with its distance from the eye and with the coordinates of the surface.

@@ -14,7 +14,7 @@ from tracer.arrays import Floats, Triple, cross, dot
 def find_edge_planes(low: Floats, high: Floats) -> Triple:
     """Compute the planes through an apex (the eye or a light) and the silhouette edges of boxes.
 
-    Up to two edges parallel to each axis belong to the silhouette of a box.
+    The silhouette of a box contains at most two edges parallel to each axis.
 
     Parameters
     ----------
@@ -33,16 +33,16 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
     x, y, z = normals = np.zeros((3, 6, low.shape[1]))
     for axis, is_mirrored in np.ndindex(3, 2):
         u, v = (axis + 1) % 3, (axis + 2) % 3
-        # Along the axis, the box looks like a rectangle, and two of its corners are silhouette
-        # edges: the last one in counterclockwise order, as seen from the apex, and the first one,
-        # which is the last one of the mirror image.
+        # Seen along the axis, the box is a rectangle.  Its first and last corners, in
+        # counterclockwise order around the apex, are silhouette edges.  The first corner is
+        # computed as the last corner of the mirror image.
         side_u, side_v = box_side[u], -box_side[v] if is_mirrored else box_side[v]
         corner_u = np.where((side_v < 0) | ((side_v == 0) & (side_u < 0)), high[u], low[u])
         is_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))
         corner_v = np.where(is_high_v ^ bool(is_mirrored), high[v], low[v])
         sign = np.where((side_u != 0) | (side_v != 0), 1 - 2 * is_mirrored, 0)
         plane = 2 * axis + is_mirrored
-        # Coordinates of corners have no cancellation errors.
+        # The normal is a cross product with the axis: no subtraction, so no cancellation.
         normals[u, plane], normals[v, plane] = sign * corner_v, -sign * corner_u
     return x, y, z
 
@@ -50,8 +50,8 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
 def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
     """Evaluate the edge functions of boxes for rays from an apex (the eye or a light).
 
-    Each function belongs to one edge of a box's silhouette.  Its sign changes where the ray crosses
-    the plane through the apex and this edge.
+    An edge function belongs to one edge of a box's silhouette.  Its sign changes where the ray
+    crosses the plane through the apex and this edge.
 
     Parameters
     ----------

@@ -108,12 +108,12 @@ class Spheres:
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
         (right, down, ahead), radius2 = from_eye, radius * radius
         slopes = (
-            _find_slope_range(across, ahead, radius2, across * across + ahead * ahead - radius2)
-            for across in (down, right)
+            _find_slope_range(offset, ahead, radius2, offset * offset + ahead * ahead - radius2)
+            for offset in (down, right)
         )
         objects, coordinate_bound = get_sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        seen_from_eye = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
-        return cls(frame, objects, center, radius, *seen_from_eye, 1 / radius, coordinate_bound)
+        camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
+        return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
 
     def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
         """Compute the axis-aligned bounding boxes of all n spheres, in scene axes.
@@ -128,7 +128,7 @@ class Spheres:
     # Intersections with rays from the eye.
 
     def find_columns(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute which columns each of n spheres covers in a row of the picture.
+        """Compute the range of columns that each of n spheres covers in a row of the picture.
 
         Parameters
         ----------
@@ -142,8 +142,8 @@ class Spheres:
         Returns
         -------
         left, right : (n,) float arrays
-            Range of columns, in pixels from the left edge of the picture.  It contains all rays of
-            the row that meet the sphere.  If no ray meets it, left > right or both are NaN.
+            Ends of the range, in pixels from the left edge of the picture.  All rays of the row
+            that meet the sphere lie in it.  If there are none, left > right or both are NaN.
         """
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.
@@ -161,11 +161,11 @@ class Spheres:
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Compute the discs in which n spheres intersect planes of rays.
+        """Compute the discs that planes of rays cut from n spheres.
 
         A ray has the direction (ray_right, ray_down, depth), in camera axes.  All rays with the
-        same `ray_down` lie in one plane through the eye.  In this plane, points have two
-        coordinates: to the right, along a row of the picture, and ahead.
+        same `ray_down` lie in one plane through the eye.  A point in this plane has a rightward
+        and a forward coordinate.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class Spheres:
         radius : (n,) float array
             Radius to use instead of the sphere's own radius.
         ray_down : (n,) float array
-            Downward component of the rays in the plane that intersects each sphere.
+            Downward component of the rays in the plane that cuts each sphere.
 
         Returns
         -------
@@ -214,8 +214,8 @@ class Spheres:
         Returns
         -------
         t : (n,) float array
-            Each ray enters the sphere at t times its direction; infinity if the ray misses.  If the
-            eye is inside the sphere or on its surface, t is where the ray leaves the sphere.
+            Each ray hits the sphere at t times its direction; t is infinity if the ray misses.  If
+            the eye is inside the sphere or on its surface, the hit is where the ray leaves it.
         radial_dot : (n,) float array
             Absolute dot product of the ray's direction and the vector from the sphere's centre to
             the hit.
@@ -245,7 +245,7 @@ class Spheres:
         return np.where(t > 0, t, np.inf), radial_dot
 
     def compute_tangent_planes(
-        self, object_index: Ints, run_length: Ints, hit: Floats, t: Floats, radial_dot: Floats
+        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, radial_dot: Floats
     ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
         """Compute the tangent plane of the sphere at each of n hits.
 
@@ -257,7 +257,7 @@ class Spheres:
             Index of each run's sphere among all objects of the scene.
         run_length : (runs,) int array
             Number of hits in each run.
-        hit : (3, n) float array
+        to_hit : (3, n) float array
             Vectors from the eye to the hits, in camera axes.
         t, radial_dot : (n,) float arrays
             The results of `intersect` for the rays through the hits.
@@ -267,18 +267,18 @@ class Spheres:
         face_axis : (runs,) int array
             `NO_FACE` for each run.
         normal_sign, face_position : 0-dimensional float arrays
-            Placeholders for results of `Boxes.compute_tangent_planes`: spheres have no faces.
+            Placeholders, because spheres have no faces.
         normal : tuple of three (n,) float arrays
             Unit normals that face the eye, in camera axes.
         eye_height : (n,) float array
-            Distance of the eye from the tangent plane.
+            Distance of the eye from each tangent plane.
         """
         sphere_index = self.objects.to_local(object_index)
         # If the eye is inside, the normal that faces it points to the centre.
         side_sign = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
         signed_curvature = repeat_runs(1 / (side_sign * self.radius[sphere_index]), run_length)
         centers = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
-        components = zip(hit, centers, strict=True)
+        components = zip(to_hit, centers, strict=True)
         right, down, ahead = ((point - center) * signed_curvature for point, center in components)
         face_axis = np.full(sphere_index.size, NO_FACE)
         eye_height = radial_dot * np.abs(signed_curvature) * t
@@ -287,14 +287,14 @@ class Spheres:
     # Tests of shadow segments: segments from hits to lights.
 
     def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Determine on which side of each of n spheres a light lies.
+        """Determine whether lights are outside, on or inside n spheres.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each sphere among all objects of the scene.
         light : tuple of three float arrays
-            Coordinates x, y and z of lights, in scene axes, broadcastable with (n,).
+            Coordinates x, y and z of the lights, in scene axes, broadcastable with (n,).
 
         Returns
         -------
@@ -306,19 +306,19 @@ class Spheres:
         return determine_side(self.measure_distance(object_index, light), tolerance)
 
     def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distance of a point from each of n spheres.
+        """Compute the signed distances of points from n spheres.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index of each sphere among all objects of the scene.
         point : tuple of three float arrays
-            Coordinates x, y and z of points, in scene axes, broadcastable with (n,).
+            Coordinates x, y and z of the points, in scene axes, broadcastable with (n,).
 
         Returns
         -------
         distance : float array
-            Distance from the surface, negative inside.  The shape is that of `object_index` and the
+            Distance from the surface; negative inside.  The shape is that of `object_index` and the
             points, broadcast together.
         """
         sphere_index = self.objects.to_local(object_index)
@@ -353,7 +353,7 @@ class Spheres:
 
         Returns
         -------
-        blocked : (n,) bool array
+        occludes : (n,) bool array
             Whether the sphere blocks the segment.
         """
         sphere_index = self.objects.to_local(object_index)
@@ -362,13 +362,13 @@ class Spheres:
         radius = self.radius[sphere_index]
         if growth is not None:
             radius = np.maximum(radius + growth, 0)
-        # If both ends are outside, the sphere blocks the segment if the line's closest point to the
-        # centre lies inside the sphere and between the ends.
+        # If both ends are outside, the segment is blocked if its line comes closest to the centre
+        # inside the sphere and between the ends.
         projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
         closest_t = projection / length2
         perpendicular = map_xyz(lambda center, step: center - closest_t * step, to_center, to_light)
         is_line_cut = dot(perpendicular, perpendicular) < radius * radius
-        blocked: Bools = is_line_cut & (projection > 0) & (projection < length2)
+        occludes: Bools = is_line_cut & (projection > 0) & (projection < length2)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
         tolerance = compute_hit_tolerance(self.coordinate_bound[sphere_index], hit, self.frame.eye)
         hit_side = determine_side(hit_height, tolerance)
@@ -382,23 +382,23 @@ class Spheres:
             blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
             blocks_to_surface = (hit_side == OUTSIDE) & (projection < length2)
             blocks_otherwise = np.where(light_side == ON, blocks_to_surface, hit_side != light_side)
-            blocked[touch_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
-        return blocked
+            occludes[touch_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
+        return occludes
 
     def test_capsules(
         self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
         """Test whether each of n spheres blocks some or all of the segments in a capsule.
 
-        The segments start within a distance `capsule_radius` of `start`, and all lead to `end`
-        (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
+        The segments start at most `capsule_radius` away from the point `start`, and all lead to the
+        point `end` (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
 
         Parameters
         ----------
         object_index : (n,) int array
             Index, among all objects of the scene, of the sphere to test with each capsule.
         start, end : tuples of three (n,) float arrays
-            Coordinates x, y and z of the ends of each capsule's axis, in scene axes.
+            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
             Radius of each capsule.
 
@@ -438,7 +438,7 @@ class Spheres:
 def _find_slope_range(
     center_right: Floats, center_ahead: Floats, disc_radius2: Floats, power: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the slopes of the two lines through the origin that touch a disc, for n discs.
+    """Compute the slopes of the two tangents from the origin to each of n discs.
 
     The slope of a ray in the direction (right, ahead) is right / ahead.
 
@@ -455,10 +455,10 @@ def _find_slope_range(
     Returns
     -------
     low_slope, high_slope : (n,) float arrays
-        Smallest and largest slope of the rays that lead ahead; NaN if there is no disc.
+        Smallest and largest slope of rays that point ahead and meet the disc; NaN without a disc.
     """
-    # The tangents make equal angles with the direction of the centre.  The angle is infinite if the
-    # origin is inside the disc, and pi / 2 if it is within rounding error of the border.
+    # Both tangents make the same angle with the direction of the centre.  It is set to infinity if
+    # the origin is inside the disc, and to pi / 2 if the origin is within rounding error of it.
     center_distance2 = center_right * center_right + center_ahead * center_ahead
     min_power = np.maximum(power - MIN_POWER * center_distance2, 0)
     half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(min_power))

@@ -138,7 +138,7 @@ class LightGrid(NamedTuple):
     patch_origin : (2, patches) float array
         Smallest u and v in each patch.
     patch_size : (2, patches) float array
-        Extent of each patch in u and in v.
+        Width of each patch in u and in v.
     cells_per_side : int
         Number of cells along each side of a patch.
     list_start : (4 * patches * cells_per_side**2 + 1,) int array
@@ -180,7 +180,7 @@ class LightGrid(NamedTuple):
             Radii of the balls.  To search around boxes instead, pass half their widths along each
             axis.
         own_object_index : (n,) int array
-            Index of the object on whose surface the points of each ball lie.  It is not returned.
+            Index of the object on whose surface the points of each ball lie; it is excluded.
         is_active : (lights, n) bool array
             Whether to search between the light and the ball.
 
@@ -201,7 +201,7 @@ class LightGrid(NamedTuple):
         bounds = bounds.T.astype(self.entry_bounds.dtype, order="C")
         patch_index = self.patch_of_octant.take(octant_index)
         rectangles = _map_to_patch(rectangles, patch_index, self.patch_origin, self.patch_size)
-        for part_index, starts, lengths in self._find_ranges(rectangles, patch_index):
+        for part_index, starts, lengths in self._find_entries(rectangles, patch_index):
             for batch in split_by_size(lengths, _PAIRS_PER_BATCH):
                 pair_part = part_index[batch].repeat(lengths[batch])
                 pair_entry = self.listed_entry.take(join_ranges(lengths[batch], starts[batch]))
@@ -214,12 +214,12 @@ class LightGrid(NamedTuple):
                 others = find(occluder != own_object_index.take(ball_index))
                 yield np.array([row.take(others) for row in (light_index, ball_index, occluder)])
 
-    def _find_ranges(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
-        """Find the entries near each rectangle, as ranges of indices in `listed_entry`, in batches.
+    def _find_entries(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
+        """Find the entries near each rectangle, as ranges of `listed_entry`, and yield them in batches.
 
-        An entry is the part of an object in one octant of directions.  `listed_entry` lists the
-        entries of each cell, a small range of directions.  An entry is near a rectangle if both
-        overlap the same cell.  The ranges of a rectangle contain each entry near it once.
+        An entry is the part of an object in one octant of directions.  A cell is a small range of
+        directions.  `listed_entry` lists the entries that overlap each cell.  An entry is near a
+        rectangle if both overlap the same cell; it is then in exactly one of the ranges.
 
         Parameters
         ----------
@@ -326,7 +326,7 @@ def _choose_patches(
     octant_index : (n,) int array
         Index of the octant of each rectangle, in ascending order.
     rectangles : (4, n) float array
-        Minimum u, maximum u, minimum v and maximum v of the part of a visible object in the octant.
+        Minimum u, maximum u, minimum v and maximum v of a visible object's part in the octant.
     octant_count : int
         Total number of octants: 8 for each light.
 
@@ -337,7 +337,7 @@ def _choose_patches(
     patch_origin : (2, patches) float array
         Smallest u and v in each patch.
     patch_size : (2, patches) float array
-        Extent of each patch in u and in v.
+        Width of each patch in u and in v.
     """
     octant_start, _ = find_runs(octant_index)
     patch_of_octant = np.full(octant_count, -1)
@@ -353,7 +353,7 @@ def _choose_patches(
 
 
 def _move_far_lights(positions: Floats, box_min: Floats, box_max: Floats) -> tuple[Floats, Floats]:
-    """Move distant lights closer to the scene, which hardly changes their directions.
+    """Move distant lights closer to the scene, almost without changing their directions.
 
     The new distance is `_MAX_LIGHT_DISTANCE` times the size of the scene.
 
@@ -367,7 +367,7 @@ def _move_far_lights(positions: Floats, box_min: Floats, box_max: Floats) -> tup
     Returns
     -------
     near_positions : (3, n, 1) float array
-        Positions of the lights, with distant lights moved.
+        Positions of all lights, after distant lights are moved.
     vector_error : (n, 1) float array
         Bound on the error of vectors from the scene to each light, due to rounding and to the move.
     """
@@ -387,8 +387,8 @@ def _split_by_octant(
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Split boxes of vectors by octant, and bound the directions of the vectors in each part.
 
-    An octant consists of all vectors with the same signs of x, y and z.  Each box of vectors to a
-    light is split into up to eight parts.
+    A box contains all vectors to one light with x, y and z in given ranges.  An octant contains all
+    vectors with the same signs of x, y and z.  So a box has up to eight parts.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ def _split_by_octant(
     bounds : (8, m) float array
         More bounds on each part's vectors: see `_bound_directions`.
     """
-    # Whether each box contains vectors with x >= 0, and with x <= 0; the same for y and z.
+    # `has_x` tells whether each box contains vectors with x >= 0 (row 0) and with x <= 0 (row 1).
     has_x, has_y, has_z = np.moveaxis(np.array([vector_max >= 0, vector_min <= 0]), 1, 0)
     has_part = [z & y & x & is_active for z, y, x in product(has_z, has_y, has_x)]
     has_patch = (patch_of_octant >= 0).reshape(8, -1, 1)
@@ -419,28 +419,28 @@ def _split_by_octant(
     # Bit 0 of `sign_bits` is set if x is negative, bit 1 if y is, and bit 2 if z is.
     octant_index, sign_bits = part_index // vector_min.shape[2], part_index // vector_min[0].size
     box_index = part_index - sign_bits * vector_min[0].size
-    ranges = []
+    abs_ranges = []
     for axis in range(3):
         is_negative = (sign_bits >> axis & 1).astype(np.bool_)
         axis_min, axis_max = vector_min[axis].take(box_index), vector_max[axis].take(box_index)
-        min_size = np.maximum(np.where(is_negative, -axis_max, axis_min), 0)
-        # The addition keeps `max_size` above 0, so no bound is 0 / 0.
-        max_size = np.where(is_negative, -axis_min, axis_max) + MIN_DIVISOR
-        ranges.append((min_size, max_size))
-    (min_x, max_x), (min_y, max_y), (min_z, max_z) = ranges  # of |x|, |y| and |z|
+        min_abs = np.maximum(np.where(is_negative, -axis_max, axis_min), 0)
+        # The addition keeps `max_abs` above 0, so no bound is 0 / 0.
+        max_abs = np.where(is_negative, -axis_min, axis_max) + MIN_DIVISOR
+        abs_ranges.append((min_abs, max_abs))
+    (min_x, max_x), (min_y, max_y), (min_z, max_z) = abs_ranges  # of |x|, |y| and |z|
     min_u = min_x / (min_x + (max_y + max_z)) - DIRECTION_ROUNDING
     max_u = max_x / (max_x + (min_y + min_z)) + DIRECTION_ROUNDING
     min_v = min_y / (min_y + (max_x + max_z)) - DIRECTION_ROUNDING
     max_v = max_y / (max_y + (min_x + min_z)) + DIRECTION_ROUNDING
     rectangles = np.array([min_u, max_u, min_v, max_v])
-    return octant_index, box_index, rectangles, _bound_directions(*ranges)
+    return octant_index, box_index, rectangles, _bound_directions(*abs_ranges)
 
 
 def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
-    """Compute eight bounds on the directions and lengths of the vectors in each of m sets.
+    """Compute eight bounds on the directions and lengths of vectors, for each of m sets of vectors.
 
-    Here x, y and z are the absolute values of the components.  Maxima are negated, so that every
-    row is a lower bound.  All bounds are widened by more than their rounding errors.
+    Here x, y and z are the absolute values of a vector's components.  Maxima are negated, so that
+    all rows are lower bounds.  All bounds are widened by more than their rounding errors.
 
     Parameters
     ----------
@@ -478,7 +478,7 @@ def _map_to_patch(rectangles: Floats, patch_index: Ints, origins: Floats, sizes:
     origins : (2, patches) float array
         Smallest u and v in each patch.
     sizes : (2, patches) float array
-        Extent of each patch in u and in v.
+        Width of each patch in u and in v.
 
     Returns
     -------
@@ -492,10 +492,9 @@ def _map_to_patch(rectangles: Floats, patch_index: Ints, origins: Floats, sizes:
 def _choose_cells_per_side(
     rectangles: Floats, object_count: int, light_count: int, patch_count: int
 ) -> int:
-    """Choose how many cells each patch of a light grid has along its sides.
+    """Choose the number of cells along each side of a patch, which is a square array of cells.
 
-    A patch is a square array of cells, which list objects.  It has about as many cells as there are
-    objects, or fewer to save memory.
+    A patch has about as many cells as there are objects, or fewer to save memory.
 
     Parameters
     ----------
@@ -522,7 +521,7 @@ def _fill_lists(
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
 
-    Each cell has four lists: see `_LIST_BY_FLAGS`.
+    A patch is a square array of cells.  Each cell has four lists: see `_LIST_BY_FLAGS`.
 
     Parameters
     ----------

@@ -158,7 +158,7 @@ class PreparedScene:
         self._cache, self._lock = dict[int, Lights](), Lock()
 
     def choose_batch_size(self, max_samples: int) -> int:
-        """Choose the number of samples that are traced together, to save memory.
+        """Choose how many samples to trace together, within a limit on memory.
 
         Parameters
         ----------
@@ -184,9 +184,9 @@ class PreparedScene:
             yield self._get_light_batch(slice(start, start + lights_per_batch))
 
     def _get_light_batch(self, batch: slice) -> Lights:
-        """Return a batch of lights from the cache, or prepare them.
+        """Return a batch of prepared lights, from the cache if possible.
 
-        Prepared lights are added to the cache unless it is full.
+        Newly prepared lights are added to the cache unless it is full.
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ class PreparedScene:
 
 
 def _find_duplicates(surfaces: Surfaces) -> Bools:
-    """Find the objects that repeat the geometry of an object earlier in the file.
+    """Find the objects that have the same geometry as an earlier object in the file.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether each object is a duplicate; all spheres come first, then all boxes.
+        Whether each object is a duplicate: first all spheres, then all boxes.
     """
     # Describe each object by six numbers.  The last is infinite for spheres and finite for boxes,
     # so no sphere equals a box.
