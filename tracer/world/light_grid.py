@@ -215,11 +215,11 @@ class LightGrid(NamedTuple):
                 yield np.array([row.take(others) for row in (light_index, ball_index, occluder)])
 
     def _find_entries(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
-        """Find the entries near each rectangle, as ranges of `listed_entry`, and yield them in batches.
+        """Find the entries near each rectangle, and yield them as ranges of `listed_entry`.
 
         An entry is the part of an object in one octant of directions.  A cell is a small range of
         directions.  `listed_entry` lists the entries that overlap each cell.  An entry is near a
-        rectangle if both overlap the same cell; it is then in exactly one of the ranges.
+        rectangle if both overlap the same cell; exactly one range then contains the entry.
 
         Parameters
         ----------
