@@ -75,7 +75,7 @@ class ShapeHits(NamedTuple):
         return repeat_runs(run_values, self.run_length)
 
     def expand_to_hits(self, values: Floats) -> Floats:
-        """Look up the values of tangent planes for each of n hits.
+        """Expand values of tangent planes to one value for each of n hits.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class Hits(NamedTuple):
         return values[self.run_object].repeat(np.diff(self.run_start))
 
     def get_points(self, hit_index: Ints | slice) -> Triple:
-        """Compute the positions of selected hits, in scene axes.
+        """Return selected hits as points in scene axes.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class Hits(NamedTuple):
 
         Returns
         -------
-        position : tuple of three (k,) float arrays
+        point : tuple of three (k,) float arrays
             Coordinates x, y and z of the hits.
         """
         return self.scene.frame.point_to_scene(take(self.from_eye, hit_index))

@@ -104,7 +104,7 @@ class LightGeometry(NamedTuple):
 def _compute_accurate_strength(
     normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
 ) -> Floats:
-    """Compute the strength of highlights accurately from unit vectors.
+    """Compute accurate strengths of highlights from unit vectors.
 
     The strength is (n.h)^p, where n is the normal, h the unit half vector between the directions to
     the light and to the eye, and p the exponent.
@@ -112,8 +112,7 @@ def _compute_accurate_strength(
     Parameters
     ----------
     normal, light_direction, eye_direction : tuples of three (n,) float arrays
-        Components of the unit normals, and of the unit vectors to the light and to the eye, in any
-        common axes.
+        Unit normals, and unit vectors to the light and to the eye, all in the same axes.
     exponent : (n,) float array
         Exponent p of each highlight.
 
@@ -167,7 +166,7 @@ class Shading:
         self.ids: Ints = 4 * hits.hit_object + hits.face_axis if with_ids else hits.sample_index[:0]
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the light that hits reflect from one batch of lights, and update `ids`.
+        """Add the reflected light of one batch of lights, and update the ids of the hits.
 
         Parameters
         ----------
@@ -270,7 +269,7 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute the dot products that shading needs for each light and hit, ignoring occluders.
+    """Compute the dot products for shading each hit with each light, regardless of occluders.
 
     Parameters
     ----------
@@ -304,9 +303,9 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
 
 
 def find_narrow_highlights(
-    geometry: LightGeometry, faces_light: Bools, radius: Floats
+    geometry: LightGeometry, faces_light: Bools, footprint_radius: Floats
 ) -> Iterator[Ints]:
-    """Find hits near which a highlight may be too narrow for a single sample.
+    """Find hits near which a highlight may be too narrow for one sample to capture.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
     picture (a pixel or a part of it).
@@ -318,7 +317,7 @@ def find_narrow_highlights(
     faces_light : (lights, n) bool array
         Whether the surface at the hit faces the light.  Occluders are ignored, because the light
         may be visible from other points of the footprint.
-    radius : (n,) float array
+    footprint_radius : (n,) float array
         Radius of each footprint, in the scene's unit of length.
 
     Yields
@@ -337,7 +336,7 @@ def find_narrow_highlights(
     x_per_angle = np.where(is_glossy, np.sqrt(hits.get_object_values(scene.exponent) / 2), 0)
     for light_index, hit_faces_light in enumerate(faces_light):
         max_turn_rate = turn_rate + 1 / np.sqrt(geometry.distance2[light_index])
-        max_step = radius * max_turn_rate * x_per_angle  # maximum change of x over the footprint
+        max_step = footprint_radius * max_turn_rate * x_per_angle  # maximum change of x
         hit_index = find((max_step > _MAX_LOBE_STEP) & hit_faces_light)
         if hit_index.size:
             strength = geometry.compute_highlight_strength(light_index, hit_index)

@@ -125,8 +125,8 @@ class Packets(NamedTuple):
         Returns
         -------
         child_columns : (2, j) or (3, j) int array
-            A copy of each column for every child of its packet, with the child's index in place of
-            the packet's.
+            Copies of each column, one for each child of its packet, with the child's index in place
+            of the packet's.
         """
         packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
@@ -151,7 +151,7 @@ def _find_occluders(
     lights : Lights
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Most pairs where it faces away are skipped.
+        Whether the surface at the hit faces the light.  Most other pairs are skipped.
     margin : (n,) float array, optional
         If given, also find objects that may block the light at any surface point within this
         distance of the hit.
@@ -164,8 +164,8 @@ def _find_occluders(
         Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
-        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  So
-        are all surface points within `margin` of these hits.
+        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow,
+        together with all surface points within `margin` of these hits.
     """
     if lights.grid is None or not faces_light.any():
         return
@@ -184,13 +184,12 @@ def _query_grid(
 ) -> Iterator[tuple[Shape, Ints]]:
     """Find the objects that may lie between packets and lights, in batches.
 
-    A packet is a group of neighbouring hits with a bounding sphere.  The light grid is a data
-    structure that lists the objects that may lie between such a sphere and a light.
+    A packet is a group of neighbouring hits with a bounding sphere.
 
     Parameters
     ----------
     grid : LightGrid
-        The light grid of the lights.
+        Lists of objects by their direction from each light.
     packets : Packets
         The packets.  Pairs of a light and a packet are skipped if `packets.is_lit` is False.
     shapes : iterable of Spheres and Boxes
@@ -219,11 +218,11 @@ def _query_grid(
 def _test_packets(
     packets: Packets, lights: Lights, shape: Shape, candidates: Ints
 ) -> tuple[Ints, Ints]:
-    """Find the packets that a single object shades entirely, and the candidates that remain.
+    """Find packets that a single object shades entirely, and the candidates that remain undecided.
 
     A packet is a group of neighbouring hits.  The segments from these hits to a light lie in a
     capsule.  An object that misses the capsule shades no hit of the packet.  An object that cuts
-    right through the capsule shades all hits; then this function sets `packets.is_lit` to False.
+    right through the capsule shades all hits, and `packets.is_lit` is set to False.
 
     Parameters
     ----------
@@ -239,8 +238,8 @@ def _test_packets(
     Returns
     -------
     undecided_candidates : (3, j) int array
-        The columns of `candidates` whose object may shade some hits of the packet.  Packets that
-        a single object shades entirely are excluded.
+        The columns of `candidates` whose object may shade some hits of the packet, except for
+        packets that a single object shades entirely.
     shaded_packets : (2, i) int array
         Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
     """
@@ -281,7 +280,9 @@ class _EdgeSet:
         self._counts, self._key_batches = counts, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
-        """Add shadow edges to the set, except those of (light, hit) pairs that have too many.
+        """Add shadow edges to the set, except those of crowded (light, hit) pairs.
+
+        A pair is crowded if it has more than `_MAX_EDGES_PER_HIT` edges.
 
         Parameters
         ----------
@@ -298,8 +299,7 @@ class _EdgeSet:
         """Return all shadow edges in the set, sorted by light, then by hit, then by occluder.
 
         A shadow edge is a triple of a light, a hit, and an occluder whose shadow may end near the
-        hit.  If a hit has more than `_MAX_EDGES_PER_HIT` edges of one light, these edges are
-        excluded.
+        hit.  Edges of (light, hit) pairs with more than `_MAX_EDGES_PER_HIT` edges are excluded.
 
         Returns
         -------
@@ -312,9 +312,8 @@ class _EdgeSet:
     def _merge_batches(self) -> None:
         """Merge all batches of keys into one sorted batch without duplicates.
 
-        A key is an integer that encodes a light, a hit and an occluder.  A (light, hit) pair with
-        more than `_MAX_EDGES_PER_HIT` keys is crowded: its keys are removed, and `is_crowded` is
-        set.
+        A key encodes an edge (a light, a hit and an occluder) as one integer.  If a (light, hit)
+        pair has more than `_MAX_EDGES_PER_HIT` edges, its keys are removed and `is_crowded` is set.
         """
         keys = np.unique(np.concatenate(self._key_batches))
         pair_key = keys // self._counts[2]  # encodes the light and the hit
@@ -359,8 +358,8 @@ def find_shadow_edges(
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
-    picture (a pixel or a part of it).  An edge is near the hit if it may cross the footprint.  It
-    is invisible if an object shades the whole footprint from the same light.
+    picture (a pixel or a part of it).  A shadow edge is near the hit if it may cross the footprint.
+    It is invisible if any object shades the whole footprint from the same light.
 
     Parameters
     ----------
@@ -383,7 +382,7 @@ def find_shadow_edges(
         indices, row 1 hit indices, and row 2 occluder indices.  Some edges of crowded hits (see
         `is_crowded`) are omitted.
     is_crowded : (n,) bool array
-        Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of any one light.
+        Whether the hit has more than `_MAX_EDGES_PER_HIT` visible edges of a single light.
     """
     is_blocked, is_covered = np.zeros((2, *faces_light.shape), dtype=np.bool_)
     edge_set = _EdgeSet((*faces_light.shape, hits.scene.position_error.size))
@@ -403,11 +402,10 @@ def find_shadow_edges(
 def _test_footprints(
     hits: Hits, lights: Lights, shape: Shape, candidates: Ints, footprint_radius: Floats
 ) -> tuple[Ints, Bools, Bools, Bools]:
-    """Test how much of a hit's footprint an object shades from a light, for each candidate.
+    """Test whether the object of each candidate shades all or part of the footprint of its hit.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
-    picture.  If an object may shade the footprint partly, the edge of its shadow may cross the
-    footprint.
+    picture.  If the object shades only part of it, the edge of the shadow crosses the footprint.
 
     Parameters
     ----------
@@ -431,7 +429,7 @@ def _test_footprints(
     has_edge : (j,) bool array
         Whether the edge of the object's shadow may cross the footprint.
     """
-    # Growing the object by the radius has the effect of moving the hit within the footprint.
+    # If the object shades any part of the footprint, the grown object shades the hit.
     growth = footprint_radius[candidates[1]]
     grown_object_blocks = _test_blocking(hits, lights, shape, candidates, growth)
     # If the light and the hit are both inside the grown object, it does not block the segment,
@@ -455,7 +453,7 @@ def _test_footprints(
 def _test_blocking(
     hits: Hits, lights: Lights, shape: Shape, candidates: Ints, growth: Floats | None = None
 ) -> Bools:
-    """Test exactly whether an object blocks the segment from a hit to a light, for each candidate.
+    """Test whether the object of each candidate blocks the segment from its hit to its light.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
     Returns
     -------
     nearest_hits : Hits
-        One hit for each sample whose ray meets a surface, as from `find_nearest_hits`.
+        One hit for each sample whose ray meets a surface: the result of `find_nearest_hits`.
     hidden_hits : Hits
         One hit for each object that the ray meets behind the nearest surface.  A sample may have
         any number of hidden hits.
@@ -173,7 +173,7 @@ class _Intersections(NamedTuple):
 
 
 def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersections]:
-    """Intersect the ray through each sample with all objects that may be visible there.
+    """Intersect the ray through each sample with all objects that may cover the sample.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     Returns
     -------
     groups : list of _Intersections
-        One group of (sample, object) pairs for each shape.  Some rays miss their object.
+        One group of (sample, object) pairs for each shape.  The ray may miss the object.
     """
     frame, groups = scene.frame, []
     sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.to_ray_down(samples.y)
@@ -256,7 +256,7 @@ def _select_visible(
 
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Compute the hits at intersections, with their positions and tangent planes.
+    """Build hits from intersections, with their positions and tangent planes.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
     groups : list of _Intersections
-        One group of intersections for each shape.  Every ray meets its object.
+        One group of intersections for each shape.  Every ray meets the object of its pair.
 
     Returns
     -------
