@@ -98,9 +98,9 @@ def _make_command_parser() -> CommandParser:
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
-    fraction: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
+    keywords: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
     help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
-    add_argument("--error", help=help_text, **fraction)
+    add_argument("--error", help=help_text, **keywords)
     help_text = "the picture to write (SCENE.xml.certified.png)"
     add_argument("-o", "--output", type=parse_path, metavar="OUT.png", help=help_text)
     help_text = "count the 8-bit codes that are certainly wrong in this picture of the scene"

@@ -164,19 +164,19 @@ class CheckResult:
         sentences = []
         if self.is_tie.any():
             ties = _format_pixel_count(self.is_tie)
-            sentences.append(f"where surfaces coincide, Mitsuba shows the other one on {ties}")
+            sentences.append(f"where surfaces coincide, Mitsuba shows the other one in {ties}")
         if not self.is_disputed.any():
             clauses = describe_exceeded_tolerances(self.figures)
             return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
         is_example = self.is_wrong if self.is_wrong.any() else self.is_disputed
         row, column = np.argwhere(is_example)[0]
         pixels, position = _format_pixel_count(self.is_disputed), f"column {column}, row {row}"
-        sentences.append(f"the pictures differ on {pixels}, for example at {position}")
+        sentences.append(f"the pictures differ in {pixels}, for example at {position}")
         examined_count, wrong_count = int(self.is_examined.sum()), int(self.is_wrong.sum())
         if wrong_count:
-            finding = f"contradicts the tracer on {wrong_count} of {examined_count} examined pixels"
+            finding = f"contradicts the tracer in {wrong_count} of {examined_count} examined pixels"
             return [*sentences, f"exact arithmetic {finding}"]
-        finding = f"exact arithmetic confirms the tracer on all {examined_count} examined pixels"
+        finding = f"exact arithmetic confirms the tracer in all {examined_count} examined pixels"
         return [*sentences, f"Mitsuba or the converter is wrong: {finding}"]
 
     def format_report(self) -> str:

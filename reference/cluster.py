@@ -27,7 +27,7 @@ _FRAME_COUNT = 1_000_000
 # bytes, of the computer that gathers the results; and the number of frames in a larger task.
 _DOLLARS_PER_CORE_HOUR, _CLIENT_BYTES, _FRAMES_PER_TASK = 0.05, 16e9, 100
 
-# Keys of `prepare_animation_commands` of which all CPU time can be measured.
+# Renderers whose whole CPU time can be measured: keys that `prepare_animation_commands` returns.
 _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
 
 

@@ -86,8 +86,8 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     Returns
     -------
     options : Namespace
-        The options.  In addition, `is_class` is True if the first argument is a folder, and
-        `folder` is that folder, or otherwise the picture's folder.
+        The options.  In addition, `is_class` is True if the first argument is a folder; `folder`
+        is that folder, or the folder of the single picture.
     hand_ins : list of HandIn
         The pictures to compare and the missing pictures, each with its reference.
 

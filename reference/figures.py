@@ -18,7 +18,7 @@ from tracer.files import open_atomically
 Differences: TypeAlias = NDArray[np.float32]
 
 GAMMA = 2.2
-"""Exponent of the encoding of 8-bit pictures, as the scene format has it."""
+"""Exponent of the gamma encoding of 8-bit pictures in the scene format."""
 
 # Side of the window of SSIM in pixels (Z. Wang et al., Image quality assessment, IEEE TIP 13(4),
 # 2004).
@@ -28,7 +28,7 @@ _SSIM_SIDE = 7
 _PIXELS_PER_BAND = 500_000
 # Pixels that differ by more than this, in linear light, are counted.
 _COUNTED_DIFFERENCE = 1e-3
-# Percentile of the pixels' differences that is reported, and that the amplified difference shows.
+# Percentile of the pixels' differences that is reported, and that limits their amplification.
 _PERCENTILE = 99.9
 # Pictures are enlarged, pixel by pixel, to panels at least this wide or high; lengths in pixels.
 _MIN_PANEL, _MARGIN, _LABEL_HEIGHT, _FONT_SIZE = 300, 8, 24, 14

@@ -206,12 +206,12 @@ def draw_classes() -> None:
     """Draw `classes.png`: pixels coloured by class, with the straight edges and samples in them."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
-    samples, every_pixel = PIXEL_CENTERS.place(rows, columns), np.arange(20 * 28)
+    samples, sample_index = PIXEL_CENTERS.place(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
-    cells = Cells(1.0, 4, 1e-3, *samples.get_positions(every_pixel), pixel_index, object_index)
-    classification = classify_cells(prepared_scene, cells, samples, every_pixel)
-    class_index = np.zeros(every_pixel.size, dtype=np.intp)
+    cells = Cells(1.0, 4, 1e-3, *samples.get_positions(sample_index), pixel_index, object_index)
+    classification = classify_cells(prepared_scene, cells, samples, sample_index)
+    class_index = np.zeros(sample_index.size, dtype=np.intp)
     class_index[classification.lines.cell] = 1
     class_index[classification.is_unresolved] = 2
     _, (image_axes, class_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))

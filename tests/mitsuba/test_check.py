@@ -79,7 +79,7 @@ def test_ties_are_explained_pixel_by_pixel(monkeypatch):
     result = compare_to(scene, mitsuba)
     assert (result.verdict, result.is_tie.sum(), result.figures.max) == ("agrees", 19 * 9, 0)
     assert np.array_equal(result.mitsuba.image, mitsuba)
-    assert "surfaces coincide, Mitsuba shows the other one on 171 pixels" in result.format_report()
+    assert "surfaces coincide, Mitsuba shows the other one in 171 pixels" in result.format_report()
     # All pixels of a picture may be ties; one pixel that is not a tie is still found.
     assert compare_to(scene, white).is_tie.all()
     mitsuba = white.copy()
@@ -102,7 +102,7 @@ def test_the_verdict_is_undecided_if_mitsuba_is_wrong():
     assert 50 <= result.is_examined.sum() <= 100
     assert result.figures.max == pytest.approx(0.01, rel=0.05)
     assert f"scene: undecided\n  SSIM {result.figures.ssim:.6f}" in result.format_report()
-    message = "the pictures differ on 1,600 pixels, for example at column 0, row 0"
+    message = "the pictures differ in 1,600 pixels, for example at column 0, row 0"
     assert message in result.format_report()
 
 
@@ -116,7 +116,7 @@ def test_the_verdict_is_differs_if_the_tracer_is_wrong(monkeypatch):
     monkeypatch.setattr(check, "_PIXELS_PER_BATCH", 5000)
     result = compare_to(scene, image)
     assert (result.verdict, np.argwhere(result.is_wrong).tolist()) == ("DIFFERS", [[7, 3]])
-    assert "row 7\n  exact arithmetic contradicts the tracer on 1 of 101" in result.format_report()
+    assert "row 7\n  exact arithmetic contradicts the tracer in 1 of 101" in result.format_report()
 
 
 @pytest.mark.parametrize("figure", ["SSIM", "median difference"])

@@ -72,7 +72,7 @@ def test_the_page_contains_everything_that_it_shows():
         'alt="&lt;b&gt;&amp;: tracer"',
         "✗ DIFFERS",
         "✗ undecided",
-        "The pictures differ on 47 pixels, for example at column 0, row 0.",
+        "The pictures differ in 47 pixels, for example at column 0, row 0.",
         "<dt>edge pixels excluded</dt><dd>1</dd>",
         base64.b64encode(CHART).decode(),
         "0 agree.",
