@@ -122,19 +122,19 @@ def _enclose_cone(
 ) -> tuple[Enclosures, Floats]:
     """Enclose a function that is positive at points inside the cone around a sphere.
 
-    The cone consists of all lines that contain its apex and meet the sphere.  Let c be the vector
-    from the apex to the sphere's centre, r the radius, and q the vector from the apex to a point.
-    The function is r^2 |q|^2 - |c x q|^2.
+    The cone consists of all lines that contain its apex and meet the sphere.  Let c be the
+    sphere's centre and q a point, both relative to the apex, and let r be the radius.  The function
+    is r^2 |q|^2 - |c x q|^2.
 
     Parameters
     ----------
     center, radius : (3, n) and (n,) float arrays
-        The vectors c and the radii r.
+        The centres c and the radii r.
     points : (3, 3, n) float array
-        The vectors q, which are linear in the position (X, Y) in a cell.  The first axis holds the
-        components; the second holds the coefficients of 1, X and Y.
+        The points q, which depend linearly on the position (X, Y) in a cell.  The first axis holds
+        the components; the second holds the coefficients of 1, X and Y.
     shifted_points : (3, 3, n) float array
-        Each q plus a multiple of c.  This does not change c x q, but may reduce its rounding error.
+        Each q plus a multiple of c, from which c x q can be computed with less rounding error.
     sizes : (2,) or (2, n) float array
         Upper bounds on the absolute values of the terms of `points` and of `shifted_points`.
 
@@ -236,7 +236,9 @@ class CellAnalysis:
         return Enclosures(coef)
 
     def _express_half_space(self, pair: Ints, half_space: Floats) -> _RayFunctions:
-        """Compute functions that are positive where camera rays meet a face inside a half-space.
+        """Express half-spaces as functions of the camera ray.
+
+        A function is positive where the ray meets the pair's face inside the half-space.
 
         Parameters
         ----------
@@ -252,7 +254,7 @@ class CellAnalysis:
             One function of the camera ray for each pair.
         """
         # The ray with direction d meets the face at t d, where 1 / t is the sum of the linear term
-        # and the root term.  Divided by t, the half-space at this point is n.d + b / t >= 0.
+        # and the root term.  There, n.x + b >= 0 becomes n.d + b / t >= 0, after division by t.
         *normal, b, b_size = half_space
         smooth_part = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
         smooth_part += self._linear_term[pair] * b
@@ -265,8 +267,8 @@ class CellAnalysis:
         Parameters
         ----------
         functions : _RayFunctions
-            n functions smooth_part + root_factor * root_term.  The root term is a square root for a
-            sphere, and 0 for a side of a box.
+            n functions of the form smooth_part + root_factor * root_term.  The root term is
+            a square root for a sphere, and 0 for a side of a box.
 
         Returns
         -------
@@ -293,10 +295,10 @@ class CellAnalysis:
         Parameters
         ----------
         light : (n,) int array, or int
-            For each claim, the index of the light that it concerns; -1 for the visible face.
+            For each claim, the index of the light that it concerns, or -1 if it concerns no light.
         is_false : (n,) bool array
-            Set to True, in place, for each claim that is false everywhere in its cell.  This is
-            done after each condition, so that the next conditions can skip these claims.
+            Changed in place: set to True for each claim that is false everywhere in its cell.  This
+            happens after each condition, so that later conditions can skip such claims.
         conditions : iterable of _Condition
             Conditions, each for some of the claims.  Those without `has_edge` give no edges.
 
@@ -334,12 +336,12 @@ class CellAnalysis:
         functions : _RayFunctions
             n edge functions.
         enclosures : Enclosures
-            Enclosures (8, n) of the functions, which are changed in place.
+            Enclosures (8, n) of the functions.  The enclosures are changed in place.
 
         Returns
         -------
         enclosures : Enclosures
-            Enclosures (8, n), with a replacement wherever its `relative_width` is smaller.
+            The same enclosures, with replacements where their `relative_width` is smaller.
         """
         # On sides of boxes, the coefficient of the unknown Z is 0.
         sphere_index = np.flatnonzero(enclosures.coef[UNKNOWN])
@@ -353,9 +355,9 @@ class CellAnalysis:
     def _find_visible_faces(self) -> None:
         """Enclose the inverse distance of each pair's face, and remove invisible pairs.
 
-        A pair consists of a cell and a face that may be visible in it.  It is removed if the face
-        is outside the cell, or if another face hides it everywhere in the cell.  The outlines of
-        the remaining faces become possible edges.
+        A pair consists of a cell and a face that may be visible in it.  A pair is removed if its
+        face is outside the cell, or is hidden by another face everywhere in the cell.  The outlines
+        of the remaining faces become possible edges.
 
         The results are stored in `inverse_distance`, `root_term`, `squared_root_term` and `cells`.
         """
@@ -397,19 +399,19 @@ class CellAnalysis:
         """Yield the conditions under which camera rays hit the face of each pair.
 
         A pair consists of a cell and a face in it.  A ray hits a side of a box if it meets the
-        side's plane inside all four edges.  It hits a sphere if the sphere is ahead of the eye, and
-        the ray's line meets the sphere.  Some faces are skipped because all rays hit them.
+        side's plane within all four edges.  It hits a sphere if the sphere is ahead of the eye, and
+        the ray's line meets the sphere.  Faces that all rays hit are skipped.
 
         Parameters
         ----------
         discriminants : Enclosures
             One enclosure (8, p) per pair.  For a sphere, the enclosed function is positive where
-            the ray's line meets the sphere.  For a side of a box, it is not used.
+            the ray's line meets the sphere.  Enclosures for sides of boxes are not used.
 
         Yields
         ------
         condition : _Condition
-            A condition for some of the pairs, whose indices are in `claim_index`.
+            A condition for some of the pairs.  Its `claim_index` lists these pairs.
         """
         faces, cells, is_planar = self.faces, self.cells, self.faces.is_planar[self.cells.pair_face]
         pair = np.flatnonzero(~cells.covers_cell & is_planar)
@@ -483,11 +485,11 @@ class CellAnalysis:
         return self._express_half_space(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
-        """Find terminators on spheres, and mark lights behind a sphere's surface as settled.
+        """Find terminators on spheres, and mark lights that cannot reach a sphere in a cell.
 
-        A terminator is the curve between the lit and the dark side of a sphere.  A light is marked
-        in `cells.is_settled` if all of the sphere in a cell is certainly dark.  If only a part may
-        be dark, the terminator becomes a possible edge.
+        A terminator is the curve between the lit and the dark side of a sphere.  If all of the
+        sphere in a cell is certainly dark, the light is marked in `cells.is_settled`.  If only
+        a part may be dark, the terminator becomes a possible edge.
         """
         # Lights behind a side of a box are settled from the start.
         is_sphere = ~self.faces.is_planar[self.cells.pair_face]
@@ -511,8 +513,8 @@ class CellAnalysis:
         eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
         center_ray, spread = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
         low_ray, high_ray = center_ray - spread, center_ray + spread
-        min_inverse, max_inverse = self.inverse_distance.find_bounds()
-        near, far = 1 / max_inverse, np.where(min_inverse > 0, 1 / min_inverse, np.inf)
+        inverse_far, inverse_near = self.inverse_distance.find_bounds()
+        near, far = 1 / inverse_near, np.where(inverse_far > 0, 1 / inverse_far, np.inf)
         low, high = faces.bounding_box[:, :, face]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
         high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
@@ -524,11 +526,10 @@ class CellAnalysis:
 
         A triple describes a possible shadow: a pair (a cell and a face in it), a light, and an
         object that may shade the face from the light.  If the object shades all of the face in the
-        cell, the light is marked in `cells.is_settled`, because it adds nothing there.  If the
-        object may shade only a part, the edges of its shadow become possible edges.  Triples that
-        no longer matter are removed.
+        cell, the light is marked in `cells.is_settled`.  If it may shade only a part, the outline
+        of its shadow becomes a possible edge.  Triples that no longer matter are removed.
 
-        In cells of the width `MAX_WIDTH`, the triples are created first.
+        Cells of the width `MAX_WIDTH` have no triples yet, so these are created first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -554,8 +555,8 @@ class CellAnalysis:
         Yields
         ------
         condition : _Condition
-            First one condition, then the other, for each triple whose occluder is a sphere.  A
-            triple is a possible shadow: a pair (a cell and a face in it), a light, an occluder.
+            The two conditions, each for all triples whose occluder is a sphere.  A triple is
+            a possible shadow: a pair (a cell and a face in it), a light, an occluder.
         """
         triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
         faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
@@ -609,7 +610,7 @@ class CellAnalysis:
         Yields
         ------
         condition : _Condition
-            A condition for each triple whose occluder is a box, except those that are lit.
+            A condition for all triples whose occluder is a box, except those marked in `is_lit`.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         is_box = box >= 0  # the index is negative if the occluder is a sphere
@@ -635,13 +636,13 @@ class CellAnalysis:
         # Combine each pair (a cell and a face in it) with all earlier pairs of the same cell.
         positions = list_segment_elements(np.arange(sorted_pair.size) - cell_start, cell_start)
         pair, other_pair = (sorted_pair[position] for position in positions)
-        # If only one face is planar, it becomes the other face.
+        # If only one face is planar, swap the pairs so that it is `other_face`.
         is_planar = faces.is_planar[cells.pair_face[pair]]
         pair, other_pair = np.where(is_planar, (other_pair, pair), (pair, other_pair))
         face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
-        has_other_object = faces.object_index[face] != faces.object_index[other_face]
-        has_other_plane = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
-        index = np.flatnonzero(has_other_object & has_other_plane)
+        objects_differ = faces.object_index[face] != faces.object_index[other_face]
+        planes_differ = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
+        index = np.flatnonzero(objects_differ & planes_differ)
         pair, face, other_face = pair[index], face[index], other_face[index]
         # If the other face is a sphere, both are.  The difference of their equations is linear.
         plane, is_sphere = faces.face_equation[:, other_face], ~faces.is_planar[other_face]
@@ -674,8 +675,8 @@ class CellAnalysis:
         """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
 
         A pair consists of a cell and a face in it.  A light is settled for a pair if none of
-        its edges can cross the cell, and if its radiance is accurate enough.  The radiance is added
-        to `cells.radiance`, and the light is marked in `cells.is_settled`.
+        the light's edges can cross the cell, and its radiance is accurate enough.  This radiance is
+        added to `cells.radiance`, and the light is marked in `cells.is_settled`.
 
         Parameters
         ----------

@@ -144,7 +144,7 @@ class Cells(NamedTuple):
 
         A pair consists of a cell and a face that may be visible in it.  A triple describes
         a possible shadow: a pair, a light, and an object that may shade the face from the light.
-        Pairs and triples are inherited without testing whether they matter in the quarter.
+        A quarter inherits even the pairs and triples that do not matter in it.
 
         Parameters
         ----------

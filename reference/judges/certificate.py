@@ -130,8 +130,8 @@ class Certificate:
 class CellEstimates(NamedTuple):
     """Estimates of the mean radiance of c cells, with the n regions on which they are based.
 
-    An edge lies in a strip between two parallel lines, whose centre line divides the cell into
-    regions.  Its jump is a bound on the change of radiance across the edge.
+    Each edge lies in a strip between two parallel lines.  The centre lines of the strips divide a
+    cell into regions.  A strip's jump is an upper bound on the change of radiance across its edge.
 
     Attributes
     ----------
@@ -174,8 +174,8 @@ def estimate_means(
         The radiance that each unsettled light adds to a face in a cell.  A light is unsettled if it
         may reach only a part of the face.
     is_skipped : (c,) bool array
-        Cells in which to trace no sample.  Half of a cell's maximum radiance serves as its mean,
-        and as the error of this mean.  Cells with too many edges are skipped, too.
+        Cells in which to trace no sample.  Half of a skipped cell's maximum radiance serves as
+        its mean radiance.  Cells with too many edges are skipped, too.
 
     Returns
     -------
@@ -199,7 +199,7 @@ def estimate_means(
     regions = regions._replace(cell=sampled_cell[regions.cell])
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
-    region_mean = (radiance.coef[:UNKNOWN] * regions.mean[:, None]).sum(axis=0)
+    region_mean = (radiance.coef[:UNKNOWN] * regions.moments[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
     region_error = np.minimum(radiance.radius + sample_error, max_error).max(axis=0)
     weighted_mean = regions.area * region_mean
@@ -227,11 +227,11 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     Returns
     -------
     max_radiance : (3, c) float array
-        Upper bounds in each channel: the maximum over the faces in the cell, or 0 without faces.
+        Upper bounds in each channel: the maximum over the faces in the cell, or 0 if it has none.
     """
-    face_bound, max_radiance = cells.radiance.find_bounds()[1], np.zeros((3, cells.x.size))
-    add_at_sorted_index(face_bound, contributions.pair, contributions.radiance.max_abs)
-    for channel, channel_bound in zip(max_radiance, face_bound, strict=True):
+    pair_bound, max_radiance = cells.radiance.find_bounds()[1], np.zeros((3, cells.x.size))
+    add_at_sorted_index(pair_bound, contributions.pair, contributions.radiance.max_abs)
+    for channel, channel_bound in zip(max_radiance, pair_bound, strict=True):
         np.maximum.at(channel, cells.pair_cell, channel_bound)
     return max_radiance
 
@@ -249,12 +249,12 @@ def _enclose_edges(
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell: the maximum jump at shadow
-        edges and terminators.  A light is unsettled if it may reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell.  It bounds the jump at the
+        light's edges.  A light is unsettled if it may reach only a part of the face.
     max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell: the maximum jump at all other edges.
+        Upper bound on the radiance in each cell.  It bounds the jump at all other edges.
     is_skipped : (c,) bool array
-        Cells whose edges are ignored.
+        Whether to ignore the edges in a cell.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def _enclose_edges(
         The strips, sorted by cell.  Edges without a jump get no strip.
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
-    pair, light, functions = analysis.collect_edge_functions()
+    pair, light, edge_functions = analysis.collect_edge_functions()
     # A key identifies the pair and the light of a contribution.
     keys = contributions.pair * light_count + contributions.light
     contribution, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
@@ -270,16 +270,16 @@ def _enclose_edges(
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution]
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
     edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
-    return enclose_in_strips(cell[edge_index], functions[edge_index], jump[edge_index])
+    return enclose_in_strips(cell[edge_index], edge_functions[edge_index], jump[edge_index])
 
 
 def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
     """Bound the error of each region whose sample may be on the wrong side of an edge.
 
-    A strip is the part of a cell between two parallel lines that enclose an edge.  One sample at
-    the centroid of each region shows which face is visible there.  If the centroid is in a strip,
-    the sample may be on the wrong side of the edge.  Then the radiance of the whole region may be
-    off by the jump across the edge.
+    Each region is sampled at its centroid.  A strip is the part of a cell between two parallel
+    lines that enclose an edge.  Its jump is the maximum change of radiance across the edge.
+    A sample in the strip may be on the wrong side of the edge.  Then the radiance of the whole
+    region may be wrong by the jump.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
         For each region, the sum of the jumps of all strips that contain its centroid.  Infinite if
         the region is too small for an accurate centroid.
     """
-    _, x, y, *_ = regions.mean
+    _, x, y, *_ = regions.moments
     strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
     strip_count = np.diff(strip_start)[regions.cell]
     # Compare each region with all strips of its cell.
@@ -336,7 +336,7 @@ def _enclose_region_radiance(
     RuntimeError
         If a sample shows a face that the cell rules out.
     """
-    _, x, y, *_ = regions.mean
+    _, x, y, *_ = regions.moments
     pair, is_lit = _trace_samples(analysis, regions.cell, x, y)
     radiance = analysis.cells.radiance[pair].coef
     radiance[..., pair < 0] = 0
@@ -380,12 +380,12 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     x, y = cells.x[cell] + half_width * x, cells.y[cell] + half_width * y
     hits, sample, face = faces.trace_samples(x, y)
     pair_keys = cells.pair_cell * faces.object_index.size + cells.pair_face
-    order, pair = pair_keys.argsort(), np.full(cell.size, -1)
-    position = find_in_sorted(pair_keys[order], cell[sample] * faces.object_index.size + face)
+    sorted_pair, pair = pair_keys.argsort(), np.full(cell.size, -1)
+    position = find_in_sorted(pair_keys[sorted_pair], cell[sample] * faces.object_index.size + face)
     if (position < 0).any():
         message = "a sample contradicts its cell: the certificate or the tracer is wrong"
         raise RuntimeError(message)
-    pair[sample] = visible_pair = order[position]
+    pair[sample] = visible_pair = sorted_pair[position]
     is_lit = np.zeros((cells.is_settled.shape[1], cell.size), dtype=np.bool_)
     is_lit[:, sample] = faces.is_lit(hits, ~cells.is_settled[visible_pair].T)
     return pair, is_lit
@@ -410,7 +410,7 @@ class _Picture:
     """
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
-        """Start with a black picture of a scene.
+        """Create a black picture of a scene, to which cells can be added.
 
         Parameters
         ----------
@@ -425,8 +425,8 @@ class _Picture:
             If the eye is on a surface, or a light is too far away.
         """
         self.faces, self.permitted_error, self.cell_count = Faces(scene), permitted_error, 0
-        size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
-        self.image, self.error_bound = np.zeros((3, *size)), np.zeros(size)
+        padded_size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
+        self.image, self.error_bound = np.zeros((3, *padded_size)), np.zeros(padded_size)
 
     def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide the cells into two groups if there are too many for one batch.
@@ -470,7 +470,7 @@ class _Picture:
         return np.asarray(row * self.error_bound.shape[1] + column)
 
     def add_cells(self, cells: Cells, cell_index: Ints, radiance: Enclosures) -> None:
-        """Add the mean radiance of cells to the pixels that they cover.
+        """Add the mean radiance of cells, and its error, to the pixels that they cover.
 
         Parameters
         ----------
@@ -482,29 +482,29 @@ class _Picture:
             Enclosures (8, 3, n) of the radiance in these cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        upper_left = self.find_pixels(cells)[cell_index][:, None, None]
-        row, column = np.divmod(upper_left, self.error_bound.shape[1])
+        first_pixel = self.find_pixels(cells)[cell_index][:, None, None]
+        row, column = np.divmod(first_pixel, self.error_bound.shape[1])
         row_offset, column_offset = np.indices((pixels_across, pixels_across))
         pixels = row + row_offset, column + column_offset
         # X and Y run from -1 to 1 in a cell.  Compute the means of 1, X, Y, X^2, X Y and Y^2 over
         # each pixel of a wide cell, or over all of a narrow one.
         x, y = ((2 * position + 1) / pixels_across - 1 for position in (column_offset, row_offset))
         variance = 1 / (3 * pixels_across * pixels_across)
-        means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
+        term_means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN], means, ((0,), (0,))))
+            np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN], term_means, (0, 0)))
         np.add.at(self.error_bound, pixels, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
         """Add the cells that are accurate enough to the picture, and return the others.
 
         A cell is accurate enough if it shows a single face, and each light reaches all of this face
-        or none of it.  Cells that are at most one pixel wide are also tested by `is_final`.
+        or none of it.  A cell of at most one pixel is also added if `is_final` accepts it.
 
         Parameters
         ----------
         cells : Cells
-            Cells of which no part has been added yet.
+            Cells that have not been added yet, not even in part.
 
         Returns
         -------
@@ -522,28 +522,28 @@ class _Picture:
         pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
         is_pending = pair_count > 0  # cells without pairs are black
         is_only_pair = pair_count[cells.pair_cell] == 1
-        fills_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
+        may_finish_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         settled_error = _SETTLED_ERROR * self.permitted_error
-        contributions = analysis.shade(fills_cell | (cells.width <= 1), settled_error)
-        finished_pair = np.flatnonzero(fills_cell & cells.is_settled.all(axis=1))
+        contributions = analysis.shade(may_finish_cell | (cells.width <= 1), settled_error)
+        finished_pair = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
         is_pending[cells.pair_cell[finished_pair]] = False
         self.add_cells(cells, cells.pair_cell[finished_pair], cells.radiance[finished_pair])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_final = self.is_final(cells, estimates.error, is_pending)
             finished_cell = np.flatnonzero(is_pending & is_final)
-            means = enclose_constants(estimates.mean, estimates.error)
-            self.add_cells(cells, finished_cell, means[finished_cell])
+            mean_radiance = enclose_constants(estimates.mean, estimates.error)
+            self.add_cells(cells, finished_cell, mean_radiance[finished_cell])
             is_pending[finished_cell] = False
         return cells.select_cells(is_pending)
 
     def is_final(self, cells: Cells, cell_error: Floats, is_pending: Bools) -> Bools:
         """Decide which cells to add to the picture without further division.
 
-        All pending cells of a pixel are added if their errors together do not exceed the error that
-        the pixel can still afford.  Otherwise, a cell is added if its error is at most the average
-        that the pixel can afford.  The smallest cells are always added, and so are the cells of a
-        pixel with at least `_MAX_PENDING_CELLS` cells.
+        A pixel's remaining error is its permitted error minus that of its finished cells.  All its
+        pending cells are added if together they cause at most this error.  Otherwise, a cell is
+        added if it causes at most an equal share.  The smallest cells are always added, and so are
+        the cells of a pixel with at least `_MAX_PENDING_CELLS` cells.
 
         Parameters
         ----------
@@ -552,18 +552,18 @@ class _Picture:
         cell_error : (c,) float array
             Bound on the error of each cell's mean radiance, in any channel.
         is_pending : (c,) bool array
-            Whether the cell has not been added yet.
+            Whether the cell has yet to be added.
 
         Returns
         -------
         is_final : (c,) bool array
             Whether to add the cell now.
         """
-        area = is_pending * np.float64(cells.width**2)
+        pending_area = is_pending * np.float64(cells.width**2)
         pixel, pixel_number = np.unique(self.find_pixels(cells), return_inverse=True)
         remaining_error = self.permitted_error - self.error_bound.reshape(-1)[pixel]
-        total_error = sum_by_index(pixel_number, area * cell_error, pixel.size)
-        average_error = remaining_error / sum_by_index(pixel_number, area, pixel.size)
+        total_error = sum_by_index(pixel_number, pending_area * cell_error, pixel.size)
+        average_error = remaining_error / sum_by_index(pixel_number, pending_area, pixel.size)
         max_error = np.where(total_error <= remaining_error, np.inf, average_error)
         max_error[np.bincount(pixel_number) >= _MAX_PENDING_CELLS] = np.inf
         return np.asarray((cell_error <= max_error[pixel_number]) | (cells.width <= _MIN_WIDTH))

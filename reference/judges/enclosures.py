@@ -141,7 +141,7 @@ class Enclosures:
 
         An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Two
         quantities that describe different surfaces have different Z, so their terms with Z do not
-        cancel.  The absolute values of these coefficients are added to the error bound instead.
+        cancel.  The absolute values of the coefficients of Z are added to the error bound instead.
 
         Parameters
         ----------
@@ -160,14 +160,14 @@ class Enclosures:
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
         """Multiply by numbers, or by enclosures with the same unknown Z.
 
-        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  Some
-        terms of a product cannot be part of an enclosure, such as X^3 or X Z.  The largest absolute
-        values of these terms for X, Y and Z from -1 to 1 are added to the error bound.
+        An enclosure is a polynomial in X, Y and an unknown number Z, with an error bound.  A
+        product also has terms that an enclosure cannot represent, such as X^3 and X Z.  Their
+        largest absolute values, for X, Y and Z from -1 to 1, are added to the error bound.
 
         Parameters
         ----------
         other : Enclosures, or float array that broadcasts to (..., n)
-            The second factors.
+            The numbers or enclosures to multiply by.
 
         Returns
         -------
@@ -200,8 +200,8 @@ class Enclosures:
     ) -> Enclosures:
         """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
 
-        Two enclosures are tried: the Taylor polynomial of degree 2, and a line parallel to the
-        chord of f.  The narrower one is returned.
+        The powers are enclosed by the Taylor polynomial of degree 2, or by a line parallel to the
+        chord of f.  The line is used only if its error is smaller, and the polynomial's is large.
 
         Parameters
         ----------
@@ -218,8 +218,8 @@ class Enclosures:
         low, high = (np.clip(end, minimum, maximum) for end in self.find_bounds())
         center, half_width = 0.5 * (low + high), 0.5 * (high - low)
         f_low, f_high, f_center = (_raise_to_power(z, exponent) for z in (low, high, center))
-        # The Taylor polynomial is expanded around the centre.  The third derivative of f has the
-        # absolute value 6 * cubic_coef * f / z^3.  It is monotonic, so its maximum is at one end.
+        # The Taylor polynomial is expanded around the centre.  The absolute value of the third
+        # derivative of f is 6 * cubic_coef * f / z^3, whose maximum is at one end of the interval.
         linear_coef = exponent * f_center / center
         quadratic_coef = 0.5 * (exponent - 1) * linear_coef / center
         cubic_coef = np.abs(exponent * (exponent - 1) * (exponent - 2)) / 6
@@ -242,11 +242,11 @@ class Enclosures:
     def _enclose_power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Enclosures:
-        """Enclose f(z) = z^exponent, where z is the enclosed quantity, by a line.
+        """Enclose the powers f(z) = z^exponent of the enclosed quantities z by a line.
 
         The graph of f lies between its chord and the parallel tangent.  The line is parallel to
         them, and two thirds of the way from the chord to the tangent.  If f is a parabola, the line
-        has the same mean.
+        has the same mean as f.
 
         Parameters
         ----------
@@ -283,8 +283,8 @@ class Enclosures:
         Returns
         -------
         clamped : Enclosures
-            The constant 0.5 with an error bound of 0.5 where the absolute values of the
-            coefficients add up to 2 or more, or to NaN.  All other enclosures are unchanged.
+            If the absolute values of an enclosure's coefficients add up to 2 or more, or to NaN, it
+            becomes the constant 0.5 with an error bound of 0.5.  All others are unchanged.
         """
         is_too_wide = ~(self.max_abs < 2)
         coef = np.where(is_too_wide, 0, self.coef)
@@ -294,8 +294,8 @@ class Enclosures:
     def split_into_quarters(self) -> Enclosures:
         """Enclose the same quantities in the four quarters of each cell.
 
-        In each quarter, X and Y run from -1 to 1.  The term with the unknown Z is dropped, and its
-        absolute value is added to the error bound.
+        In each quarter, X and Y run from -1 to 1.  The term with Z, an unknown number from -1 to 1,
+        is dropped, and the absolute value of its coefficient is added to the error bound.
 
         Returns
         -------
@@ -307,18 +307,18 @@ class Enclosures:
         quarter = np.arange(constant.shape[-1]) % 4
         # The quarter's centre, in the coordinates of the cell.
         center_x, center_y = (quarter & 1) - 0.5, (quarter >> 1) - 0.5
-        # Each new coefficient is a sum of at most six terms.  ROUNDING exceeds its rounding error.
-        radius = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
+        # Each new coefficient is a sum of at most six terms.  ROUNDING covers its rounding error.
+        error = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
         value = constant + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
         value = value + center_y * (coef_y + center_y * coef_yy)
-        new_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
-        new_y = coef_y / 2 + center_y * coef_yy + center_x * coef_xy / 2
-        coef = [value, new_x, new_y, coef_xx / 4, coef_xy / 4, coef_yy / 4, 0 * constant, radius]
+        slope_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
+        slope_y = coef_y / 2 + center_y * coef_yy + center_x * coef_xy / 2
+        coef = [value, slope_x, slope_y, coef_xx / 4, coef_xy / 4, coef_yy / 4, 0 * constant, error]
         return Enclosures(np.array(coef))
 
 
 def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
-    """Compute z^exponent for positive z (n,)."""
+    """Compute z^exponent for non-negative z (n,), with one exponent or one for each z."""
     # A square root is faster than a power.
     if isinstance(exponent, float) and exponent == -0.5:
         return np.asarray(1 / np.sqrt(z))

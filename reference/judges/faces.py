@@ -111,7 +111,7 @@ class Faces:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Prepare a scene with the tracer, and describe its faces, lights and shadows.
+        """Compute the attributes of all faces, objects and lights of a scene.
 
         Parameters
         ----------
@@ -148,17 +148,17 @@ class Faces:
         side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
         box_index = boxes.objects.list_indices()
         side[:, box_index] *= boxes.measure_distance(box_index, (x, y, z)) != 0
-        is_enclosed = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
-        # The light does not reach the sides of this box, which are seen from within.
-        is_unlit = is_enclosed | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
+        is_separated = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
+        # In a box, the eye sees inner sides, which a light on or outside the box cannot reach.
+        is_unlit = is_separated | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
         """Set the attributes that describe faces: spheres, and sides of boxes.
 
-        For their shapes and meanings see the docstring of the class.  They are `face_equation`,
-        `linear_coef`, `root_coef`, `height_half_space`, `rim_half_spaces`, `plane_id`,
-        `object_index`, `is_planar`, `bounding_box`, `may_be_visible` and `sheet_face`.
+        They are `face_equation`, `linear_coef`, `root_coef`, `height_half_space`,
+        `rim_half_spaces`, `plane_id`, `object_index`, `is_planar`, `bounding_box`, `may_be_visible`
+        and `sheet_face`.  The docstring of the class describes them.
 
         Parameters
         ----------
@@ -184,9 +184,9 @@ class Faces:
         rim = half_space[:, [[1, 2], [2, 0], [0, 1]]].reshape(5, 3, 4, 1, -1).swapaxes(1, 2)
         side_plane = np.array([np.indices(side_position.shape)[0], side_position])
 
-        def append_sides(spheres: NDArray[Any], boxes: NDArray[Any]) -> NDArray[Any]:
-            """Join the values of spheres and of box sides, as an array (..., f)."""
-            return np.append(spheres, boxes.reshape(*spheres.shape[:-1], -1), axis=-1)
+        def append_sides(spheres: NDArray[Any], sides: NDArray[Any]) -> NDArray[Any]:
+            """Append the values of all box sides to those of the spheres: an array (..., f)."""
+            return np.append(spheres, sides.reshape(*spheres.shape[:-1], -1), axis=-1)
 
         self.face_equation = append_sides(np.array([*(-2 * center), power, abs(power)]), half_space)
         self.linear_coef = append_sides(center / power, axes[:, :, None, None] / offset)
@@ -210,7 +210,7 @@ class Faces:
         self.sheet_face[self.object_index[sheet_face]] = sheet_face
 
     def _compute_height_half_spaces(self) -> Floats:
-        """Compute the half-spaces from which the heights of lights above spheres follow.
+        """Compute half-spaces that give the heights of lights above spheres.
 
         A camera ray with direction d meets a sphere at t d.  The height of a light above the
         sphere's tangent plane at this point, divided by t, is n.d + b / t.
@@ -234,24 +234,24 @@ class Faces:
         """Compute the attributes `shadow_volume` and `has_shadow_edge` for each box and light.
 
         The shadow volume of a box is the intersection of at most nine half-spaces n.x + b >= 0.  Up
-        to three of them are behind the sides that face the light.  The planes of six contain the
-        light, and touch the silhouette of the box.
+        to three of them lie behind the sides that face the light.  The planes of the other six
+        contain the light and touch the silhouette of the box.
 
         Parameters
         ----------
         low, high : (3, boxes) float arrays
             Lower and upper corners of the boxes relative to the eye, along the scene's axes.
         """
-        lights = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
+        light_position = (self.prepared_lights.position - self.frame.eye).T[:, :, None]
         low, high = low[:, None], high[:, None]
-        to_low, to_high = low - lights, high - lights
+        to_low, to_high = low - light_position, high - light_position
         cone_normal = np.array(find_edge_planes(to_low.reshape(3, -1), to_high.reshape(3, -1)))
         is_edge_on, is_on_plane = (to_low == 0) & (to_high == 0), (to_low == 0) | (to_high == 0)
         side_sign = np.where(is_edge_on, 0, np.where(to_low >= 0, 1, np.where(to_high <= 0, -1, 0)))
         side_normal = np.eye(3)[:, :, None, None] * side_sign
         normal = np.append(side_normal, cone_normal.reshape(3, 6, *to_low.shape[1:]), axis=1)
-        # Each plane touches the box, so b is minus the minimum of n.x over the corners.  These are
-        # relative to the eye, not to the light, so nothing cancels if the light is distant.
+        # Each plane touches the box, so b is minus the minimum of n.x over the corners.  The
+        # corners are relative to the eye, not the light, so nothing cancels for distant lights.
         products = np.array([normal * low[:, None], normal * high[:, None]])
         b, b_size = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
         b[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
@@ -307,9 +307,9 @@ class Faces:
         hits : Hits
             The nearest intersections of the h rays that meet an object.
         sample : (h,) int array
-            The index of each hit's position in `x` and `y`.
+            For each hit, the index of its position in `x` and `y`.
         face : (h,) int array
-            The index of the face (a sphere, or a side of a box) that each ray hits.
+            For each hit, the index of its face (a sphere, or a side of a box).
         """
         samples, position_index = Scattered.from_positions(x, y)
         hits = find_nearest_hits(self.prepared_scene, samples)
@@ -320,7 +320,7 @@ class Faces:
             side = 2 * group.face_axis + is_high_side
             run_face = group.run_object + group.shape.is_planar * box_count * side
             face[group.interval] = group.repeat_runs(run_face)
-        # A ray through the rim of a sheet may hit a side without area.
+        # A ray through the rim of a sheet may hit a side without area: use the sheet's face.
         sheet_face = self.sheet_face[self.object_index[face]]
         return hits, position_index[hits.sample_index], np.where(sheet_face >= 0, sheet_face, face)
 

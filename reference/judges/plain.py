@@ -117,11 +117,11 @@ def intersect_by_formula(origin: Array, direction: Array, center: Array, radius:
 
 
 def intersect_by_expansion(origin: Array, direction: Array, center: Array, radius: Array) -> Roots:
-    """Intersect rays with a sphere by the quadratic formula, in an expanded form.
+    """Intersect rays with a sphere by an expanded form of the quadratic formula.
 
     |origin - center|^2 is computed as |origin|^2 - 2 origin.center + |center|^2.  The error grows
-    with the square of the distance between origin and sphere, and with the square of their distance
-    from the point (0, 0, 0).
+    with the square of the distance between origin and sphere, and with the squares of their
+    distances from the point (0, 0, 0).
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ _DEFAULTS |= {"shadow_method": "exact", "ties": "first"}
 
 
 class TracedRays(NamedTuple):
-    """Results of n camera rays: the visible surface, the lights that reach it, and its radiance.
+    """Results of n camera rays: visible surfaces, the lights that reach them, and radiance.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class _PlainTracer:
     def __init__(
         self, scene: Scene, arithmetic: str, sphere_method: str, shadow_method: str, ties: str
     ) -> None:
-        """Convert a scene to a number type, and choose how to trace it.
+        """Convert a scene to a number type, and select the methods for tracing it.
 
         Parameters
         ----------
@@ -253,8 +253,7 @@ class _PlainTracer:
         arithmetic, sphere_method, shadow_method : str
             Keys of `ARITHMETICS`, `SPHERE_METHODS` and `SHADOW_METHODS`.
         ties : str
-            Which of several equally close surfaces is visible: the "first" or the "last" in the
-            file.
+            Which of several equally close surfaces is visible: "first" or "last" in the file.
 
         Raises
         ------
@@ -345,10 +344,10 @@ class _PlainTracer:
         backwards = _normalise(-window_normal if _dot(window_normal, ahead) > 0 else window_normal)
         rightwards = _normalise(np.cross(to_numbers(camera.view_up), backwards))
         upwards = np.cross(backwards, rightwards)
-        right = to_numbers(2 * x - width) / (2 * width) * to_numbers(camera.view_width)
-        up = to_numbers(height - 2 * y) / (2 * height) * to_numbers(camera.view_height)
+        shift_right = to_numbers(2 * x - width) / (2 * width) * to_numbers(camera.view_width)
+        shift_up = to_numbers(height - 2 * y) / (2 * height) * to_numbers(camera.view_height)
         window_center = ahead[:, None] * to_numbers(camera.proj_distance)
-        direction = window_center + np.outer(rightwards, right) + np.outer(upwards, up)
+        direction = window_center + np.outer(rightwards, shift_right) + np.outer(upwards, shift_up)
         # With exact zeros, a ray can be exactly parallel to the sides of a box.
         return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
@@ -407,7 +406,7 @@ class _PlainTracer:
         return near.max(axis=0), far.min(axis=0)
 
     def trace(self, x: Array, y: Array) -> TracedRays:
-        """Find the visible surface of each camera ray, the lights that reach it, and its radiance.
+        """Trace a camera ray through each of n positions in the picture.
 
         Parameters
         ----------
@@ -417,7 +416,7 @@ class _PlainTracer:
         Returns
         -------
         traced : TracedRays
-            The results, with one item per ray.
+            For each ray, the visible surface, the lights that reach this surface, and the radiance.
         """
         direction = self.compute_ray_directions(x, y)
         closest_t, surface = self.find_closest(direction)
@@ -453,14 +452,14 @@ class _PlainTracer:
         Returns
         -------
         closest_t : (n,) array
-            The closest intersection is at eye + closest_t direction; infinite if there is none.
+            The smallest t at which each ray, eye + t direction, meets a surface, or infinity.
         surface : (n,) int array
             Index of the surface intersected there, or -1.
         """
         ray_count, direction_length = direction.shape[1], _norm(direction)
         closest_t, surface = self.to_numbers(np.full(ray_count, np.inf)), np.full(ray_count, -1)
-        order = range(len(self.shapes))
-        for i in reversed(order) if self.prefers_last else order:
+        surface_indices = range(len(self.shapes))
+        for i in reversed(surface_indices) if self.prefers_last else surface_indices:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
             t = far if self.is_eye_inside[i] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
@@ -478,7 +477,8 @@ class _PlainTracer:
         surface : int
             Index of the surface in the scene.
         points, direction : (3, n) arrays
-            Points where camera rays meet the surface, and the directions of these rays.
+            Points where camera rays meet the surface, and the directions of these rays.  The points
+            may be changed in place.
 
         Returns
         -------
@@ -494,7 +494,7 @@ class _PlainTracer:
             return center + radius * outward, -outward if is_eye_inside else outward
         low, high = shape
         near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
-        # At an edge or a corner, the visible side is that along the first (or the last) axis.
+        # At an edge or a corner, sides are tied.  The one along the first or last axis is visible.
         side_t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
         is_tied = np.asarray(np.abs(side_t - visible_t) * _norm(direction) <= self.tolerance)
         axis = 2 - is_tied[::-1].argmax(axis=0) if self.prefers_last else is_tied.argmax(axis=0)
@@ -639,7 +639,7 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
     Returns
     -------
     traced : TracedRays
-        For each ray, the visible surface, the lights that reach it, and its radiance.
+        For each ray, the visible surface, the lights that reach this surface, and the radiance.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     x, y : (n,) float arrays
-        The points, with coordinates from -1 to 1; (0, 0) if the polynomial has no gradient.
+        The points, with coordinates from -1 to 1; (0, 0) where the gradient is 0.
     """
     value, slope_x, slope_y = coef[:X_SQUARED]
     max_scale = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
@@ -91,8 +91,8 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
 def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips:
     """Enclose the zeros of each edge function in a strip between two parallel lines.
 
-    The strip is perpendicular to the gradient of the function near the zero.  Its width allows for
-    the error bound and the curvature of the function.
+    The strip is perpendicular to the function's gradient at a point near the zero.  It is wide
+    enough to allow for the error bound and the curvature of the function.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     f_tt = 2 * (coef_xx * q * q - coef_xy * p * q + coef_yy * p * p)
     f_tn = 2 * (coef_yy - coef_xx) * p * q + coef_xy * (p * p - q * q)
     f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
-    half_extent = np.abs(p) + np.abs(q)  # of the cell, along both coordinates
+    half_extent = np.abs(p) + np.abs(q)  # of the cell, along t and n
     max_t, max_n = half_extent + np.abs(p * y - q * x), half_extent + np.abs(p * x + q * y)
     # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
     max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
@@ -164,14 +164,14 @@ class Regions(NamedTuple):
         Bit i is set if the region is on the positive side of the i-th centre line in its cell.
     area : (n,) float array
         Area of the region, as a fraction of the cell's area.
-    mean : (6, n) float array
+    moments : (6, n) float array
         Means of 1, X, Y, X^2, X Y and Y^2 over the region.
     """
 
     cell: Ints
     side_bits: Ints
     area: Floats
-    mean: Floats
+    moments: Floats
 
 
 def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
@@ -221,14 +221,14 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
         side_bits[triangle] = old_bits | is_a_above << bit
         side_bits = np.concatenate([side_bits, *[old_bits | ~is_a_above << bit] * 2])
         cell = np.concatenate([cell, cell[triangle], cell[triangle]])
-    area, mean = _compute_moments(corners)
+    area, moments = _compute_moments(corners)
     keys, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
     region_area = sum_by_index(region, area, keys.size)
     weight = area / np.maximum(region_area, MIN_AREA)[region]
-    region_mean = np.array([sum_by_index(region, weight * moment, keys.size) for moment in mean])
-    region_mean[0] = 1
+    region_moments = np.array([sum_by_index(region, row, keys.size) for row in weight * moments])
+    region_moments[0] = 1
     cell, side_bits = keys >> bit_count, keys & ((1 << bit_count) - 1)
-    return Regions(cell, side_bits, region_area, region_mean)
+    return Regions(cell, side_bits, region_area, region_moments)
 
 
 def _compute_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
@@ -243,14 +243,14 @@ def _compute_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:
     -------
     area : (n,) float array
         Areas, as fractions of the cell's area of 4.
-    mean : (6, n) float array
+    moments : (6, n) float array
         The means of 1, X, Y, X^2, X Y and Y^2 over each triangle.
     """
     x, y = corners.real, corners.imag
     area = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 8
-    mean = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
-    # Let p_i and q_i be X or Y of corner i.  The mean of their product over the triangle is
-    # (sum of p_i q_i + sum of p_i * sum of q_i) / 12.
-    for first, second in ((x, x), (x, y), (y, y)):
-        mean.append(((first * second).sum(axis=0) + first.sum(axis=0) * second.sum(axis=0)) / 12)
-    return area, np.array(mean)
+    moments = [np.ones_like(area), x.sum(axis=0) / 3, y.sum(axis=0) / 3]
+    # Let p and q each be X or Y, and p_i and q_i their values at corner i.  The mean of p q over
+    # the triangle is (sum of p_i q_i + sum of p_i * sum of q_i) / 12.
+    for p, q in ((x, x), (x, y), (y, y)):
+        moments.append(((p * q).sum(axis=0) + p.sum(axis=0) * q.sum(axis=0)) / 12)
+    return area, np.array(moments)

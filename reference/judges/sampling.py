@@ -45,5 +45,5 @@ def render_supersampled(scene: Scene, grid_side: int) -> NDArray[np.float64]:
         Mean linear RGB radiance of the samples in each pixel.
     """
     samples = render(replace(scene, width=scene.width * grid_side, height=scene.height * grid_side))
-    pixels = samples.reshape(scene.height, grid_side, scene.width, grid_side, 3)
-    return np.asarray(pixels.mean(axis=(1, 3)))
+    samples_by_pixel = samples.reshape(scene.height, grid_side, scene.width, grid_side, 3)
+    return np.asarray(samples_by_pixel.mean(axis=(1, 3)))
