@@ -120,11 +120,11 @@ class Cells(NamedTuple):
         """
         quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
         x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
-        quartet = np.full(self.center_x.size, -1)  # number of each cell's four quarters; or -1
-        quartet[cell_index] = np.arange(cell_index.size)
-        pair_quartet = quartet[self.pair_cell]
-        kept_index = find(pair_quartet >= 0)
-        pair_quarter = (4 * pair_quartet[kept_index, None] + np.arange(4)).ravel()
+        divided_index = np.full(self.center_x.size, -1)  # of each cell in `cell_index`, or -1
+        divided_index[cell_index] = np.arange(cell_index.size)
+        pair_divided_index = divided_index[self.pair_cell]
+        kept_index = find(pair_divided_index >= 0)
+        pair_quarter = (4 * pair_divided_index[kept_index, None] + np.arange(4)).ravel()
         pairs = pair_quarter, self.pair_object[kept_index].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 

@@ -247,10 +247,10 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
         Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
         the tolerance, or if values are unknown.
     """
-    # Scale the values so that powers of the derivatives are finite, whatever the unit of length.
+    # Values of f, scaled so that powers of the derivatives are finite in any unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
     # Near the centre, f(p) = c + g . p + p . H p / 2, with the gradient g = (a, b) and a matrix H.
-    # The second derivatives across and along the edge are h_across and h_along.
+    # The second derivatives across and along the edge are h_across and h_along; gradient2 is g . g.
     a, b = right - left, lower - upper
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
     h_xy = 4 * (corner - right - lower + center)

@@ -144,21 +144,21 @@ def find_silhouette_pixels(
     object_index : (n,) int array
         Index of the object in each pair.
     """
-    borders = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # between rows of pixels
+    border = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # y of the borders of rows
     top, bottom = scene.bounds.top, scene.bounds.bottom
     # For each interval of pixels: its row, its object, and the columns where it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     column_limits = columns.start, columns.stop
     for shape in scene.shapes:
-        spans = find_object_spans(shape, scene, borders[:-1], column_limits, height=1.0)
+        spans = find_object_spans(shape, scene, border[:-1], column_limits, height=1.0)
         object_index, row, left, right = spans
         # Find the columns in which the object covers the upper and the lower side of the row.
         covered_start, covered_stop = left, right
         for border_index in (row, row + 1):
-            border_left, border_right = shape.find_columns(object_index, borders[border_index], 0.0)
+            border_left, border_right = shape.find_columns(object_index, border[border_index], 0.0)
             covered_start = np.maximum(covered_start, border_left)
             covered_stop = np.minimum(covered_stop, border_right)
-        covers_row = (top[object_index] < borders[row]) & (bottom[object_index] > borders[row + 1])
+        covers_row = (top[object_index] < border[row]) & (bottom[object_index] > border[row + 1])
         covers_row &= covered_start < covered_stop
         start, stop = np.floor(left), np.floor(right) + 1
         # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
@@ -331,7 +331,7 @@ class CellSurfaces(NamedTuple):
         visible_index : (n,) int array
             Index of the visible hit in front of each hidden hit, on the same ray.
         is_close : (n,) bool array
-            Whether the surfaces may meet near the hidden hit.  Boxes around the eye always count.
+            Whether the two surfaces may meet near the hidden hit; ignored if the eye is in the box.
 
         Yields
         ------

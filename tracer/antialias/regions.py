@@ -56,7 +56,7 @@ class WeightedPoints(NamedTuple):
 
 
 def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
-    """Place points in cells, and weight the points so that they represent regions between lines.
+    """Place points in cells, and weight them to represent the regions between lines.
 
     A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  In each
     region, the weights add up to the area, and the weighted mean of the points is the centroid.
