@@ -221,9 +221,9 @@ def draw_classes() -> None:
     crop_corner = np.array([columns.start, rows.start])
     segments = [segment - crop_corner for segment in _clip_lines(classification)]
     class_axes.add_collection(LineCollection(segments, colors="k", lw=1))
-    sampled_cells = np.flatnonzero(class_index == 1)
+    cell_index = np.flatnonzero(class_index == 1)
     for point in Lattice(1, 25).list_points():
-        x, y = cells.to_picture(sampled_cells, np.full(sampled_cells.size, point))
+        x, y = cells.to_picture(cell_index, np.full(cell_index.size, point))
         class_axes.plot(x - crop_corner[0], y - crop_corner[1], ",", color="#0072b2")
     for color, name in zip(_CLASS_COLORS, ("smooth", "straight edges", "other edges"), strict=True):
         class_axes.plot([], [], "s", color=color, markeredgecolor="k", label=name)
