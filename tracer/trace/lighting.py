@@ -90,7 +90,7 @@ class LightGeometry(NamedTuple):
         cosine_squared /= 2 * half_square
         exponent = hits.get_object_values(hits.scene.exponent)[hit_index]
         strength: Floats = np.exp(0.5 * exponent * np.log(cosine_squared))
-        # The rounding error is large if l and v almost cancel, or the exponent amplifies the error.
+        # The rounding error is large if l and v almost cancel, or if the exponent amplifies it.
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
         redo_index = find(is_inaccurate)
         if redo_index.size:

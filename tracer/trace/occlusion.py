@@ -120,13 +120,12 @@ class Packets(NamedTuple):
         Parameters
         ----------
         packet_columns : (2, k) or (3, k) int array
-            Each column contains a light index, a packet index, and possibly an object index.
+            Row 0 contains light indices, row 1 packet indices, and row 2, if any, object indices.
 
         Returns
         -------
         child_columns : (2, j) or (3, j) int array
-            Copies of each column, one for each child of its packet, with the child's index in place
-            of the packet's.
+            For each column, one copy per child of its packet, with the child's index in row 1.
         """
         packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
@@ -440,8 +439,7 @@ def _test_footprints(
     growth, light_distance = growth[near_index], light_distance[near_index]
     is_blocking = _test_blocking(hits, lights, shape, near_candidates)
     # The object shades the whole footprint if the shrunk object blocks the light, too.  But if the
-    # hit is inside the object and outside the shrunk object, a light may be blocked by only the
-    # shrunk object.
+    # hit is between both surfaces, the shrunk object may block a light that the object does not.
     is_covering = is_blocking & _test_blocking(hits, lights, shape, near_candidates, -growth)
     # A light on the object's surface illuminates only one side of the tangent plane there, and this
     # plane may cross the footprint.

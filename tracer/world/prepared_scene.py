@@ -183,14 +183,14 @@ class PreparedScene:
         for start in range(0, self.light_count, lights_per_batch):
             yield self._get_light_batch(slice(start, start + lights_per_batch))
 
-    def _get_light_batch(self, batch: slice) -> Lights:
+    def _get_light_batch(self, light_slice: slice) -> Lights:
         """Return a batch of prepared lights, from the cache if possible.
 
         Newly prepared lights are added to the cache unless it is full.
 
         Parameters
         ----------
-        batch : slice
+        light_slice : slice
             Indices of the lights in the batch, in the order of the file.
 
         Returns
@@ -200,18 +200,18 @@ class PreparedScene:
         """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
-            if batch.start in self._cache:
-                return self._cache[batch.start]
+            if light_slice.start in self._cache:
+                return self._cache[light_slice.start]
             if sum(lights.nbytes for lights in self._cache.values()) < _MAX_CACHED_BYTES:
-                return self._cache.setdefault(batch.start, self.prepare_lights(batch))
-        return self.prepare_lights(batch)
+                return self._cache.setdefault(light_slice.start, self.prepare_lights(light_slice))
+        return self.prepare_lights(light_slice)
 
-    def prepare_lights(self, batch: slice = slice(None)) -> Lights:
+    def prepare_lights(self, light_slice: slice = slice(None)) -> Lights:
         """Prepare lights for shading and shadow tests, without using the cache.
 
         Parameters
         ----------
-        batch : slice
+        light_slice : slice
             Indices of the lights to prepare, in the order of the file; by default, all lights.
 
         Returns
@@ -219,7 +219,7 @@ class PreparedScene:
         lights : Lights
             The lights, with the data that shadow tests need.
         """
-        lights = self._lights[batch]
+        lights = self._lights[light_slice]
         positions = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = positions.T[:, :, None]
         shapes = self._all_shapes
