@@ -17,7 +17,7 @@ _SHADERS = (
 )
 
 
-def build_crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
+def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
     Half of the objects are spheres, the others are boxes.  However many there are, they cover about
