@@ -376,15 +376,15 @@ class CellAnalysis:
         conditions = self._make_hit_conditions(Enclosures(discriminants))
         covers_cell = self._decide_claims(-1, is_outside, conditions)
         self.inverse_distance = Enclosures(self._linear_term.coef.copy())
-        visible_pair = sphere_pair[~is_outside[sphere_pair]]
-        coef = self.squared_root_term[visible_pair].power(0.5).coef
-        rounding_error = self.inverse_distance.coef[ERROR, visible_pair]
+        hit_pair = sphere_pair[~is_outside[sphere_pair]]
+        coef = self.squared_root_term[hit_pair].power(0.5).coef
+        rounding_error = self.inverse_distance.coef[ERROR, hit_pair]
         # The error bound of the root term becomes the coefficient of the unknown Z, which the
         # inverse distance shares.  The new error bound covers only rounding errors.
         coef[UNKNOWN], coef[ERROR] = coef[ERROR] + rounding_error, rounding_error
-        self.root_term.coef[:, visible_pair] = coef
-        self.inverse_distance.coef[:, visible_pair] += coef
-        self.inverse_distance.coef[ERROR, visible_pair] = 0
+        self.root_term.coef[:, hit_pair] = coef
+        self.inverse_distance.coef[:, hit_pair] += coef
+        self.inverse_distance.coef[ERROR, hit_pair] = 0
         is_kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
         self.cells, new_index = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
         for i, (pair, light, functions) in enumerate(self._edges):
@@ -405,8 +405,8 @@ class CellAnalysis:
         Parameters
         ----------
         discriminants : Enclosures
-            One enclosure (8, p) per pair.  For a sphere, the enclosed function is positive where
-            the ray's line meets the sphere.  Enclosures for sides of boxes are not used.
+            Enclosures (8, p), one for each pair.  For a sphere, the enclosed function is positive
+            where the ray's line meets the sphere.  Enclosures for sides of boxes are not used.
 
         Yields
         ------
@@ -731,7 +731,7 @@ class CellAnalysis:
         light_distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
         inverse_light_distance = light_distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
         light_height = self._enclose_functions(self._express_light_height(pair, light))
-        n_dot_l = (light_height * inverse_light_distance).clamp_to_unit_interval()
+        n_dot_l = (light_height * inverse_light_distance).fall_back_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light].T
         radiance = n_dot_l.coef[:, None] * (intensity * scene.diffuse[:, object_index])
         # Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the
@@ -747,9 +747,9 @@ class CellAnalysis:
         l_dot_v = (squared_ray_length - q_dot_d_over_t)[glossy_index] * scale
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
         n_dot_sum = n_dot_l[glossy_index] + n_dot_v[glossy_pair_index]
-        n_dot_h = (n_dot_sum * inverse_sum).clamp_to_unit_interval()
+        n_dot_h = (n_dot_sum * inverse_sum).fall_back_to_unit_interval()
         glossy_object = object_index[glossy_index]
-        lobe = n_dot_h.power(scene.exponent[glossy_object], 0.0, 1.0).clamp_to_unit_interval()
+        lobe = n_dot_h.power(scene.exponent[glossy_object], 0.0, 1.0).fall_back_to_unit_interval()
         specular = intensity[:, glossy_index] * scene.specular[:, glossy_object]
         radiance[..., glossy_index] += lobe.coef[:, None] * specular
         return Contributions(pair, light, Enclosures(radiance))

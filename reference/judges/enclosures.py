@@ -274,7 +274,7 @@ class Enclosures:
         line.coef[ERROR] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
         return line
 
-    def clamp_to_unit_interval(self) -> Enclosures:
+    def fall_back_to_unit_interval(self) -> Enclosures:
         """Replace enclosures that are much wider than the interval [0, 1] by [0, 1] itself.
 
         Use this only for quantities that certainly lie in [0, 1], such as the cosines of acute
@@ -282,7 +282,7 @@ class Enclosures:
 
         Returns
         -------
-        clamped : Enclosures
+        enclosures : Enclosures
             If the absolute values of an enclosure's coefficients add up to 2 or more, or to NaN, it
             becomes the constant 0.5 with an error bound of 0.5.  All others are unchanged.
         """

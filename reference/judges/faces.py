@@ -171,7 +171,7 @@ class Faces:
         # three axes of every array for boxes are: coordinate (x, y, z), side (low, high), box.
         offset = np.stack([low, high], axis=1)
         side_position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
-        inward = np.where(scene.is_eye_inside[sphere_count:], 1, -1) * [[-1], [1]]
+        faces_eye = offset * [[-1], [1]] * np.where(scene.is_eye_inside[sphere_count:], 1, -1) > 0
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
         light_or_eye = np.append(self.prepared_lights.position, self.frame.eye[None], axis=0)
@@ -202,7 +202,7 @@ class Faces:
         sphere_bounds = scene.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
         object_bounds = np.append(sphere_bounds, side_position.swapaxes(0, 1), axis=2)
         self.bounding_box = object_bounds[:, :, self.object_index]
-        may_be_visible = append_sides(np.full(sphere_count, True), (offset * inward > 0) & has_area)
+        may_be_visible = append_sides(np.full(sphere_count, True), faces_eye & has_area)
         self.may_be_visible = may_be_visible & ~scene.is_duplicate[self.object_index]
         is_sheet = np.append(np.zeros(sphere_count, np.bool_), ~has_extent.all(axis=0))
         sheet_face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
