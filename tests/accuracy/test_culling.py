@@ -44,7 +44,7 @@ def render_by_brute_force(scene: Scene) -> Floats:
     with (
         patch("tracer.trace.samples.find_object_spans", _cover_whole_rows),
         patch("tracer.trace.radiance.find_shadows", _test_all_occluders),
-        patch.object(ScreenBounds, "in_picture", lambda bounds, _: np.full(bounds.top.size, True)),
+        patch.object(ScreenBounds, "is_in_picture", lambda self, _: np.full(self.top.size, True)),
         patch.object(ScreenBounds, "compute_window", lambda *_: window),
     ):
         return render(scene)

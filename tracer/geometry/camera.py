@@ -337,7 +337,7 @@ class ScreenBounds(NamedTuple):
         """
         return ScreenBounds(*(side[selection] for side in self))
 
-    def in_picture(self, frame: CameraFrame) -> Bools:
+    def is_in_picture(self, frame: CameraFrame) -> Bools:
         """Test whether each object's bounding rectangle overlaps the picture.
 
         The picture is enlarged by one pixel on each side, as a margin for rounding errors.
@@ -371,7 +371,7 @@ class ScreenBounds(NamedTuple):
         rows, columns : slices
             Rows and columns of pixels; empty slices if no object is visible.
         """
-        visible_bounds = self.select(self.in_picture(frame))
+        visible_bounds = self.select(self.is_in_picture(frame))
 
         def find_covered_pixels(starts: Floats, stops: Floats, pixel_count: int) -> slice:
             """Return a slice of the pixel indices that covers all intervals [starts[i], stops[i]].
@@ -400,7 +400,7 @@ class ScreenBounds(NamedTuple):
         depth_complexity : float
             The upper bound.  Objects behind other objects count, too.
         """
-        bounds, width = self.select(self.in_picture(frame)), frame.width
+        bounds, width = self.select(self.is_in_picture(frame)), frame.width
         covered_width = np.clip(bounds.right + 1, 0, width) - np.clip(bounds.left - 1, 0, width)
         # From row to row, add the widths of objects that begin and subtract those that end.
         order = np.append(bounds.top - 1, bounds.bottom + 1).argsort()

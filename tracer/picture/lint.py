@@ -188,7 +188,7 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
     visible_objects = _find_visible_objects(prepared_scene)
     camera_remedy = "see viewPoint, viewDir and the window"
     if not visible_objects.size:
-        if prepared_scene.bounds.in_picture(prepared_scene.frame).any():
+        if prepared_scene.bounds.is_in_picture(prepared_scene.frame).any():
             return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
     shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"

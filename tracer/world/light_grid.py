@@ -219,7 +219,7 @@ class LightGrid(NamedTuple):
 
         An entry is the part of an object in one octant of directions.  A cell is a small range of
         directions.  `listed_entry` lists the entries that overlap each cell.  An entry is near a
-        rectangle if both overlap the same cell; exactly one range then contains the entry.
+        rectangle if both overlap the same cell.  Each such entry is in exactly one range.
 
         Parameters
         ----------

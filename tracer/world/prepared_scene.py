@@ -226,7 +226,7 @@ class PreparedScene:
         sides = [shape.find_light_side(shape.objects.list_indices(), (x, y, z)) for shape in shapes]
         boxes = [shape.compute_bounding_boxes() for shape in shapes]
         box_min, box_max = (np.concatenate(corner, axis=1) for corner in zip(*boxes, strict=True))
-        is_visible = self.bounds.in_picture(self.frame)
+        is_visible = self.bounds.is_in_picture(self.frame)
         return Lights(
             position=positions,
             from_eye=np.column_stack(self.frame.points_to_camera(positions)),
