@@ -149,6 +149,16 @@ def _move(point: Vector, scale: float, direction: Vector) -> Vector:
     return x, y, z
 
 
+def _scale_height(x: float, y: float, z: float, setting: Setting) -> Vector:
+    """Multiply the y of a direction (x, y, z) by the height factor of a setting.
+
+    A y that is not 0 stays at least 2e-10 in size.  Below that, eyes and lights would be so near a
+    floor at y = 0 that rounding decides on which side of it they are.
+    """
+    height = y * setting.height_factor
+    return x, math.copysign(max(abs(height), 2e-10), y) if height else height, z
+
+
 def _cosine(vector: Vector, other: Vector) -> float:
     """Return the absolute value of the cosine of the angle between two vectors."""
     dot_product = sum(a * b for a, b in zip(vector, other, strict=True))
@@ -179,15 +189,14 @@ def _camera(random: Random, setting: Setting) -> Camera:
         axis, sign = random.randrange(3), random.choice([-1.0, 1.0])
         x, y, z = (sign * (axis == k) for k in range(3))
         up = abs(z), abs(x), abs(y)
-    direction = x, y * setting.height_factor, z
+    direction = _scale_height(x, y, z, setting)
     is_oblique = random.randint(0, 9) < 4
     normal = _move(direction, 0.5, _direction(random)) if is_oblique else direction
     # Hypothesis reduces numbers until vectors are equal, and a direction may be shorter than 0.5.
     if _cosine(normal, direction) < 0.01:
         normal = direction
     if _cosine(normal, up) > 0.99999:
-        lengths = [abs(component) for component in normal]
-        up = tuple(float(axis == lengths.index(min(lengths))) for axis in range(3))
+        up = min(((1, 0, 0), (0, 1, 0), (0, 0, 1)), key=lambda axis: _cosine(axis, normal))
     return Camera(
         view_point=_move(setting.target, -setting.reach, direction),
         view_dir=direction,
@@ -221,9 +230,8 @@ def _light(random: Random, camera: Camera, setting: Setting) -> PointLight:
         A light of random colour.
     """
     surface, special_case = random.choice(setting.surfaces), random.randint(0, 9)
-    x, y, z = _direction(random)
-    distance = setting.reach * _uniform(random, 0.25, 3)
-    position = x * distance, y * distance * setting.height_factor, z * distance
+    direction = _scale_height(*_direction(random), setting)
+    position = _move((0, 0, 0), setting.reach * _uniform(random, 0.25, 3), direction)
     if special_case == 0:
         position = camera.view_point
     elif special_case == 1 and isinstance(surface, Sphere):
