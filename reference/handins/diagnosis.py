@@ -102,8 +102,8 @@ class Diagnosis:
         keyword, sentence : str
             Keyword of the mistake, and the sentence that describes it.
         """
-        known_causes = ({},) if self.kind in AGREEING else self.causes
-        return replace(self, causes=tuple({keyword: sentence} | cause for cause in known_causes))
+        causes = ({},) if self.kind in AGREEING else self.causes
+        return replace(self, causes=tuple({keyword: sentence} | cause for cause in causes))
 
     def sort_causes(self, cause_counts: Counter[str]) -> Diagnosis:
         """Return a copy with the causes sorted by frequency, the most frequent first.
@@ -155,7 +155,7 @@ class Reference:
         Parameters
         ----------
         height, width : int
-            Size of the pictures in pixels; without a scene, the size of the reference picture.
+            Size of the pictures in pixels; without a scene, that of the reference picture.
 
         Returns
         -------
@@ -235,7 +235,7 @@ class Reference:
         finding = submission.find_mistakes()
         if finding.causes:
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
-            sentence = f"That leaves {counts} pixels that differ."
+            sentence = f"That leaves {counts} wrong pixels unexplained."
             causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
         if not submission.format_noise and (symptom := symptoms.find_symptom(submission)):
@@ -266,16 +266,16 @@ class Reference:
         if finding.hint:
             hint_text = " ".join(_fill_in_sentences(finding.hint, submission).values())
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
-            text = f"The nearest that is known: {hint_text} It does not explain {counts}. "
+            text = f"The closest match: {hint_text} It does not explain {counts}. "
         text += self._describe_differences(submission, finding.hint)
         return Diagnosis(({UNKNOWN: sentence},), text_after=text, hint="+".join(finding.hint))
 
     def _describe_differences(self, submission: Submission, hint: Cause) -> str:
         """Describe where a submitted picture differs from the reference picture.
 
-        The text names the surfaces with the most wrong pixels.  It also names the lights that are
-        missing or wrongly present, and the worst pixel, if there is no hint and the outlines of
-        surfaces are right.
+        The text names the surfaces with the most wrong pixels.  If there is no hint and the
+        background is right, it also names the worst pixel, and lights that are missing or wrongly
+        present.  Without the scene, it names only the worst pixel.
 
         Parameters
         ----------
@@ -319,7 +319,7 @@ def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Arr
     Parameters
     ----------
     scene : Scene
-        The scene, whose surfaces are named.
+        The scene.
     submission : Submission
         The submitted picture, and the renderer of its scene.
     is_wrong : (n,) bool array
@@ -332,13 +332,13 @@ def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Arr
     """
     surface_index = submission.renderer.surface_index
     wrong_surface_index = surface_index[is_wrong]
-    changes = submission.codes[:, is_wrong].astype(np.int16)
-    changes -= submission.renderer.reference_codes[:, is_wrong]
+    differences = submission.codes[:, is_wrong].astype(np.int16)
+    differences -= submission.renderer.reference_codes[:, is_wrong]
     surfaces, counts = np.unique(wrong_surface_index, return_counts=True)
     order, phrases = np.argsort(-counts, kind="stable"), []
     for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
         name = str(SurfaceRef.from_index(scene, int(surface))) if surface >= 0 else "the background"
-        note = _describe_brightness(changes[:, wrong_surface_index == surface])
+        note = _describe_brightness(differences[:, wrong_surface_index == surface])
         phrases.append(f"{count:,} of {(surface_index == surface).sum():,} on {name}{note}")
     if other_count := counts[order[_MAX_NAMED:]].sum():
         phrases.append(f"{other_count:,} on others")
@@ -351,7 +351,7 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
     Parameters
     ----------
     scene : Scene
-        The scene, whose lights are named with their line numbers in the file.
+        The scene.
     submission : Submission
         The submitted picture, and the renderer of its scene.
     is_wrong : (n,) bool array
@@ -419,7 +419,7 @@ def find_worst_pixel(first_codes: Codes, second_codes: Codes) -> tuple[int, int]
 def diagnose_agreement(submitted_codes: Codes, reference_codes: Codes) -> Diagnosis | None:
     """Diagnose a submitted picture that agrees with the reference picture, except for rounding.
 
-    Pictures agree if they differ by at most one level, in few pixels.
+    Pictures agree if they differ by at most one level, and only in a few pixels.
 
     Parameters
     ----------
@@ -487,19 +487,19 @@ def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
     return {key: re.sub(r"\{(\w+)\}", format_number, mistakes[key].sentence) for key in cause}
 
 
-def _describe_brightness(changes: Array) -> str:
-    """Describe whether nearly all pixels of a region are too bright, or nearly all too dark.
+def _describe_brightness(differences: Array) -> str:
+    """Describe whether nearly all wrong pixels of a region are too bright, or too dark.
 
     Parameters
     ----------
-    changes : (3, n) int array
-        Submitted minus reference codes of the region's n pixels.
+    differences : (3, n) int array
+        Submitted minus reference codes of the region's n wrong pixels.
 
     Returns
     -------
     str
         " (brighter)" or " (darker)"; empty if neither applies.
     """
-    if (changes >= -1).all(axis=0).mean() > 0.9:
+    if (differences >= -1).all(axis=0).mean() > 0.9:
         return " (brighter)"
-    return " (darker)" if (changes <= 1).all(axis=0).mean() > 0.9 else ""
+    return " (darker)" if (differences <= 1).all(axis=0).mean() > 0.9 else ""

@@ -36,18 +36,18 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
     Returns
     -------
     dict of str to array or float
-        The arrays by the names that formulas use, such as "view_dir" (3,), "center"
-        (3, surfaces, 1), "diffuse" (3, surfaces) and "position" (lights, 3, 1).  Without a scene,
-        the only array is "picture" (h, w, 3), the reference picture in linear light.
+        The arrays by name, such as "view_dir" (3,), "center" (3, surfaces, 1), "diffuse"
+        (3, surfaces) and "position" (lights, 3, 1).  Without a scene, the only array is "picture"
+        (h, w, 3), the reference picture in linear light.
     """
     if not isinstance(source, Scene):
-        light_of_code = decode_to_linear(np.arange(256)).astype(np.float32)
-        return {"picture": light_of_code[source]}  # float64 would take too much memory
+        light_by_code = decode_to_linear(np.arange(256)).astype(np.float32)
+        return {"picture": light_by_code[source]}  # float64 would take too much memory
     camera, surfaces, lights = source.camera, list(source.surfaces) or [Sphere()], source.lights
     shaders = [surface.shader for surface in surfaces]
     # Formulas need a surface: an empty scene gets a sphere with radius NaN, which all rays miss.
     radius_factor = 1 if len(source.surfaces) else np.nan
-    # In order of first use, which is nearly the order in the file.
+    # Sorted by first use, which is nearly the order in the file.
     distinct_shaders = [*dict.fromkeys(shaders)]
     shader_by_number = [distinct_shaders[k % len(distinct_shaders)] for k in range(len(surfaces))]
 
@@ -70,7 +70,7 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
         "min_pt": to_vectors(surfaces, "min_pt", (-1.0, -1, -1))[:, :, None],
         "max_pt": to_vectors(surfaces, "max_pt", (1.0, 1, 1))[:, :, None],
         "radius": to_array(surfaces, "radius", 1.0)[:, None] * radius_factor,
-        "phong": np.array([isinstance(shader, Phong) for shader in shaders]),
+        "is_phong": np.array([isinstance(shader, Phong) for shader in shaders]),
         "diffuse": to_vectors(shaders, "diffuse"), "specular": to_vectors(shaders, "specular"),
         "exponent": to_array(shaders, "exponent", 1.0),
         "shader_of_number": np.array([shaders.index(shader) for shader in shader_by_number]),
@@ -131,7 +131,7 @@ class FormulaCache:
         self._reference_recipe_count = len(self._recipes)
 
     def _find_recipes(self, replacements: Formulas) -> dict[str, int]:
-        """Find the recipe of each formula's value if some formulas are replaced.
+        """Find the recipe for the value of each formula when some formulas are replaced.
 
         A recipe tells how to compute a value.  It consists of a formula and, for each argument, the
         index of the argument's recipe.  Values that are computed in the same way share a recipe.
@@ -147,21 +147,21 @@ class FormulaCache:
             Indices of the recipes by formula name.  Formulas that cannot be computed from the
             inputs of this cache are omitted.
         """
-        recipe_index = self._reference_recipes.copy()
+        index_by_name = self._reference_recipes.copy()
         for name in _list_affected_formulas(tuple(replacements)):
             if name in self._inputs:
                 continue
             formula = replacements.get(name, REFERENCE_FORMULAS[name])
             try:
-                recipe = (formula, *map(recipe_index.__getitem__, list_parameters(formula)))
+                recipe = (formula, *map(index_by_name.__getitem__, list_parameters(formula)))
             except KeyError:  # an argument cannot be computed, so neither can this formula
-                recipe_index.pop(name, None)
+                index_by_name.pop(name, None)
                 continue
-            recipe_index[name] = self._index_by_recipe.setdefault(recipe, len(self._recipes))
-            if recipe_index[name] == len(self._recipes):
+            index_by_name[name] = self._index_by_recipe.setdefault(recipe, len(self._recipes))
+            if index_by_name[name] == len(self._recipes):
                 self._recipes.append(recipe)
                 self._cached_bytes += _BYTES_PER_RECIPE
-        return recipe_index
+        return index_by_name
 
     def can_compute_codes(self, replacements: Formulas) -> bool:
         """Test whether the inputs of this cache suffice to compute the codes of a picture.
@@ -186,8 +186,8 @@ class FormulaCache:
         Returns
         -------
         array or number
-            If the value is the same for all pixels, a number or an array of any shape; otherwise
-            an array whose last axis has length n.  The codes are an array (3, n).
+            An array whose last axis has length n; for the codes, (3, n).  A value that is the same
+            for all pixels is a number or an array of any shape.
 
         Raises
         ------
@@ -223,9 +223,9 @@ class FormulaCache:
             Index of the recipe.
         """
         if index not in self._values:
-            formula, *argument_recipes = self._recipes[index]
+            formula, *argument_indices = self._recipes[index]
             values, evaluate = self._values, self._evaluate_recipe
-            arguments = [values[k] if k in values else evaluate(k) for k in argument_recipes]
+            arguments = [values[k] if k in values else evaluate(k) for k in argument_indices]
             value = formula(*arguments)
             self._cached_bytes += getattr(value, "nbytes", 0)
             self._values[index] = value
@@ -238,7 +238,7 @@ def _make_constant_function(value: Any) -> Any:
 
 
 def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
-    """Merge the formulas that several mistakes substitute for correct ones into one dictionary.
+    """Merge the formulas of several mistakes into one dictionary.
 
     Parameters
     ----------
@@ -251,5 +251,5 @@ def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
         All formulas by name.  Empty if two mistakes replace the same formula, and so exclude each
         other.
     """
-    joined = {name: formulas[name] for formulas in formula_maps for name in formulas}
-    return joined if len(joined) == sum(map(len, formula_maps)) else {}
+    joined_formulas = {name: formulas[name] for formulas in formula_maps for name in formulas}
+    return joined_formulas if len(joined_formulas) == sum(map(len, formula_maps)) else {}

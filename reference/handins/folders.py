@@ -92,9 +92,9 @@ def match_hand_ins(files: Sequence[Path], class_path: Path, reference_path: Path
     Returns
     -------
     list of HandIn
-        One hand-in for each of `files`.  If both paths are folders, hand-ins without a picture
-        follow: for each student, one for each scene that only other students have handed in; then
-        one for each scene that nobody has handed in.  An empty subfolder counts as a student.
+        One hand-in for each of `files`.  If both paths are folders, those for missing pictures
+        follow: first of scenes that other students have handed in, then of scenes that nobody has
+        handed in.  An empty subfolder counts as a student.
     """
     path_by_scene = _list_references(reference_path)
     hand_ins = [_match_hand_in(path, class_path, reference_path, path_by_scene) for path in files]
@@ -143,18 +143,18 @@ def _match_hand_in(
 ) -> HandIn:
     """Identify the student and the scene of a picture by its path.
 
-    The subfolder is named after the student.  Without a subfolder, the student's name is the part
-    of the file name that is not the scene's name.
+    A subfolder is named after its student.  Without a subfolder, the student's name is the file
+    name without the scene's name.
 
     Parameters
     ----------
     picture : Path
         The file that the student handed in.
     class_path : Path
-        The folder of the class; or `picture`, if it is the only one.
+        The folder of the class; or `picture` itself, if it is the only one.
     reference_path : Path
-        The scene, the reference picture, or the folder of these.  A single scene or reference
-        picture is used for every file name.
+        A scene file, a reference picture, or a folder of these.  A single file is used for all
+        pictures.
     path_by_scene : dict of str to Path
         The scenes and reference pictures by name in lower case.
 

@@ -93,8 +93,8 @@ def intersect_spheres(
         The smaller and the larger t at which each ray crosses each sphere; NaN if the ray's line
         misses the sphere.
     """
-    # The ray's line crosses the sphere along a chord.  The roots are the t of the chord's midpoint,
-    # minus and plus half the chord's length in t.  Names that end in 2 hold squares.
+    # The ray's line crosses the sphere along a chord.  From its midpoint to its ends, t changes by
+    # `half_chord_t`.  Names that end in 2 hold squares.
     to_center = [centers[axis] - o[axis] for axis in range(3)]
     midpoint_t = sum(to_center[axis] * d[axis] for axis in range(3))
     if assume_unit_d:
@@ -109,19 +109,19 @@ def intersect_spheres(
 
 
 def intersect_boxes(
-    low: Array, high: Array, o: Array, d: Array, *, sort_crossings: bool = True
+    min_pt: Array, max_pt: Array, o: Array, d: Array, *, sort_crossings: bool = True
 ) -> Array:
     """Intersect each of n rays o + t d with each axis-aligned box.
 
     Parameters
     ----------
-    low, high : (3, boxes, 1) arrays
+    min_pt, max_pt : (3, boxes, 1) arrays
         Corners of the boxes with the smallest and with the largest coordinates.
     o, d : (3, n) arrays
         Origins and directions of the rays.
     sort_crossings : bool
-        Whether to sort the two t at which a ray crosses two opposite faces.  False simulates the
-        mistake of not sorting them.
+        Whether to sort the values of t at two opposite faces.  False simulates the mistake of not
+        sorting them.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def intersect_boxes(
     """
     entry_t, exit_t = -np.inf, np.inf
     for axis in range(3):
-        first_t, second_t = (low[axis] - o[axis]) / d[axis], (high[axis] - o[axis]) / d[axis]
+        first_t, second_t = (min_pt[axis] - o[axis]) / d[axis], (max_pt[axis] - o[axis]) / d[axis]
         if sort_crossings:
             first_t, second_t = np.minimum(first_t, second_t), np.maximum(first_t, second_t)
         entry_t, exit_t = np.maximum(entry_t, first_t), np.minimum(exit_t, second_t)
@@ -139,15 +139,14 @@ def intersect_boxes(
 
 
 def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Callable[..., Array]:
-    """Make a faulty intersection function, which multiplies all its results by a factor.
+    """Make a faulty intersection function, which returns the correct results times a factor.
 
     Parameters
     ----------
     intersect : callable
-        The correct function.  It returns an array of the numbers t for which o + t d is the point
-        where a ray with the origin o and the direction d crosses a surface.
+        The correct function.  It returns the values of t at which rays o + t d cross surfaces.
     factor : float
-        The factor that makes the results wrong.
+        The factor, such as 2.
 
     Returns
     -------
@@ -158,7 +157,7 @@ def make_scaled_intersect(intersect: Callable[..., Array], factor: float) -> Cal
 
 
 def make_far_intersect(intersect: Callable[..., Array]) -> Callable[..., Array]:
-    """Make a faulty intersection function, which returns the far intersections twice.
+    """Make a faulty intersection function, which returns the far crossing in place of the near one.
 
     Parameters
     ----------
@@ -175,7 +174,7 @@ def make_far_intersect(intersect: Callable[..., Array]) -> Callable[..., Array]:
 
 
 def make_intersect(
-    is_sphere: Array, centers: Array, radii: Array, low: Array, high: Array, is_present: Array,
+    is_sphere: Array, centers: Array, radii: Array, min_pt: Array, max_pt: Array, is_present: Array,
     intersect_sphere: Callable[..., Array], intersect_box: Callable[..., Array],
 ) -> Callable[[Array, Array], Array]:  # fmt: skip
     """Make a function that intersects rays o + t d with the spheres and boxes of a scene.
@@ -186,7 +185,7 @@ def make_intersect(
         True for spheres, false for boxes.
     centers, radii : (3, surfaces, 1) and (surfaces, 1) arrays
         Centres and radii of the spheres; the entries of boxes are ignored.
-    low, high : (3, surfaces, 1) arrays
+    min_pt, max_pt : (3, surfaces, 1) arrays
         Opposite corners of the boxes; the entries of spheres are ignored.
     is_present : (surfaces,) bool array
         False for surfaces to leave out, which no ray hits.
@@ -204,11 +203,11 @@ def make_intersect(
     box_index = np.flatnonzero(~is_sphere & is_present)
 
     def intersect(o: Array, d: Array) -> Array:
-        """Return the roots (2, surfaces, n) of rays with origins and directions (3, n)."""
+        """Compute the t (2, surfaces, n) at which n rays o + t d cross each surface."""
         roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
         centers_and_radii = centers[:, sphere_index], radii[sphere_index]
         roots[:, sphere_index] = intersect_sphere(*centers_and_radii, o, d)
-        roots[:, box_index] = intersect_box(low[:, box_index], high[:, box_index], o, d)
+        roots[:, box_index] = intersect_box(min_pt[:, box_index], max_pt[:, box_index], o, d)
         return roots
 
     return intersect
@@ -237,7 +236,7 @@ def find_first_crossing(roots: Array) -> Array:
 def intersect_shadow_rays(
     intersect: Callable[[Array, Array], Array], hits: Array, shadow_directions: Array
 ) -> Array:
-    """Intersect the shadow rays from n hits to all lights with all surfaces.
+    """Find where the shadow rays from n hits to all lights cross the surfaces.
 
     Parameters
     ----------
@@ -284,15 +283,15 @@ def find_blocking_surfaces(
         True if the surface blocks the light from the hit.
     """
     far_limits = min_t if min_far_t is None else np.full_like(min_t, min_far_t)
-    is_blocking, lights = [], zip(shadow_roots, min_t, far_limits, max_t, strict=True)
-    for (near_t, far_t), near_limit, far_limit, end_t in lights:
+    is_blocking, rays_by_light = [], zip(shadow_roots, min_t, far_limits, max_t, strict=True)
+    for (near_t, far_t), near_limit, far_limit, end_t in rays_by_light:
         first_t = np.where(near_t > near_limit, near_t, np.where(far_t > far_limit, far_t, np.nan))
         is_blocking.append((first_t < end_t) & is_tested)
     return np.array(is_blocking, dtype=bool).reshape(len(shadow_roots), *is_tested.shape)
 
 
 def select_last_chosen(values: Array, is_chosen: Array) -> Array:
-    """Select the value of the last of the chosen surfaces, in the order of the scene file.
+    """Select the value of the chosen surface that comes last in the scene file.
 
     Parameters
     ----------
@@ -304,14 +303,14 @@ def select_last_chosen(values: Array, is_chosen: Array) -> Array:
     Returns
     -------
     value : (..., 1) array
-        Zero if no surface is chosen.
+        The value of that surface; zero if no surface is chosen.
     """
     chosen_index = np.flatnonzero(is_chosen)
     return values[..., chosen_index[-1:]] if chosen_index.size else 0 * values[..., :1]
 
 
 def compute_box_normals(
-    hits: Array, low: Array, high: Array, axis_shift: int = 0, forced_sign: float | None = None
+    hits: Array, min_pt: Array, max_pt: Array, axis_shift: int = 0, forced_sign: float | None = None
 ) -> Array:
     """Compute the unit normals of boxes at n hits, correctly or with a simulated mistake.
 
@@ -319,19 +318,19 @@ def compute_box_normals(
     ----------
     hits : (3, n) array
         Points on the faces of boxes.
-    low, high : (3, n) arrays
+    min_pt, max_pt : (3, n) arrays
         Opposite corners of the box at each hit.
     axis_shift : int
-        If 1 or 2, simulates a mistake: the normal of the x-faces lies along y or z, and so on.
+        Simulates confused axes: with 1, normals of x-faces lie along y; with 2, along z.
     forced_sign : float, optional
-        If 1 or -1, simulates a mistake: all normals have this sign.  By default, normals point
+        Simulates the mistake of giving all normals this sign, 1 or -1.  By default, normals point
         outward.
 
     Returns
     -------
     normals : (3, n) array
     """
-    from_center, half_size = hits - (low + high) / 2, (high - low) / 2
+    from_center, half_size = hits - (min_pt + max_pt) / 2, (max_pt - min_pt) / 2
     face_axis = np.abs(np.abs(from_center) - half_size).argmin(axis=0)
     face_coordinate = np.take_along_axis(from_center, face_axis[None], axis=0)[0]
     sign = np.where(face_coordinate < 0, -1.0, 1.0) if forced_sign is None else forced_sign

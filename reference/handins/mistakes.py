@@ -16,7 +16,7 @@ from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
 VARIANTS = ("shadow-own", "shadow-own-lobe")
-"""Other ways to write a correct tracer, in which some mistakes look different."""
+"""Other ways to write a correct tracer, with which some mistakes look different."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (a tuple of keywords of mistakes) of a background that is not black."""
 OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
@@ -87,8 +87,8 @@ def parse_formulas(assignments: str) -> Formulas:
     SyntaxError
         If an expression is not valid Python.
     """
-    sides = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
-    return {name: compile_formula(expression) for name, expression in sides}
+    names_and_expressions = (assignment.split(" = ", 1) for assignment in assignments.split("; "))
+    return {name: compile_formula(expression) for name, expression in names_and_expressions}
 
 
 def make_sample_formulas(x: float, y: float) -> Formulas:
@@ -118,8 +118,8 @@ PICTURE_FORMULAS = parse_formulas(
 def list_mistakes(scene: Scene) -> dict[str, Mistake]:
     """List the mistakes that a tracer may make when it renders a scene.
 
-    A row of `_MISTAKES` is repeated for each surface or light if its sentence contains
-    ``{surface}`` or ``{light}``.  The index of the surface or light replaces ``{k}`` in the row.
+    A row of `_MISTAKES` with ``{surface}`` or ``{light}`` in its sentence is repeated for each
+    surface or light.  The index of the surface or light replaces ``{k}`` in the row.
 
     Parameters
     ----------
@@ -132,14 +132,14 @@ def list_mistakes(scene: Scene) -> dict[str, Mistake]:
         The mistakes by keyword, such as "gamma-none", in the order of the table.
     """
     line_notes = [f" (line {light.line})" if light.line else "" for light in scene.lights]
-    object_names = {
+    names_by_placeholder = {
         "{surface}": [str(SurfaceRef.from_index(scene, k)) for k in range(len(scene.surfaces))],
         "{light}": [f"Light {index}{note}" for index, note in enumerate(line_notes)],
     }
     mistakes = {}
     for keyword, sentence, assignments in _MISTAKES:
-        placeholder = next((key for key in object_names if key in sentence), "")
-        for index, name in enumerate(object_names.get(placeholder, [""])):
+        placeholder = next((key for key in names_by_placeholder if key in sentence), "")
+        for index, name in enumerate(names_by_placeholder.get(placeholder, [""])):
             formulas = parse_formulas(assignments.replace("{k}", str(index)))
             mistake = Mistake(sentence.replace(placeholder, name), formulas, bool(placeholder))
             mistakes[keyword.replace("{k}", str(index))] = mistake

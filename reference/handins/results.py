@@ -78,7 +78,7 @@ class Result(NamedTuple):
         new_columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
                        "diagnosis": diagnosis and str(diagnosis)}  # fmt: skip
         columns = [*self._asdict().items()]
-        return dict(columns[:5]) | new_columns | dict(columns[6:])
+        return dict(columns[:5]) | new_columns | dict(columns[6:])  # without the diagnosis
 
     def format_metrics(self) -> str:
         """Format the metrics of the comparison as text.
@@ -153,14 +153,14 @@ def summarize_counts(results: Sequence[Result]) -> str:
     Returns
     -------
     str
-        A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  If there are any, it also
-        counts the pictures that cannot be compared, and the scenes that nobody has handed in.
+        A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  It also counts
+        any pictures that cannot be compared, and any scenes that nobody has handed in.
     """
     counts = Counter("nobody" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip
-    verb_of = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
-    clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verb_of.items() if counts[verdict]]
-    summary = f"{sum(counts[verdict] for verdict in verb_of)} pictures: {', '.join(clauses)}"
+    verbs = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
+    clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verbs.items() if counts[verdict]]
+    summary = f"{sum(counts[verdict] for verdict in verbs)} pictures: {', '.join(clauses)}"
     summary += f"; {counts['missing']} are missing" if counts["missing"] else ""
     nobody_note = f"; scenes that nobody has handed in: {counts['nobody']}"
     return summary + (nobody_note if counts["nobody"] else "")

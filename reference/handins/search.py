@@ -84,7 +84,7 @@ class Finding(NamedTuple):
     hint: Cause = ()
 
 
-def choose_stratified(strata: Array, max_count: int) -> Array:
+def choose_from_strata(strata: Array, max_count: int) -> Array:
     """Choose items at random, about the same number from each stratum.
 
     Parameters
@@ -99,11 +99,12 @@ def choose_stratified(strata: Array, max_count: int) -> Array:
     item_index : (k,) int array
         Indices of the chosen items; k is the smaller of n and `max_count`.
     """
-    shuffled_items = shuffle(len(strata))[:_MAX_CANDIDATES]
-    order = np.argsort(strata[shuffled_items], kind="stable")
-    counts = np.unique(strata[shuffled_items], return_counts=True)[1]
+    candidates = shuffle(len(strata))[:_MAX_CANDIDATES]
+    order = np.argsort(strata[candidates], kind="stable")
+    counts = np.unique(strata[candidates], return_counts=True)[1]
+    # The first candidate of each stratum has place 0, the second has place 1, and so on.
     place_in_stratum = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)
-    return shuffled_items[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
+    return candidates[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
 
 
 def shuffle(count: int) -> Array:
@@ -116,8 +117,7 @@ class MistakeRenderer:
     """Renders one scene, at one size, with simulated mistakes.
 
     A picture is defined by formulas (functions for values such as the radiance), and a mistake by
-    the formulas that it replaces.  A cause is a tuple of keywords of mistakes that are made
-    together.
+    the formulas that it replaces.
 
     Parameters
     ----------
@@ -164,13 +164,13 @@ class MistakeRenderer:
             keyword: mistake for keyword, mistake in self.mistakes.items()
             if (changes := self.get_formulas((keyword,))) and first_pixel.can_compute_codes(changes)
         }  # fmt: skip
-        subset = choose_stratified(surface_index, MAX_PIXELS // 32)
+        subset = choose_from_strata(surface_index, MAX_PIXELS // 32)
         strata = surface_index[subset]
         if isinstance(source, Scene):
-            for is_lit in self.evaluate([base_formulas], subset, formula="lit")[0][:4]:
+            for is_lit in self.evaluate([base_formulas], subset, name="lit")[0][:4]:
                 strata = 2 * strata + is_lit
         sample_size = max(500, _MAX_INTERSECTIONS // max(20, 20 * self.surface_count))
-        self.sample = subset[choose_stratified(strata, sample_size)]
+        self.sample = subset[choose_from_strata(strata, sample_size)]
 
     def get_formulas(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate a cause.
@@ -191,7 +191,7 @@ class MistakeRenderer:
     def needs_fitting(self, keyword: str) -> bool:
         """Test whether a mistake depends on a number estimated from the submitted picture.
 
-        An example is a wrong gamma, which the formula `fitted_gamma` estimates.
+        For example, the formula `fitted_gamma` estimates a wrong gamma.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class MistakeRenderer:
 
     def evaluate(
         self, formula_maps: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
-        fitting_cache: FormulaCache | None = None, formula: str = "codes",
+        fitting_cache: FormulaCache | None = None, name: str = "codes",
     ) -> Array:  # fmt: skip
         """Evaluate a formula at some pixels of several pictures with different mistakes.
 
@@ -242,7 +242,7 @@ class MistakeRenderer:
         fitting_cache : FormulaCache, optional
             The cache whose pixels are used to fit parameters such as gamma.  By default, they are
             fitted separately for each batch of `pixels`.
-        formula : str
+        name : str
             Name of the formula to evaluate; by default, the 8-bit codes.
 
         Returns
@@ -253,19 +253,19 @@ class MistakeRenderer:
         submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
         caches = (self.make_cache(batch, submitted_codes, fitting_cache)
                   for batch in self.split_pixels(pixels))  # fmt: skip
-        values = [[cache.get_value(formula, formulas) for formulas in formula_maps]
+        values = [[cache.get_value(name, formulas) for formulas in formula_maps]
                   for cache in caches]  # fmt: skip
         return np.concatenate(values, axis=-1)
 
     @cached_property
     def cause_groups(self) -> dict[Cause, list[Cause]]:
-        """Groups of causes that give the same picture: lists of causes, by the first cause.
+        """Groups of causes that give the same picture, by the first cause of each group.
 
-        A cause consists of one mistake.  It may also contain a variant: another way to write a
-        correct tracer, in which the mistake gives another picture.
+        A cause contains one mistake.  It may also contain a variant (another way to write a correct
+        tracer) with which the mistake looks different.
 
-        Mistakes that depend on numbers estimated from a submitted picture are skipped.  In a scene
-        with many surfaces, mistakes that concern one surface or light are skipped, too.
+        Mistakes that depend on numbers estimated from a submitted picture are omitted.  So are
+        mistakes that concern a single surface or light, if the scene has many surfaces.
         """
         variants = ((), *((keyword,) for keyword in mistakes.VARIANTS if keyword in self.mistakes))
         has_many_surfaces = self.surface_count > _MAX_PAIRED_SURFACES
@@ -278,7 +278,7 @@ class MistakeRenderer:
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
         pixels = self.sample[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixels)
-        # Mistakes that show only with another mistake, which raises the radiance above 1.
+        # These mistakes may be visible only together with one that raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
             for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes
@@ -300,8 +300,8 @@ class MistakeRenderer:
     def rendered_pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Array]:
         """All pairs of mistakes, rendered at k pixels.
 
-        Item 0 maps the cause of each pair to the two causes that it combines.  Item 1 contains the
-        8-bit codes (pairs, 3, k) of each pair.  Item 2 contains the indices (k,) of the pixels.
+        Item 0 maps each joined cause to the two causes that it joins.  Item 1 contains the 8-bit
+        codes (pairs, 3, k) of their pictures.  Item 2 contains the indices (k,) of the pixels.
         """
         pixels = self.sample[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
@@ -320,13 +320,13 @@ class MistakeRenderer:
         Parameters
         ----------
         first, second : tuple of str
-            Keywords of mistakes that are made together.  Each cause may end with the keyword of a
-            variant of a correct tracer.
+            Keywords of mistakes that are made together.  The last keyword may be that of a variant:
+            another way to write a correct tracer.
 
         Returns
         -------
         tuple of str
-            The keywords of both causes, that of a variant last.  Empty if the mistakes exclude each
+            The keywords of both causes, with the variant last.  Empty if the mistakes exclude each
             other, or if both causes contain a variant.
         """
         variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
@@ -387,10 +387,8 @@ class Submission:
         is_wrong = self.is_wrong[order]
         # Indices of wrong pixels, then of right ones, both in random order.
         self._shuffled_pixels = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
-        max_pixels = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
-        final = (
-            self._choose_blocks(max_pixels) if reencode else (*self._choose_pixels(max_pixels), 0)
-        )
+        max_count = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
+        final = self._choose_blocks(max_count) if reencode else (*self._choose_pixels(max_count), 0)
         self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
@@ -426,23 +424,21 @@ class Submission:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
 
         The chosen blocks form a smaller picture.  JPEG compresses each block separately, so
-        compression changes the blocks as it does in the whole picture, except for their outermost
-        pixels.
+        compression alters the blocks as it does in the whole picture, except at their edges.
 
         Parameters
         ----------
         count : int
-            Number of pixels to choose, but at least `MAX_PIXELS` / 8, because neighbouring pixels
-            are similar.  All pixels are chosen in a smaller picture, and in a picture that is
-            narrower or lower than a block.
+            Number of pixels to choose, or `MAX_PIXELS` / 8 if that is more.  All pixels are chosen
+            if the picture has no more, or if it is less than a block wide or high.
 
         Returns
         -------
         pixels : (k,) int array
             Indices of the pixels of the chosen blocks, in the order of the smaller picture.
         weights : (k,) float array
-            Number of pixels of the whole picture that each chosen pixel represents; 0 for the
-            outermost pixels of blocks.
+            Number of pixels of the whole picture that each chosen pixel represents; 0 at the edges
+            of blocks.
         width : int
             Width of the smaller picture: the width of a block, or of the whole picture.
         """
@@ -450,32 +446,37 @@ class Submission:
         every_pixel, count = np.arange(pixel_count, dtype=np.int32), max(count, MAX_PIXELS // 8)
         if pixel_count <= count or min(width, pixel_count // width) < side:
             return every_pixel, np.ones(pixel_count), width
-        picture = every_pixel.reshape(-1, width)
-        rows, columns = (size // side * side for size in picture.shape)
-        blocks: Array = picture[:rows, :columns].reshape(-1, side, columns // side, side)
+        pixel_grid = every_pixel.reshape(-1, width)
+        rows, columns = (size // side * side for size in pixel_grid.shape)
+        blocks: Array = pixel_grid[:rows, :columns].reshape(-1, side, columns // side, side)
         blocks = blocks.swapaxes(1, 2).reshape(-1, side, side)
-        is_wrong = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)
-        block_index = choose_stratified(is_wrong, count // side**2)
-        block_weights = np.bincount(is_wrong) / np.bincount(is_wrong[block_index])
+        has_wrong = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)
+        block_index = choose_from_strata(has_wrong, count // side**2)
+        block_weights = np.bincount(has_wrong) / np.bincount(has_wrong[block_index])
         weights = np.zeros((len(block_index), side, side))
-        weights[:, 1:-1, 1:-1] = block_weights[is_wrong[block_index], None, None]
+        weights[:, 1:-1, 1:-1] = block_weights[has_wrong[block_index], None, None]
         weights *= side**2 / (side - 2) ** 2
         return blocks[block_index].ravel(), weights.ravel(), side
 
-    def _compress(self, columns: Codes, width: int) -> Codes:
-        """Return the 8-bit codes (3, n) of a picture as the format of the submission alters them.
+    def _compress(self, codes: Codes, width: int) -> Codes:
+        """Compress a picture as the file format of the submitted picture does.
 
         Parameters
         ----------
-        columns : (3, n) uint8 array
-            The codes of the picture.
+        codes : (3, n) uint8 array
+            8-bit codes of the n pixels of the picture.
         width : int
             Width of the picture in pixels.
+
+        Returns
+        -------
+        (3, n) uint8 array
+            The codes after compression; unchanged if `reencode` is None.
         """
-        return to_columns(self._reencode(to_picture(columns, width))) if self._reencode else columns
+        return to_columns(self._reencode(to_picture(codes, width))) if self._reencode else codes
 
     def _compare_levels(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
-        """Compute how much the submitted picture differs from the one that each cause gives.
+        """Compare the submitted picture with pictures that are rendered with given causes.
 
         Parameters
         ----------
@@ -484,14 +485,13 @@ class Submission:
         pixels : (k,) int array
             Indices of the pixels to compare.
         width : int
-            If these pixels form a picture, its width; the picture is then compressed like the
-            submitted picture.  Otherwise 0.
+            Width of the picture that `pixels` form.  The rendered pictures are then compressed like
+            the submitted one.  By default, they are not compressed.
 
         Returns
         -------
         differences : (causes, k) array
-            For each cause and pixel, the largest difference between the two pictures in any
-            channel, in levels.
+            For each cause and pixel, the difference in levels, in the channel that differs most.
         """
         formula_maps = [self.renderer.get_formulas(cause) for cause in causes]
         pictures = self.renderer.evaluate(formula_maps, pixels, self.codes, self.fitting_cache)
@@ -502,7 +502,7 @@ class Submission:
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
         """Count the pixels that each cause leaves unexplained or inexact, and cache the counts.
 
-        The results are returned by `_count_unexplained` and `_count_inexact`.
+        `_count_unexplained` and `_count_inexact` look up the counts.
 
         Parameters
         ----------
@@ -517,7 +517,10 @@ class Submission:
                 cached_counts[cause] = [*map(round, counts)]
 
     def _count_unexplained(self, cause: Cause) -> int:
-        """Count the pixels in which the submitted picture differs from the picture of a cause.
+        """Count the pixels that a cause leaves unexplained.
+
+        In these pixels, the submitted picture differs from the picture rendered with the cause by
+        more than the tolerance.
 
         Parameters
         ----------
@@ -533,9 +536,9 @@ class Submission:
         return self._counts_by_cause[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
-        """Count the pixels in which the submitted picture differs at all from that of a cause.
+        """Count the pixels that a cause does not reproduce exactly.
 
-        Only differences that lossy compression may cause are ignored.
+        Differences that lossy compression may explain are ignored.
 
         Parameters
         ----------
@@ -577,8 +580,6 @@ class Submission:
     def _run_round(self, causes: list[Cause], pixel_count: int, max_causes: int) -> list[Cause]:
         """Run one round of successive halving: compare causes at some pixels, and keep the best.
 
-        The best causes leave the fewest of these pixels unexplained.
-
         Parameters
         ----------
         causes : list of tuples of str
@@ -610,33 +611,32 @@ class Submission:
     def find_mistakes(self) -> Finding:
         """Search for the mistakes that explain the submitted picture.
 
-        Single mistakes are tried first.  Pairs are tried only if no single mistake explains the
-        picture almost exactly.
+        Pairs of mistakes are tried only if no single mistake explains the picture almost exactly.
 
         Returns
         -------
         Finding
-            The causes (tuples of keywords of mistakes that are made together); or, if no cause
-            explains the picture, a hint: the cause with the most similar picture.
+            The causes that explain the picture.  If there are none, perhaps a hint: the cause with
+            the most similar picture.
         """
-        singles = self._add_rounding(self._rank_causes(self.renderer.single_causes))
+        single_causes = self._add_rounding(self._rank_causes(self.renderer.single_causes))
         pairs = list[Cause]()
-        causes = self._select_reportable(singles)
-        min_count: float = self._count_unexplained(causes[0]) if causes else np.inf
-        if min_count > _MAX_UNEXPLAINED:
+        causes = self._select_good_causes(single_causes)
+        single_count: float = self._count_unexplained(causes[0]) if causes else np.inf
+        if single_count > _MAX_UNEXPLAINED:
             pairs = self._add_rounding(self._select_best_pairs())
-            good_pairs = self._select_reportable(list(filter(self._needs_each_mistake, pairs)))
-            if good_pairs and _MIN_RATIO * self._count_unexplained(good_pairs[0]) <= min_count:
+            good_pairs = self._select_good_causes(list(filter(self._needs_each_mistake, pairs)))
+            if good_pairs and _MIN_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
                 causes = good_pairs
         # A pair is preferred only if it leaves less than half as many pixels unexplained.
-        nearest = min(causes[:1] or singles + pairs, default=(), key=lambda cause: (
+        best_cause = min(causes[:1] or single_causes + pairs, default=(), key=lambda cause: (
             (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
-        if 2 * self._count_unexplained(nearest) > self.wrong_count:
+        if 2 * self._count_unexplained(best_cause) > self.wrong_count:
             return Finding((), self.wrong_count)
-        count = self._count_unexplained_in_full(nearest)
-        if causes and count <= self._max_unexplained:
-            return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), count)
-        return Finding((), count, remove_variants(nearest))
+        unexplained_count = self._count_unexplained_in_full(best_cause)
+        if causes and unexplained_count <= self._max_unexplained:
+            return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), unexplained_count)
+        return Finding((), unexplained_count, remove_variants(best_cause))
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels of the complete picture that a cause leaves unexplained."""
@@ -647,8 +647,8 @@ class Submission:
     def _select_best_pairs(self) -> list[Cause]:
         """Select the pairs of mistakes whose pictures are most similar to the submitted picture.
 
-        If several mistakes give the same picture, only one of them is tried at first.  The others
-        then replace it in the best pairs.
+        If several mistakes give the same picture, only one is tried first.  The others are then
+        tried in its place in the best pairs.
 
         Returns
         -------
@@ -657,14 +657,15 @@ class Submission:
             mistakes.
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
-        groups, (all_pairs, codes, pixels) = renderer.cause_groups, renderer.rendered_pairs
+        groups = {background: [background]} | renderer.cause_groups
+        all_pairs, codes, pixels = renderer.rendered_pairs
         is_unexplained = compare_levels(codes, self.codes[:, pixels]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
         pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSE_COUNT]}
         if self.codes[:, renderer.surface_index < 0].any():
             pairs |= {cause: (background, other) for other in groups
                       if (cause := renderer.join_causes(background, other))}  # fmt: skip
-        best_pairs, groups = self._rank_causes([*pairs]), {background: [background]} | groups
+        best_pairs = self._rank_causes([*pairs])
         # The best pairs, and all pairs with the same pictures; the keys of a dictionary are unique.
         twin_pairs = {cause: None for pair in best_pairs
                       for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
@@ -675,35 +676,36 @@ class Submission:
         """Test whether both mistakes of a pair are needed to explain the submitted picture.
 
         With only one of the two mistakes, far more pixels must remain unexplained.  A pair with a
-        camera mistake must also show several surfaces; otherwise, its picture may agree by chance.
+        camera mistake must also show several surfaces: with fewer, it may agree by chance.
 
         Parameters
         ----------
         cause : tuple of str
-            Keywords of two mistakes.  The keywords of a variant of a correct tracer, and of a
-            rounding mistake, may follow.
+            Keywords of two mistakes, perhaps followed by those of a rounding mistake and of a
+            variant (another way to write a correct tracer).
         """
-        count_of_pair, keywords = self._count_unexplained(cause), remove_variants(cause)
-        if count_of_pair > self._max_unexplained:
+        pair_count = self._count_unexplained(cause)
+        if pair_count > self._max_unexplained:
             return False  # the pair will not be reported
-        for keyword in set(keywords).difference(mistakes.ROUNDINGS):
-            rest = tuple(other for other in cause if other != keyword)
-            if self._count_unexplained(rest) - count_of_pair < max(_MIN_RATIO * count_of_pair, 1):
+        min_count = pair_count + max(_MIN_RATIO * pair_count, 1)
+        for keyword in set(remove_variants(cause)).difference(mistakes.ROUNDINGS):
+            remaining_cause = tuple(other for other in cause if other != keyword)
+            if self._count_unexplained(remaining_cause) < min_count:
                 return False
         renderer, formulas = self.renderer, self.renderer.get_formulas(cause)
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
-        surface_index = renderer.evaluate([formulas], renderer.sample, formula="shown_surface")[0]
-        shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in (
-            surface_index, renderer.surface_index[renderer.sample]))  # fmt: skip
+        shown_surfaces = renderer.evaluate([formulas], renderer.sample, name="shown_surface")[0]
+        shown_count, reference_count = (len(np.unique(surfaces[surfaces >= 0])) for surfaces in (
+            shown_surfaces, renderer.surface_index[renderer.sample]))  # fmt: skip
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
-    def _select_reportable(self, causes: list[Cause]) -> list[Cause]:
+    def _select_good_causes(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that are good enough to report.
 
-        A cause is good enough if it leaves few pixels unexplained, and if no other cause explains
-        the picture far better.  A cause that depends on a number estimated from the submitted
-        picture, such as a gamma, is selected only if there is no other.
+        Such a cause leaves few pixels unexplained, and no other cause explains the picture far
+        better.  Causes that depend on a number estimated from the submitted picture, such as a
+        gamma, are selected only if there are no others.
 
         Parameters
         ----------
@@ -719,8 +721,8 @@ class Submission:
         causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        count_limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = [cause for cause in causes if self._count_unexplained(cause) < count_limit]
+        unexplained_limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        causes = [cause for cause in causes if self._count_unexplained(cause) < unexplained_limit]
         max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting
@@ -728,7 +730,7 @@ class Submission:
         return sorted(causes, key=lambda cause: [keywords.index(keyword) for keyword in cause])
 
     def _add_rounding(self, causes: list[Cause]) -> list[Cause]:
-        """Add a rounding mistake to each cause that gives far more pixels exactly with it.
+        """Add a rounding mistake to each cause if far more pixels then agree exactly.
 
         A rounding mistake, such as truncating levels, changes 8-bit codes by at most one level.
 
@@ -763,8 +765,8 @@ def remove_variants(cause: Cause) -> Cause:
     Parameters
     ----------
     cause : tuple of str
-        Keywords of mistakes that are made together, and of variants: other ways to write a correct
-        tracer, in which some mistakes give another picture.
+        Keywords of mistakes that are made together, and of variants.  A variant is another way to
+        write a correct tracer; it changes how some mistakes look.
 
     Returns
     -------

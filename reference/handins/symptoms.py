@@ -37,8 +37,8 @@ _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     """Find the lights that are missing, or wrongly present, at each wrong pixel of a submission.
 
-    Each wrong pixel is rendered with every set of lights, to find the sets that reproduce the
-    submitted codes.  Of these sets, the one with the fewest missing or extra lights is used.
+    Each wrong pixel is rendered with every set of lights.  If several sets reproduce the submitted
+    codes, the one with the fewest missing or extra lights is used.
 
     Parameters
     ----------
@@ -49,19 +49,19 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     -------
     is_light_missing : (lights, n) bool array
         For each light of the scene and each of the n pixels of the picture, true if the light
-        should reach the pixel, but does not.
+        should reach the pixel but does not.
     is_light_extra : (lights, n) bool array
         True if the light should be blocked, but reaches the pixel.
 
     Both arrays are false at correct pixels, and where no set of lights reproduces the codes.  The
-    result is None if no pixels or more than `MAX_PIXELS` are wrong, if the scene is unknown, or if
-    it has no lights or more than `_MAX_LIGHTS`.
+    result is None if the scene is unknown, or has no lights or more than `_MAX_LIGHTS`.  It is also
+    None if no pixels are wrong, or more than `MAX_PIXELS`.
     """
     renderer, pixels = submission.renderer, np.flatnonzero(submission.is_wrong)
     # Without a scene, the renderer has no mistakes that concern lights.
     if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
         return None
-    should_reach = renderer.evaluate([renderer.base_formulas], pixels, formula="lit")[0]
+    should_reach = renderer.evaluate([renderer.base_formulas], pixels, name="lit")[0]
     light_count = len(should_reach)
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
@@ -72,20 +72,20 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     # For each set and pixel, the number of missing and extra lights.
     is_in_set = np.array(light_sets)
     error_count = (should_reach != is_in_set[:, :, None]).sum(axis=1)
-    # A number larger than any other, if the set does not reproduce the submitted codes.
+    # Sets that do not reproduce the submitted codes get a number larger than any other.
     error_count[compare_levels(codes, submission.codes[:, pixels]) > 1] = light_count + 1
-    reaches = is_in_set[error_count.argmin(axis=0)].T
-    reaches = np.where(error_count.min(axis=0) <= light_count, reaches, should_reach)
+    does_reach = is_in_set[error_count.argmin(axis=0)].T
+    does_reach = np.where(error_count.min(axis=0) <= light_count, does_reach, should_reach)
     is_light_missing, is_light_extra = np.zeros((2, light_count, renderer.pixel_count), np.bool_)
-    is_light_missing[:, pixels] = should_reach & ~reaches
-    is_light_extra[:, pixels] = reaches & ~should_reach
+    is_light_missing[:, pixels] = should_reach & ~does_reach
+    is_light_extra[:, pixels] = does_reach & ~should_reach
     return is_light_missing, is_light_extra
 
 
 def is_speckled(submission: Submission) -> bool:
-    """Test for shadow acne: random dark dots where rounding makes surfaces shadow themselves.
+    """Test for shadow acne: dark dots where surfaces shadow themselves because of rounding.
 
-    With shadow acne, nearly all wrong pixels are too dark, and they are scattered at random.
+    If there is shadow acne, nearly all wrong pixels lack light, and they are randomly scattered.
 
     Parameters
     ----------
@@ -102,18 +102,18 @@ def is_speckled(submission: Submission) -> bool:
     if has_other_errors or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
         return False
     every_pixel, surface = np.arange(renderer.pixel_count), renderer.surface_index
-    is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, formula="lit")[0].any(axis=0)
+    is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
     is_lit &= np.isin(surface, surface[is_dark])
     dark_share = dark_count / is_lit.sum()
-    # Now as pictures (h, w).
+    # Reshape the arrays to pictures (h, w).
     is_lit, is_dark, surface = (array.reshape(-1, renderer.width)
                                 for array in (is_lit, is_dark, surface))  # fmt: skip
     for axis in (0, 1):
-        # Pairs of neighbours on the same surface.  If the dots are random, many pairs differ.
+        # Compare neighbours on the same surface: if the dots are random, many neighbours differ.
         is_pair = is_lit & np.roll(is_lit, 1, axis) & (surface == np.roll(surface, 1, axis))
         differing_count = (is_pair & (is_dark != np.roll(is_dark, 1, axis))).sum()
-        random_count = 2 * dark_share * (1 - dark_share) * is_pair.sum()
-        if differing_count <= _MIN_RANDOMNESS * random_count:
+        expected_count = 2 * dark_share * (1 - dark_share) * is_pair.sum()
+        if differing_count <= _MIN_RANDOMNESS * expected_count:
             return False
     return True
 
@@ -123,7 +123,7 @@ def is_explained_by_rounding(submission: Submission) -> bool:
 
     These pixels are rendered again several times, with slightly moved samples and shadow rays.
     Rounding explains a pixel if its submitted codes lie between the smallest and the largest
-    rendered codes, or at most one level outside.
+    rendered codes, or within one level of them.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def is_explained_by_rounding(submission: Submission) -> bool:
     Returns
     -------
     bool
-        False if there are no such pixels, or too many (see `_MAX_ROUNDED_SHARE`).
+        False if no pixels differ by that much, or too many (see `_MAX_ROUNDED_SHARE`).
     """
     renderer = submission.renderer
     pixels = np.flatnonzero(compare_levels(renderer.reference_codes, submission.codes) > 1)
@@ -153,8 +153,8 @@ def is_explained_by_rounding(submission: Submission) -> bool:
 def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool:
     """Test whether a submitted picture is the reference picture after JPEG compression.
 
-    The reference picture is compressed with several qualities.  One of the results must agree with
-    the submitted picture.
+    The reference picture is compressed at several qualities, and one result must agree with the
+    submitted picture in most pixels.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
     Returns
     -------
     bool
-        False if the pictures are too large to try, or if they agree within one level.
+        False if the pictures are too large to try, or if they already agree within one level.
     """
     is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
@@ -174,7 +174,7 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
         jpeg_file = io.BytesIO()
         image.save(jpeg_file, "JPEG", quality=quality, subsampling=subsampling)
         agrees = compare_levels(np.asarray(Image.open(jpeg_file)), submitted_codes, axis=2) <= 1
-        # Most pixels must agree, also of those that differ from the uncompressed picture.
+        # Most pixels must agree, including most of those that were wrong without compression.
         if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
             return True
     return False
@@ -272,7 +272,7 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
         sentence = "Surfaces shadow themselves in dark dots: shadow rays need an epsilon."
         return "shadow-speckles", sentence
     if is_jpeg_of_reference(*(to_picture(codes, width) for codes in both_codes)):
-        return "format", "It is the right picture, after JPEG, which changes levels."
+        return "format", "It is the right picture after JPEG compression, which changes levels."
     if edge := find_wrong_edge((compare_levels(*both_codes) > 1).reshape(-1, width)):
         return "edge", f"It is the right picture, except in the {edge}."
     return None

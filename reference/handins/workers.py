@@ -28,7 +28,7 @@ def map_in_workers(
 ) -> Iterator[Result]:
     """Compute the results of jobs in two worker processes.
 
-    If a worker dies, its job is started once more; if that worker dies, too, the job is abandoned.
+    If a worker dies, its job is started once more; after a second death, the job is abandoned.
     If there are few jobs, or if no process can be started, the calling process computes the
     results.  At the end, it kills all its child processes that `multiprocessing` has started.
 

@@ -159,7 +159,7 @@ def test_every_mistake_of_the_table_can_be_rendered_and_most_show() -> None:
     assert all(one.sentence.endswith(".") for one in table.values())
     known = {*REFERENCE_FORMULAS} | collect_names(REFERENCE_FORMULAS)
     used = set[str]().union(*(collect_names(one.formulas) for one in table.values()))
-    assert used - known == {"phong", "shader_of_number"}
+    assert used - known == {"is_phong", "shader_of_number"}
 
 
 def describe_difference(codes: Codes, right: Codes) -> tuple[int, str]:
@@ -247,7 +247,7 @@ def test_an_incomplete_explanation_is_a_hint() -> None:
     nearest = render_with_mistakes(scene("four-spheres"), *diagnosis.hint.split("+"))
     hint_count, count = (describe_difference(codes, picture)[0] for picture in (nearest, right))
     assert str(diagnosis).startswith(
-        f"None of the {len(table)} known mistakes explains this picture. The nearest that is known:"
+        f"None of the {len(table)} known mistakes explains this picture. The closest match:"
         f" {table['shift-right'].sentence} {table['levels-truncated'].sentence} It does not explain"
         f" {hint_count:,} of {count:,} pixels. {count:,} pixels differ: "
     )
