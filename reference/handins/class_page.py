@@ -78,7 +78,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     """
     pair_index = {path: index for index, path in enumerate(pairs)}
     cells: dict[str, dict[str, list[Cell]]] = defaultdict(lambda: defaultdict(list))
-    right_scenes: dict[str, set[str]] = defaultdict(set)
+    correct_scenes: dict[str, set[str]] = defaultdict(set)
     # Paragraphs on the files that were not compared, or whose pictures are not on the page.
     notes = list[str]()
     for result in results:
@@ -88,13 +88,13 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
             thumbnail = pairs[path]["thumbnail"] if path in pairs else None
             cell = Cell(text, pair_index.get(path), result.agrees, thumbnail)
             cells[result.student][result.scene].append(cell)
-            right_scenes[result.student].update([result.scene] if result.agrees else [])
+            correct_scenes[result.student].update([result.scene] if result.agrees else [])
         if diagnosis and path not in pairs:
             notes.append(f"{path}: {diagnosis}")
         elif result.error and (path or not result.student):
             notes.append(result.error)
     scenes = sorted({scene for cells_by_scene in cells.values() for scene in cells_by_scene})
-    rows = [[[Cell(student)], [Cell(f"{len(right_scenes[student])} of {len(scenes)}")],
+    rows = [[[Cell(student)], [Cell(f"{len(correct_scenes[student])} of {len(scenes)}")],
              *(cells[student].get(scene, []) for scene in scenes)]
             for student in sorted(cells)]  # fmt: skip
     return render_page(

@@ -183,7 +183,7 @@ class Reference:
         Returns
         -------
         Diagnosis
-            The mistakes; or the verdict that the picture is right, or "unknown".
+            The mistakes; or a verdict, such as "identical" or "unknown".
         """
         (height, width), reference_size = picture.codes.shape[:2], self.codes.shape[:2]
         if (height, width) == reference_size:
@@ -220,7 +220,7 @@ class Reference:
         Returns
         -------
         Diagnosis
-            The mistakes; or the verdict that the picture is right, or "unknown".
+            The mistakes; or a verdict, such as "identical" or "unknown".
         """
         codes, renderer = picture.codes, self._get_renderer(*picture.codes.shape[:2])
         agreement = diagnose_agreement(to_columns(codes), renderer.reference_codes)
@@ -250,8 +250,8 @@ class Reference:
         submission : Submission
             The submitted picture, and its wrong pixels.
         finding : Finding
-            The result of the search: no cause, and perhaps a hint (the mistakes with the most
-            similar picture).
+            The result of the search.  It contains no cause, but perhaps a hint: the mistakes with
+            the most similar picture.
 
         Returns
         -------
@@ -300,7 +300,7 @@ class Reference:
         worst_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
         count_text = symptoms.format_count(is_wrong.sum())
         if not self.scene:
-            advice = "With the scene in place of the right picture, more can be said."
+            advice = "Compare with the scene to learn more."
             return f"{count_text}.{worst_text}. {advice}"
         surfaces_text = _describe_wrong_surfaces(self.scene, submission, is_wrong)
         is_wrong_background = is_wrong & (renderer.surface_index < 0)
@@ -362,13 +362,13 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
     str
         One sentence for each of these lights, with a space before it; may be empty.
     """
-    verbs = "should shine but does not", "should be blocked but shines"
+    faults = "should shine but does not", "should be blocked but shines"
     sentences = ""
-    for verb, is_changed in zip(verbs, symptoms.find_light_errors(submission) or (), strict=False):
-        for light_index, count in enumerate((is_changed & is_wrong).sum(axis=1)):
+    for fault, has_fault in zip(faults, symptoms.find_light_errors(submission) or (), strict=False):
+        for light_index, count in enumerate((has_fault & is_wrong).sum(axis=1)):
             if count > _MIN_LIGHT_SHARE * is_wrong.sum():
-                line_note = f" (line {line})" if (line := scene.lights[light_index].line) else ""
-                sentences += f" At {count:,} of these pixels light {light_index}{line_note} {verb}."
+                note = f" (line {line})" if (line := scene.lights[light_index].line) else ""
+                sentences += f" At {count:,} of these pixels light {light_index}{note} {fault}."
     return sentences
 
 

@@ -72,8 +72,8 @@ class Finding(NamedTuple):
         The causes that explain the submitted picture.  If there are several, their pictures of this
         scene are nearly the same.  Empty if there is no such cause.
     unexplained_count : int
-        Number of pixels in which the submitted picture differs from the picture with the first
-        cause; if there is no cause, from the picture with the hint.
+        Number of pixels that the first cause, or otherwise the hint, leaves unexplained.  Without a
+        hint, the number of wrong pixels.
     hint : tuple of str
         If `causes` is empty, the cause with the most similar picture.  Empty if even that picture
         explains less than half of the wrong pixels.
@@ -382,8 +382,8 @@ class Submission:
         red, green, blue = codes[:, order[:MAX_PIXELS]].astype(np.uint32)
         counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)[1]
         foreground_count = pixel_count * (1 - counts.max() / len(red))
-        max_share = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
-        self._max_unexplained = max(_MAX_UNEXPLAINED, max_share)
+        max_unexplained = int(_MAX_UNEXPLAINED_SHARE * min(self.wrong_count, foreground_count))
+        self._max_unexplained = max(_MAX_UNEXPLAINED, max_unexplained)
         is_wrong = self.is_wrong[order]
         # Indices of wrong pixels, then of right ones, both in random order.
         self._shuffled_pixels = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]

@@ -374,5 +374,5 @@ def test_geometry_and_encoding_are_named_without_a_scene(kinds: str) -> None:
     assert diagnosis.kind == (kinds if kinds in ALONE else "unknown")
     if kinds not in ALONE:
         count, worst = describe_difference(codes, alone.codes)
-        advice = "With the scene in place of the right picture, more can be said."
+        advice = "Compare with the scene to learn more."
         assert str(diagnosis).endswith(f" {count:,} pixels differ. {worst}. {advice}")
