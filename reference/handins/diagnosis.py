@@ -266,7 +266,7 @@ class Reference:
         if finding.hint:
             hint_text = " ".join(_fill_in_sentences(finding.hint, submission).values())
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
-            text = f"The closest match: {hint_text} It does not explain {counts}. "
+            text = f"The nearest that is known: {hint_text} It does not explain {counts}. "
         text += self._describe_differences(submission, finding.hint)
         return Diagnosis(({UNKNOWN: sentence},), text_after=text, hint="+".join(finding.hint))
 

@@ -247,7 +247,7 @@ def test_an_incomplete_explanation_is_a_hint() -> None:
     nearest = render_with_mistakes(scene("four-spheres"), *diagnosis.hint.split("+"))
     hint_count, count = (describe_difference(codes, picture)[0] for picture in (nearest, right))
     assert str(diagnosis).startswith(
-        f"None of the {len(table)} known mistakes explains this picture. The closest match:"
+        f"None of the {len(table)} known mistakes explains this picture. The nearest that is known:"
         f" {table['shift-right'].sentence} {table['levels-truncated'].sentence} It does not explain"
         f" {hint_count:,} of {count:,} pixels. {count:,} pixels differ: "
     )
