@@ -270,13 +270,14 @@ def _sample_cells(
         batch_lines = lines.take(find(index_in_batch[lines.cell] >= 0))
         batch_lines = batch_lines._replace(cell=index_in_batch[batch_lines.cell])
         points = place_weighted_points(batch_lines, batch.size, lattice.list_points())
-        x, y = cells.to_picture(cell_index[batch][points.cell], points.position)
+        x, y = cells.to_picture(cell_index[batch][points.cell_index], points.position)
         samples, order = Scattered.from_positions(x, y)
-        cell, region, weight = points.cell[order], points.region[order], points.weight[order]
+        local_index, weight = points.cell_index[order], points.weight[order]
         radiance, sample_id = compute_radiance_and_ids(scene, samples)
         for channel_mean, channel_radiance in zip(cell_mean, radiance, strict=True):
-            channel_mean[batch] = np.bincount(cell, weight * channel_radiance, batch.size)
-        misses_edge[batch[cell[find_samples_in_mixed_regions(region, sample_id)]]] = True
+            channel_mean[batch] = np.bincount(local_index, weight * channel_radiance, batch.size)
+        mixed_index = find_samples_in_mixed_regions(points.region_index[order], sample_id)
+        misses_edge[batch[local_index[mixed_index]]] = True
     return cell_mean, misses_edge
 
 

@@ -36,7 +36,7 @@ class WeightedPoints(NamedTuple):
 
     Attributes
     ----------
-    cell : (n,) int array
+    cell_index : (n,) int array
         Index of the cell that contains each point.
     position : (n,) complex array
         Point x + iy relative to the centre of its cell, with x and y between -1/2 and 1/2 of the
@@ -44,15 +44,15 @@ class WeightedPoints(NamedTuple):
     weight : (n,) float array
         Weight of each point in the mean over its cell.  The weights in a region add up to the
         fraction of the cell that the region covers.  A few weights are negative.
-    region : (n,) int array
-        Number of the region that contains each point.  Regions of different cells have different
-        numbers.
+    region_index : (n,) int array
+        Index of the region that contains each point.  Regions of different cells have different
+        indices.
     """
 
-    cell: Ints
+    cell_index: Ints
     position: Points2D
     weight: Floats
-    region: Ints
+    region_index: Ints
 
 
 def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
@@ -77,24 +77,26 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
         The m points of the first cell, then those of the second cell, and so on.  For regions with
         too few points, the centroids of triangles that cover these regions are added at the end.
     """
-    cell, line_start = np.arange(cell_count), lines.cell.searchsorted(np.arange(cell_count + 1))
-    max_lines = int(np.diff(line_start).max(initial=0))
-    # The number of a region has one bit for each line of its cell: 1 on the line's positive side.
+    line_start = lines.cell.searchsorted(np.arange(cell_count + 1))
+    cell_index, max_lines = np.arange(cell_count), int(np.diff(line_start).max(initial=0))
+    # The index of a region has one bit for each line of its cell: 1 on the line's positive side.
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)
-    region = np.repeat(cell[None] << max_lines, points.size, axis=0)
+    region_index = np.repeat(cell_index[None] << max_lines, points.size, axis=0)
     for line_number in range(max_lines):
-        crossed_cell, values = _evaluate_lines(lines, line_start, line_number, cell, position)
-        region[:, crossed_cell] |= (values > 0) << line_number
-    position, region = position.T.ravel(), region.T.ravel()
-    triangles = _divide_into_triangles(lines, line_start, max_lines)
-    weight, is_represented = _compute_weights(position, region, triangles, cell_count << max_lines)
-    added_index = find(~is_represented[triangles.region] & (triangles.weight > _MIN_AREA))
-    placed_points = WeightedPoints(cell.repeat(points.size), position, weight, region)
-    added_points = (field[added_index] for field in triangles)
+        column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, position)
+        region_index[:, column_index] |= (values > 0) << line_number
+    position, region_index = position.T.ravel(), region_index.T.ravel()
+    centroids = _divide_into_triangles(lines, line_start, max_lines)
+    region_count = cell_count << max_lines
+    weight, is_represented = _compute_weights(position, region_index, centroids, region_count)
+    added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
+    point_cell_index = cell_index.repeat(points.size)
+    placed_points = WeightedPoints(point_cell_index, position, weight, region_index)
+    added_points = (field[added_index] for field in centroids)
     return WeightedPoints._make(map(np.append, placed_points, added_points))
 
 
-def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
+def find_samples_in_mixed_regions(region_index: Ints, sample_id: Ints) -> Ints:
     """Find samples in regions where the ids of samples differ.
 
     Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Samples with
@@ -103,8 +105,8 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
 
     Parameters
     ----------
-    region : (n,) int array
-        Number of the region that contains each sample.
+    region_index : (n,) int array
+        Index of the region that contains each sample.
     sample_id : (n,) int array
         Id of each sample.
 
@@ -113,9 +115,9 @@ def find_samples_in_mixed_regions(region: Ints, sample_id: Ints) -> Ints:
     mixed_index : (k,) int array
         Indices of samples: at least one in each region where ids differ.
     """
-    reference_id = np.empty(int(region.max(initial=0)) + 1, dtype=np.intp)
-    reference_id[region] = sample_id  # the id of an arbitrary sample in the region
-    return find(reference_id[region] != sample_id)
+    reference_id = np.empty(int(region_index.max(initial=0)) + 1, dtype=np.intp)
+    reference_id[region_index] = sample_id  # the id of an arbitrary sample in the region
+    return find(reference_id[region_index] != sample_id)
 
 
 def _evaluate_lines(
@@ -166,46 +168,48 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
 
     Returns
     -------
-    triangles : WeightedPoints
-        The centroid of each triangle, weighted by the fraction of the cell that it covers.  Each
-        triangle also has a region number: bit k is 1 if the triangle is on the positive side of
-        line k of its cell, and the bits from `max_lines` on are the index of the cell.
+    centroids : WeightedPoints
+        The centroid of each triangle, weighted by the fraction of the cell that the triangle
+        covers.  In its region index, bit k is 1 if the triangle is on the positive side of line k
+        of its cell, and the bits from `max_lines` on are the index of the cell.
     """
     cell_index = np.arange(line_start.size - 1).repeat(2)
-    region = cell_index << max_lines
+    region_index = cell_index << max_lines
     square_corners = np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
     corners: Points2D = np.tile(square_corners[[[0, 0], [1, 2], [2, 3]]], line_start.size - 1)
     for line_number in range(max_lines):
-        triangle, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
+        column_index, values = _evaluate_lines(lines, line_start, line_number, cell_index, corners)
         is_positive = values > 0
         positive_count = is_positive.sum(axis=0)
-        region[triangle[positive_count == 3]] |= 1 << line_number
+        region_index[column_index[positive_count == 3]] |= 1 << line_number
         split_index = find((positive_count == 1) | (positive_count == 2))
         # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
-        is_a_positive, parent = positive_count[split_index] == 1, triangle[split_index]
+        is_a_positive, parent_index = positive_count[split_index] == 1, column_index[split_index]
         lone_corner = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
         order = (lone_corner + np.arange(3)[:, None]) % 3
-        (a, b, c), (a_value, b_value, c_value) = corners[order, parent], values[order, split_index]
+        a, b, c = corners[order, parent_index]
+        a_value, b_value, c_value = values[order, split_index]
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)
         # The first part replaces the divided triangle; the others are appended.
-        corners[:, parent] = a, on_ab, on_ac
+        corners[:, parent_index] = a, on_ab, on_ac
         corners = np.concatenate([corners, (on_ab, b, c), (on_ab, c, on_ac)], axis=1)
-        parent_region = region[parent]
-        region[parent] = parent_region | is_a_positive << line_number
-        region = np.concatenate([region, *[parent_region | ~is_a_positive << line_number] * 2])
-        cell_index = np.concatenate([cell_index, cell_index[parent], cell_index[parent]])
+        parent_region_index = region_index[parent_index]
+        region_index[parent_index] = parent_region_index | is_a_positive << line_number
+        new_region_index = parent_region_index | ~is_a_positive << line_number
+        region_index = np.concatenate([region_index, new_region_index, new_region_index])
+        cell_index = np.concatenate([cell_index, *[cell_index[parent_index]] * 2])
     side_ab, side_ac = corners[1] - corners[0], corners[2] - corners[0]
     # Avoid products of complex numbers: NumPy rounds them differently at the end of an array.
     area = np.abs(side_ab.real * side_ac.imag - side_ab.imag * side_ac.real) / 2
-    return WeightedPoints(cell_index, corners.sum(axis=0) / 3, area, region)
+    return WeightedPoints(cell_index, corners.sum(axis=0) / 3, area, region_index)
 
 
 def _compute_weights(
-    position: Points2D, region: Ints, triangles: WeightedPoints, region_count: int
+    position: Points2D, region_index: Ints, centroids: WeightedPoints, region_count: int
 ) -> tuple[Floats, Bools]:
-    """Compute weights that make the points in each region represent the region.
+    """Compute weights for points, to average functions that are linear in each region.
 
     In each region, the weights add up to the area, and the weighted mean of the points is the
     centroid.
@@ -215,12 +219,12 @@ def _compute_weights(
     position : (n,) complex array
         Points x + iy relative to the centre of a cell (a pixel or a square part of a pixel), with
         x and y between -1/2 and 1/2 of the cell's width.
-    region : (n,) int array
-        Number of the region that contains each point.
-    triangles : WeightedPoints
-        Centroids (`position`), areas (`weight`) and regions of triangles that cover all regions.
+    region_index : (n,) int array
+        Index of the region that contains each point, from 0 to region_count - 1.
+    centroids : WeightedPoints
+        Centroids of triangles that cover all regions.  Their weights are the triangles' areas.
     region_count : int
-        Regions are numbered from 0 to region_count - 1.
+        Number of regions.
 
     Returns
     -------
@@ -231,30 +235,32 @@ def _compute_weights(
         almost on a straight line.
     """
 
-    def sum_by_region(value_region: Ints, values: Floats) -> Floats:
-        """Return the sum of the values (n,) in each region, given the region (n,) of each value."""
+    def sum_by_region(value_region_index: Ints, values: Floats) -> Floats:
+        """Return the sum of the values in each region, given the region index of each value."""
         # Convert the result: NumPy returns integers if there are no values.
-        return np.bincount(value_region, values, minlength=region_count).astype(float, copy=False)
+        sums = np.bincount(value_region_index, values, minlength=region_count)
+        return sums.astype(float, copy=False)
 
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
     # their number.  With the weights w (1 + t . (point - mean)), the weighted mean of the points is
     # mean + S t.  It is the centroid for t = S^-1 (centroid - mean).
-    point_count = np.maximum(np.bincount(region, minlength=region_count), 1)
-    area = sum_by_region(triangles.region, triangles.weight)
-    mean_x = sum_by_region(region, position.real) / point_count
-    mean_y = sum_by_region(region, position.imag) / point_count
-    x, y = position.real - mean_x[region], position.imag - mean_y[region]
-    products = x * x, x * y, y * y
-    cov_xx, cov_xy, cov_yy = (sum_by_region(region, product) / point_count for product in products)
+    point_count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
+    mean_x = sum_by_region(region_index, position.real) / point_count
+    mean_y = sum_by_region(region_index, position.imag) / point_count
+    x, y = position.real - mean_x[region_index], position.imag - mean_y[region_index]
+    sums = (sum_by_region(region_index, product) for product in (x * x, x * y, y * y))
+    cov_xx, cov_xy, cov_yy = (sum_of_products / point_count for sum_of_products in sums)
     determinant = cov_xx * cov_yy - cov_xy * cov_xy
     is_represented: Bools = determinant > _MIN_DETERMINANT
-    moment = triangles.weight * triangles.position.real, triangles.weight * triangles.position.imag
-    # The vector from the mean to the centroid, scaled by the area.
-    scaled_offset_x = sum_by_region(triangles.region, moment[0]) - area * mean_x
-    scaled_offset_y = sum_by_region(triangles.region, moment[1]) - area * mean_y
+    _, centroid, triangle_area, triangle_region_index = centroids
+    area = sum_by_region(triangle_region_index, triangle_area)
+    moment_x = sum_by_region(triangle_region_index, triangle_area * centroid.real)
+    moment_y = sum_by_region(triangle_region_index, triangle_area * centroid.imag)
+    # The vector from the mean to the region's centroid, scaled by the area.
+    scaled_offset_x, scaled_offset_y = moment_x - area * mean_x, moment_y - area * mean_y
     divisor = np.where(is_represented, point_count * determinant, np.inf)
-    # The vector w t.
-    slope_x = (cov_yy * scaled_offset_x - cov_xy * scaled_offset_y) / divisor
-    slope_y = (cov_xx * scaled_offset_y - cov_xy * scaled_offset_x) / divisor
-    weight = np.where(is_represented, area / point_count, 0)[region]
-    return weight + slope_x[region] * x + slope_y[region] * y, is_represented
+    # The gradient of the weight: the vector w t.
+    gradient_x = (cov_yy * scaled_offset_x - cov_xy * scaled_offset_y) / divisor
+    gradient_y = (cov_xx * scaled_offset_y - cov_xy * scaled_offset_x) / divisor
+    weight = np.where(is_represented, area / point_count, 0)[region_index]
+    return weight + gradient_x[region_index] * x + gradient_y[region_index] * y, is_represented
