@@ -229,7 +229,7 @@ def test_names_that_the_terminal_cannot_show(scene):
 
 def test_warnings_and_a_size_that_makes_pixels_oblong(scene, capsys):
     assert cli.main([str(scene), "--size", "20x20"]) == 0
-    window = "20 x 20 pixels show a window of 40 x 30, stretched"
+    window = "a window of 40 x 30 is stretched over 20 x 20 pixels"
     warning = f"{window}; viewWidth 30, or 27 columns, would make them square"
     assert capsys.readouterr().err == f"{scene}: warning: {warning}\n"
     scene.write_text(SCENE.format(40, 30).replace("0 0 5", "0 0 -5"))

@@ -112,15 +112,15 @@ class Boxes:
         -------
         left, right : (n,) float arrays
             Ends of the range, in pixels from the left edge of the picture.  All rays of the row
-            that meet the box lie in it.  If there are none, left > right.
+            that meet the box lie in this range.  If none does, left > right.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_down = frame.to_ray_down(top + height / 2)
         min_right, max_right = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
         # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
-        for plane in range(6):
-            a, b, c = (coefficients[plane].take(box_index) for coefficients in self.planes)
+        for plane_index in range(6):
+            a, b, c = (coefficients[plane_index].take(box_index) for coefficients in self.planes)
             # A ray meets the box only if a * ray_right + b * ray_down + c >= 0.  Compute the bound
             # on `ray_right` for the largest value of the last two terms in the row.
             max_sum = b * ray_down + np.abs(b) * margin + c
@@ -128,7 +128,7 @@ class Boxes:
             bound = -max_sum / (a + 0.0)
             np.fmax(min_right, bound, out=min_right, where=a >= 0)
             np.fmin(max_right, bound, out=max_right, where=a < 0)
-        return frame.to_column(min_right), frame.to_column(max_right)
+        return frame.to_picture_x(min_right), frame.to_picture_x(max_right)
 
     def intersect(
         self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None

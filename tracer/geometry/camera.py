@@ -138,42 +138,42 @@ class CameraFrame(NamedTuple):
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))
 
-    def to_ray_right(self, column: Floats) -> Floats:
-        """Compute the rightward component of the rays through given columns of the picture.
+    def to_ray_right(self, x: Floats) -> Floats:
+        """Compute the rightward component of the rays through positions in the picture.
 
         Every ray has the direction (ray_right, ray_down, depth), in camera axes.
 
         Parameters
         ----------
-        column : float array
-            Distances from the left edge of the picture, in pixels.  They need not be integers.
+        x : float array
+            Distance of each position from the left edge of the picture, in pixels.
 
         Returns
         -------
         ray_right : float array
-            Rightward component of each ray's direction; same shape as `column`.
+            Rightward component of each ray's direction; same shape as `x`.
         """
-        return self.center_right + (column - self.width / 2) * self.pixel_width
+        return self.center_right + (x - self.width / 2) * self.pixel_width
 
-    def to_ray_down(self, row: Floats) -> Floats:
-        """Compute the downward component of the rays through given rows of the picture.
+    def to_ray_down(self, y: Floats) -> Floats:
+        """Compute the downward component of the rays through positions in the picture.
 
         Every ray has the direction (ray_right, ray_down, depth), in camera axes.
 
         Parameters
         ----------
-        row : float array
-            Distances from the top edge of the picture, in pixels.  They need not be integers.
+        y : float array
+            Distance of each position from the top edge of the picture, in pixels.
 
         Returns
         -------
         ray_down : float array
-            Downward component of each ray's direction; same shape as `row`.
+            Downward component of each ray's direction; same shape as `y`.
         """
-        return self.center_down + (row - self.height / 2) * self.pixel_height
+        return self.center_down + (y - self.height / 2) * self.pixel_height
 
-    def to_column(self, ray_right: Floats) -> Floats:
-        """Compute the column of the picture through which each ray passes.
+    def to_picture_x(self, ray_right: Floats) -> Floats:
+        """Compute the x coordinate of the position in the picture through which each ray passes.
 
         This is the inverse of `to_ray_right`.
 
@@ -184,14 +184,14 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        column : float array
-            Distance of each ray from the left edge of the picture, in pixels; same shape as
+        x : float array
+            Distance of this position from the left edge of the picture, in pixels; same shape as
             `ray_right`.
         """
         return (ray_right - self.center_right) / self.pixel_width + self.width / 2
 
-    def to_row(self, ray_down: Floats) -> Floats:
-        """Compute the row of the picture through which each ray passes.
+    def to_picture_y(self, ray_down: Floats) -> Floats:
+        """Compute the y coordinate of the position in the picture through which each ray passes.
 
         This is the inverse of `to_ray_down`.
 
@@ -202,8 +202,8 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        row : float array
-            Distance of each ray from the top edge of the picture, in pixels; same shape as
+        y : float array
+            Distance of this position from the top edge of the picture, in pixels; same shape as
             `ray_down`.
         """
         return (ray_down - self.center_down) / self.pixel_height + self.height / 2
@@ -319,8 +319,9 @@ class ScreenBounds(NamedTuple):
         bounds : ScreenBounds
             The rectangles of all n objects.
         """
-        rows = (frame.to_row(slope * frame.depth) for slope in y_slopes)
-        return cls(*rows, *(frame.to_column(slope * frame.depth) for slope in x_slopes))
+        top, bottom = (frame.to_picture_y(slope * frame.depth) for slope in y_slopes)
+        left, right = (frame.to_picture_x(slope * frame.depth) for slope in x_slopes)
+        return cls(top, bottom, left, right)
 
     def select(self, selection: Bools | slice) -> ScreenBounds:
         """Select rectangles by mask or slice.

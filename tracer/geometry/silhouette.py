@@ -41,9 +41,9 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
         is_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))
         corner_v = np.where(is_high_v ^ bool(is_mirrored), high[v], low[v])
         sign = np.where((side_u != 0) | (side_v != 0), 1 - 2 * is_mirrored, 0)
-        plane = 2 * axis + is_mirrored
+        plane_index = 2 * axis + is_mirrored
         # The normal is a cross product with the axis: no subtraction, so no cancellation.
-        normals[u, plane], normals[v, plane] = sign * corner_v, -sign * corner_u
+        normals[u, plane_index], normals[v, plane_index] = sign * corner_v, -sign * corner_u
     return x, y, z
 
 

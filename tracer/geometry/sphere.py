@@ -143,7 +143,7 @@ class Spheres:
         -------
         left, right : (n,) float arrays
             Ends of the range, in pixels from the left edge of the picture.  All rays of the row
-            that meet the sphere lie in it.  If there are none, left > right or both are NaN.
+            that meet the sphere lie in this range.  If none does, left > right or both are NaN.
         """
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.
@@ -156,7 +156,7 @@ class Spheres:
         discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_down(top + height / 2))
         ray_ahead, center_right, center_ahead, disc_radius2 = discs
         low_slope, high_slope = _find_slope_range(center_right, center_ahead, disc_radius2, power)
-        return frame.to_column(low_slope * ray_ahead), frame.to_column(high_slope * ray_ahead)
+        return frame.to_picture_x(low_slope * ray_ahead), frame.to_picture_x(high_slope * ray_ahead)
 
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
@@ -215,7 +215,7 @@ class Spheres:
         -------
         t : (n,) float array
             Each ray hits the sphere at t times its direction; t is infinity if the ray misses.  If
-            the eye is inside the sphere or on its surface, the hit is where the ray leaves it.
+            the eye is inside the sphere or on its surface, the hit is where the ray leaves.
         radial_dot : (n,) float array
             Absolute dot product of the ray's direction and the vector from the sphere's centre to
             the hit.
@@ -364,11 +364,11 @@ class Spheres:
             radius = np.maximum(radius + growth, 0)
         # If both ends are outside, the segment is blocked if its line comes closest to the centre
         # inside the sphere and between the ends.
-        projection, length2 = dot(to_center, to_light), dot(to_light, to_light)
-        closest_t = projection / length2
-        perpendicular = map_xyz(lambda center, step: center - closest_t * step, to_center, to_light)
-        is_line_cut = dot(perpendicular, perpendicular) < radius * radius
-        occludes: Bools = is_line_cut & (projection > 0) & (projection < length2)
+        projection, squared_length = dot(to_center, to_light), dot(to_light, to_light)
+        closest_t = projection / squared_length
+        from_line = map_xyz(lambda center, light: center - closest_t * light, to_center, to_light)
+        is_line_cut = dot(from_line, from_line) < radius * radius
+        occludes: Bools = is_line_cut & (projection > 0) & (projection < squared_length)
         hit_height = np.sqrt(dot(to_center, to_center)) - radius
         tolerance = compute_hit_tolerance(self.coordinate_bound[sphere_index], hit, self.frame.eye)
         hit_side = determine_side(hit_height, tolerance)
@@ -376,13 +376,13 @@ class Spheres:
         touch_index = find((hit_side != OUTSIDE) | (light_side != OUTSIDE))
         if touch_index.size:
             hit_side, light_side = hit_side[touch_index], light_side[touch_index]
-            projection, length2 = projection[touch_index], length2[touch_index]
+            projection, squared_length = projection[touch_index], squared_length[touch_index]
             is_eye_inside = self.is_eye_inside[sphere_index[touch_index]]
             leaves_sphere = (projection < 0) | (light_side == OUTSIDE)
             blocks_from_surface = np.where(is_eye_inside, leaves_sphere, projection > 0)
-            blocks_to_surface = (hit_side == OUTSIDE) & (projection < length2)
-            blocks_otherwise = np.where(light_side == ON, blocks_to_surface, hit_side != light_side)
-            occludes[touch_index] = np.where(hit_side == ON, blocks_from_surface, blocks_otherwise)
+            blocks_to_surface = (hit_side == OUTSIDE) & (projection < squared_length)
+            blocks_elsewhere = np.where(light_side == ON, blocks_to_surface, hit_side != light_side)
+            occludes[touch_index] = np.where(hit_side == ON, blocks_from_surface, blocks_elsewhere)
         return occludes
 
     def test_capsules(

@@ -301,20 +301,20 @@ def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: i
     prepared_light = hit.scene.prepare_lights(slice(light_index, light_index + 1))
     is_facing_light = compute_light_geometry(hit, prepared_light).n_dot_l.item() > 0
     # A surface that faces away from the light blocks the light itself.
-    occluders = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
+    occluder_index = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
     for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).compute_channels():
         diffuse[channel], specular[channel] = diffuse_term.item(), specular_term.sum()
     point, normal = scene_hit.point[0], scene_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
     half_vector = normalize(to_light + normalize(hit.scene.frame.eye - point))
-    occluder_indices = scene.surfaces.file_index[occluders].tolist()
+    surface_indices = scene.surfaces.file_index[occluder_index].tolist()
     return LightPart(
         line=light.line,
         intensity=_to_vector(light.intensity),
         n_dot_l=float(normal @ to_light),
         n_dot_h=float(normal @ half_vector),
-        occluders=tuple(SurfaceRef.from_index(scene, index) for index in occluder_indices),
+        occluders=tuple(SurfaceRef.from_index(scene, index) for index in surface_indices),
         diffuse=_to_vector(diffuse),
         specular=_to_vector(specular),
     )
@@ -334,16 +334,16 @@ def _find_occluders(hit: Hits, light: Lights) -> Ints:
 
     Returns
     -------
-    occluders : (k,) int array
-        Indices of the objects; empty if none blocks the segment.
+    occluder_index : (k,) int array
+        Indices of the blocking objects; empty if no object blocks the segment.
     """
-    occluder_groups = []
+    occluder_indices = []
     for shape in hit.scene.shapes:
-        other_objects = np.setdiff1d(shape.objects.list_indices(), hit.hit_object)
+        object_index = np.setdiff1d(shape.objects.list_indices(), hit.hit_object)
         # Repeat the hit and the light for each object.
-        hit_position = hit.get_points(np.zeros_like(other_objects))
-        light_position = take(light.position.T, np.zeros_like(other_objects))
-        light_side = light.side[0, other_objects]
-        is_blocking = shape.occludes(other_objects, hit_position, light_position, light_side)
-        occluder_groups.append(other_objects[is_blocking])
-    return np.concatenate(occluder_groups)
+        hit_position = hit.get_points(np.zeros_like(object_index))
+        light_position = take(light.position.T, np.zeros_like(object_index))
+        light_side = light.side[0, object_index]
+        is_blocking = shape.occludes(object_index, hit_position, light_position, light_side)
+        occluder_indices.append(object_index[is_blocking])
+    return np.concatenate(occluder_indices)

@@ -277,13 +277,13 @@ def _name_shaders(lines: list[int]) -> str:
 def _check_aspect(scene: Scene) -> Iterator[str]:
     """Yield a warning if pixels are stretched by a factor of more than `_MAX_ASPECT`.
 
-    To make the pixels square, the warning suggests a `viewWidth` or a number of columns.
+    The warning suggests a `viewWidth` and a number of columns; either would make the pixels square.
     """
     width, height, camera = scene.width, scene.height, scene.camera
     view_width, view_height = camera.view_width, camera.view_height
     if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
         window_size = f"{format_number(view_width)} x {format_number(view_height)}"
-        problem = f"{width} x {height} pixels show a window of {window_size}, stretched"
+        problem = f"a window of {window_size} is stretched over {width} x {height} pixels"
         column_count = max(1, round(height * view_width / view_height))
         remedy = f"viewWidth {view_height * width / height:.6g}, or {column_count} columns,"
         yield f"{problem}; {remedy} would make them square"

@@ -22,7 +22,7 @@ FileOrPath: TypeAlias = str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO
 
 MAX_BYTES = 1 << 28
 """Maximum size of a scene file: 256 MiB, about two million objects."""
-MAX_TOKEN_BYTES = 1 << 20
+MAX_TOKEN_LENGTH = 1 << 20
 """Maximum length of a tag, a comment or a text, in bytes or characters."""
 MAX_DESCENDANTS = 64
 """Maximum number of elements inside one child of the scene, and of attributes of one element."""
@@ -107,7 +107,7 @@ def open_scene(path: str) -> IO[bytes]:
 
 
 class Parser:
-    """A streaming parser of one scene file, which passes each complete element to a function.
+    """A streaming parser of one scene file, which passes each child of the root to a function.
 
     Parameters
     ----------
@@ -207,8 +207,8 @@ class Parser:
             # The codec named in the XML declaration failed.
             raise FatalError(1, "not XML: unknown encoding; save the file as UTF-8") from None
         # Versions of expat before 2.6 take quadratic time for a long token.
-        if self.byte_count - self.expat.CurrentByteIndex > MAX_TOKEN_BYTES:
-            message = f"a tag or comment of more than {MAX_TOKEN_BYTES} bytes; make it shorter"
+        if self.byte_count - self.expat.CurrentByteIndex > MAX_TOKEN_LENGTH:
+            message = f"a tag or comment of more than {MAX_TOKEN_LENGTH} bytes; make it shorter"
             raise FatalError(self.expat.CurrentLineNumber, message)
         if self.byte_count > MAX_BYTES:
             raise FatalError(0, f"has more than the {MAX_BYTES} bytes allowed")
@@ -283,7 +283,7 @@ class Parser:
     def _handle_end_tag(self, _tag: str) -> None:
         """Handle an end tag: close the innermost open element.
 
-        A child of the root is passed to `read_element`, because it is now complete.
+        A child of the root is now complete, and is passed to `read_element`.
         """
         element = self.open_elements.pop()
         if len(self.open_elements) == 1:
@@ -292,26 +292,26 @@ class Parser:
     def _handle_text(self, text: str) -> None:
         """Handle text between two tags: add it to the innermost open element.
 
-        White space between elements is ignored.  Other text inside an element such as <camera> is
-        an error.  Only the first such text is reported.
+        White space between elements is ignored.  Any other text is an error in an element that may
+        contain only elements, such as <camera>.  Only the first error in each element is reported.
 
         Parameters
         ----------
         text : str
-            The text, or part of it: expat divides long texts.
+            The text, or part of it: expat may split long text into several calls.
 
         Raises
         ------
         FatalError
-            If the whole text of the element exceeds `MAX_TOKEN_BYTES`.
+            If the whole text of the element exceeds `MAX_TOKEN_LENGTH`.
         """
         element = self.open_elements[-1]
         if text.isspace() and not element.text:
             return
         if element.tag not in _CONTAINERS:
             element.text += text
-            if len(element.text) > MAX_TOKEN_BYTES:
-                message = f"more than {MAX_TOKEN_BYTES} characters; make it shorter"
+            if len(element.text) > MAX_TOKEN_LENGTH:
+                message = f"more than {MAX_TOKEN_LENGTH} characters; make it shorter"
                 raise FatalError(element.line, f"{shorten(element.tag)}: {message}")
         elif not element.text:
             element.text = text.lstrip()

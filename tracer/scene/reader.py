@@ -118,7 +118,7 @@ class _Reader:
         The shaders and surfaces, by the value of their attribute `type`, such as "Sphere".
     surface_counter : iterator of int
         Yields the index of the next surface in the file.
-    shader_indices : dict of str to int
+    index_of_name : dict of str to int
         The index of each named shader.  A shader gets its index at its first reference or at its
         definition, whichever comes first.
     definition_lines : array of int
@@ -135,7 +135,7 @@ class _Reader:
         self.shader_tables = {cls.__name__: Table(cls) for cls in (model.Lambertian, model.Phong)}
         self.surface_tables = {cls.__name__: Table(cls) for cls in (model.Sphere, model.Box)}
         self.surface_counter = count()
-        self.shader_indices: dict[str, int] = {}
+        self.index_of_name: dict[str, int] = {}
         self.definition_lines = array("i", [1])
 
     def report_at(self, line: int, tag: str, message: str) -> None:
@@ -261,7 +261,7 @@ class _Reader:
         Parameters
         ----------
         element : Element
-            The element <image>, whose errors are reported.
+            The <image> element.  Any errors in it are reported.
         """
         self.match_children(element, {})
         number_pattern = r"\s*([-+]?\d{1,18})"
@@ -297,18 +297,19 @@ class _Reader:
                 if child.tag == "shader":
                     self.read_shader_or_reference(child)
             return
-        table.object_index.append(next(self.surface_counter))
-        shader = self.add_row(table, element, "type").get("shader")
-        table.shader_index.append(0 if shader is None else self.read_shader_or_reference(shader))
-        table.shader_lines.append(0 if shader is None else shader.line)
+        table.object_indices.append(next(self.surface_counter))
+        shader_child = self.add_row(table, element, "type").get("shader")
+        shader_index = 0 if shader_child is None else self.read_shader_or_reference(shader_child)
+        table.shader_indices.append(shader_index)
+        table.shader_lines.append(0 if shader_child is None else shader_child.line)
 
     def read_shader(self, element: Element) -> int:
-        """Add a shader to the table for its type, and report the shader's errors.
+        """Add a shader to the table for its type, and report any errors in it.
 
         Parameters
         ----------
         element : Element
-            The element <shader>, which defines the shader.
+            The <shader> element.
 
         Returns
         -------
@@ -326,7 +327,7 @@ class _Reader:
         if table is None:
             self.report_invalid_type(element, self.shader_tables, "name")
         else:
-            table.object_index.append(index)
+            table.object_indices.append(index)
             self.add_row(table, element, "name", "type")
         return index
 
@@ -336,7 +337,7 @@ class _Reader:
         Parameters
         ----------
         element : Element
-            The element <shader>.  It is a reference if it has the attribute `ref`.
+            The <shader> element.  It is a reference if it has the attribute `ref`.
 
         Returns
         -------
@@ -369,13 +370,13 @@ class _Reader:
             Index of the shader in the list of all shaders.
         """
         new_index = len(self.definition_lines)
-        index = new_index if name is None else self.shader_indices.setdefault(name, new_index)
+        index = new_index if name is None else self.index_of_name.setdefault(name, new_index)
         if index == new_index:
             self.definition_lines.append(0)
         return index
 
     def add_row(self, table: Table, element: Element, *attributes: str) -> dict[str, Element]:
-        """Read an element into a new row of a table, and report the element's errors.
+        """Read an element into a new row of a table, and report any errors in the element.
 
         Parameters
         ----------
@@ -442,7 +443,7 @@ class _Reader:
         return children, intended_names
 
     def read_numbers(self, element: Element, validator: NumberValidator) -> list[float]:
-        """Read the numbers in an element such as <center>, and report the element's errors.
+        """Read the numbers in an element such as <center>, and report any errors in it.
 
         Parameters
         ----------
@@ -583,16 +584,17 @@ class _Reader:
 
         Call this after the whole file has been read.
         """
-        lines = self.definition_lines  # 0 for undefined shaders
-        if 0 not in lines:
+        definition_lines = self.definition_lines  # 0 for undefined shaders
+        if 0 not in definition_lines:
             return
-        name_of_index = {index: name for name, index in self.shader_indices.items()}
-        line_of_name = {name: lines[index] for index, name in name_of_index.items() if lines[index]}
+        name_of_index = {index: name for name, index in self.index_of_name.items()}
+        names_and_lines = ((name, definition_lines[index]) for index, name in name_of_index.items())
+        line_of_name = {name: line for name, line in names_and_lines if line}
         line_of_normal_form = {normalize("NFC", name): line for name, line in line_of_name.items()}
         fixes: dict[str, str] = {}
         for table in self.surface_tables.values():
-            for line, index in zip(table.shader_lines, table.shader_index, strict=True):
-                if lines[index]:
+            for reference_line, index in zip(table.shader_lines, table.shader_indices, strict=True):
+                if definition_lines[index]:
                     continue
                 name = name_of_index[index]
                 if name not in fixes:
@@ -601,7 +603,7 @@ class _Reader:
                     if lookalike_line := line_of_normal_form.get(normalize("NFC", name)):
                         fixes[name] = _LOOKALIKE_REMEDY.format(lookalike_line)
                 message = f"no shader is named {quote(name)}; {fixes[name]}"
-                self.report_at(line, "shader", message)
+                self.report_at(reference_line, "shader", message)
 
     def make_scene(self) -> Scene:
         """Create the scene from the tables of surfaces, shaders, lights and cameras.
@@ -615,13 +617,13 @@ class _Reader:
         """
         shaders: list[model.Shader] = [model.Lambertian()] * len(self.definition_lines)
         for table in self.shader_tables.values():
-            for index, shader in zip(table.object_index, table.make_objects(), strict=True):
+            for index, shader in zip(table.object_indices, table.make_objects(), strict=True):
                 shaders[index] = shader
         tables = self.surface_tables.values()
         surfaces = Surfaces(
             **{name: numbers for table in tables for name, numbers in table.to_arrays().items()},
-            shader_index=np.concatenate([table.shader_index for table in tables]),
-            file_index=np.concatenate([table.object_index for table in tables]),
+            shader_index=np.concatenate([table.shader_indices for table in tables]),
+            file_index=np.concatenate([table.object_indices for table in tables]),
             shaders=tuple(shaders),
             line=np.concatenate([table.lines for table in tables]),
         )

@@ -79,7 +79,7 @@ class Column:
         The numbers of all rows, one row after the other; NaN for unknown and invalid numbers.
     lines : array of int
         For each row, the line of the element in the file; 0 if the element is absent.
-    tag_index : array of signed char
+    tag_indices : array of signed char
         For each row, the index of the element's tag in `tags`.
     """
 
@@ -88,7 +88,7 @@ class Column:
         self.default: Any = field.default
         default_numbers: Any = np.nan if self.default in (MISSING, None) else self.default
         self.default_row = np.broadcast_to(default_numbers, self.validator.count).tolist()
-        self.numbers, self.lines, self.tag_index = array("d"), array("i"), array("b")
+        self.numbers, self.lines, self.tag_indices = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
         """Append a row with the numbers that an XML element gives for the next object.
@@ -104,7 +104,7 @@ class Column:
         """
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
-        self.tag_index.append(self.tags.index(tag))
+        self.tag_indices.append(self.tags.index(tag))
 
     def to_array(self) -> Floats:
         """Copy the numbers of all n objects into a float array with one row per object."""
@@ -142,9 +142,9 @@ class Table:
         The column of each field that consists of numbers, by the field's name.
     lines : array of int
         For each row, the line of the object in the file.
-    object_index : array of int
+    object_indices : array of int
         In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
-    shader_index, shader_lines : array of int
+    shader_indices, shader_lines : array of int
         In a table of surfaces: for each row, the index of the surface's shader, and the line of the
         surface's element <shader>.  Both are 0 if the surface has no such element.
     """
@@ -155,8 +155,8 @@ class Table:
         numeric = [f for f in tagged if isinstance(f.metadata["validator"], NumberValidator)]
         self.field_of_tag = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
         self.columns = {field.name: Column(field) for field in numeric}
-        self.lines, self.object_index = array("i"), array("i")
-        self.shader_index, self.shader_lines = array("i"), array("i")
+        self.lines, self.object_indices = array("i"), array("i")
+        self.shader_indices, self.shader_lines = array("i"), array("i")
 
     def to_arrays(self) -> dict[str, Floats]:
         """Copy all numbers into float arrays: one array per field, one row per object.
@@ -189,7 +189,7 @@ class Table:
                 line = column.lines[row] or self.lines[row]
                 # For example, view_dir becomes viewDir.
                 message = re.sub("_([a-z])", lambda match: match[1].upper(), message)
-                yield line, column.tags[column.tag_index[row]], message
+                yield line, column.tags[column.tag_indices[row]], message
 
     def make_objects(self) -> Iterator[Any]:
         """Create an object of the dataclass from each row of the table, without validation.

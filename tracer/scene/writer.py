@@ -63,7 +63,8 @@ def _is_scene_file(path: str) -> bool:
     OSError
         If the file cannot be read.
     """
-    from xml.etree import ElementTree as ET  # only for an existing file: importing takes time
+    # Imported only when needed, because importing takes time.
+    from xml.etree import ElementTree as ET
 
     with open(path, "rb") as file:
         try:
@@ -97,8 +98,8 @@ def _format_scene(scene: Scene) -> Iterator[str]:
         shader = surfaces.shaders[shader_index]
         start_tag = f'<shader name="shader{shader_index}" type="{type(shader).__name__}">'
         yield f"  {start_tag}{_format_numbers(shader)} </shader>\n"
-    shader_indices = surfaces.shader_index[surfaces.array_index]
-    for shader_index, surface in zip(shader_indices, surfaces, strict=True):
+    shader_of_surface = surfaces.shader_index[surfaces.array_index]
+    for shader_index, surface in zip(shader_of_surface, surfaces, strict=True):
         yield f'  <surface type="{type(surface).__name__}">\n'
         yield f'    <shader ref="shader{shader_index}"/>\n'
         yield f"   {_format_numbers(surface)}\n  </surface>\n"
@@ -116,7 +117,7 @@ def _format_numbers(scene_object: Any) -> str:
     Returns
     -------
     text : str
-        The elements, each after a space, such as " <center>0 0 0</center> <radius>1</radius>".
+        The elements, each preceded by a space, as in " <center>0 0 0</center> <radius>1</radius>".
     """
     text_of_tag = {
         field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
