@@ -53,7 +53,7 @@ from converters.to_mitsuba import (
 )
 from converters.variant import LLVM, use_variant
 from reference.command import make_parser
-from reference.figures import Figures, get_largest_difference, measure_differences, write_comparison
+from reference.figures import Metrics, get_largest_difference, measure_differences, write_comparison
 from reference.judges import plain
 from reference.judges.arrays import Bools, Floats
 from tracer import Lambertian, Scene, SceneWarning, Sphere, Surfaces, load_scene, render, to_codes
@@ -125,7 +125,7 @@ class CheckResult:
         Disputed pixels that were traced in exact arithmetic: a sample, or all of them.
     is_wrong : (h, w) bool array
         Examined pixels in which exact arithmetic contradicts the tracer.
-    figures : Figures
+    metrics : Metrics
         Measures of the difference between the pictures, without edge pixels and ties.  In pictures
         brighter than 1, they are relative to the brightest pixel.
     """
@@ -139,39 +139,38 @@ class CheckResult:
     is_disputed: Bools
     is_examined: Bools
     is_wrong: Bools
-    figures: Figures
+    metrics: Metrics
 
     @property
     def is_excluded(self) -> Bools:
-        """Mask (h, w) of the pixels that do not count in the figures: edge pixels and ties."""
+        """Mask (h, w) of the pixels excluded from the metrics: edge pixels and ties."""
         return self.is_edge | self.is_tie
 
     @property
     def verdict(self) -> Verdict:
         """The verdict on the tracer's picture.
 
-        - "agrees": The pictures are equal, within tolerance.
-        - "DIFFERS": Exact arithmetic contradicts the tracer, or a figure is out of tolerance.
-        - "undecided": Some pixels differ, but exact arithmetic confirms the tracer.
+        - "agrees": It equals Mitsuba's picture within tolerance, apart from excluded pixels.
+        - "DIFFERS": Exact arithmetic contradicts it, or a metric is out of tolerance.
+        - "undecided": It differs, but exact arithmetic finds no error in the examined pixels.
         """
         if self.is_disputed.any():
             return "DIFFERS" if self.is_wrong.any() else "undecided"
-        return "DIFFERS" if describe_exceeded_tolerances(self.figures) else "agrees"
+        return "DIFFERS" if describe_exceeded_tolerances(self.metrics) else "agrees"
 
     @property
     def remarks(self) -> list[str]:
-        """The reasons for the verdict, as sentences without full stops; may be empty."""
+        """The reasons for the verdict, as a list of sentences without full stops."""
         sentences = []
         if self.is_tie.any():
             ties = _format_pixel_count(self.is_tie)
             sentences.append(f"where surfaces coincide, Mitsuba shows the other one in {ties}")
         if not self.is_disputed.any():
-            clauses = describe_exceeded_tolerances(self.figures)
+            clauses = describe_exceeded_tolerances(self.metrics)
             return [*sentences, *(f"out of tolerance: {clause}" for clause in clauses)]
-        is_example = self.is_wrong if self.is_wrong.any() else self.is_disputed
-        row, column = np.argwhere(is_example)[0]
-        pixels, position = _format_pixel_count(self.is_disputed), f"column {column}, row {row}"
-        sentences.append(f"the pictures differ in {pixels}, for example at {position}")
+        row, column = np.argwhere(self.is_wrong if self.is_wrong.any() else self.is_disputed)[0]
+        pixels, example = _format_pixel_count(self.is_disputed), f"column {column}, row {row}"
+        sentences.append(f"the pictures differ in {pixels}, for example at {example}")
         examined_count, wrong_count = int(self.is_examined.sum()), int(self.is_wrong.sum())
         if wrong_count:
             finding = f"contradicts the tracer in {wrong_count} of {examined_count} examined pixels"
@@ -180,10 +179,10 @@ class CheckResult:
         return [*sentences, f"Mitsuba or the converter is wrong: {finding}"]
 
     def format_report(self) -> str:
-        """Format the verdict, figures, rendering times and remarks as lines of text."""
+        """Format the verdict, metrics, rendering times and remarks as lines of text."""
         lines = [
             f"{self.name}: {self.verdict}",
-            f"  {self.figures}",
+            f"  {self.metrics}",
             f"  excluded: edge pixels that differ: {self.is_edge.sum()}"
             f" ({self.is_edge.mean():.3%}), ties: {self.is_tie.sum()}",
             f"  Mitsuba ({self.mitsuba.variant}) {self.mitsuba.seconds:.3f} s,"
@@ -198,12 +197,12 @@ def _format_pixel_count(mask: Bools) -> str:
     return f"{count:,} pixel{'s' * (count != 1)}"
 
 
-def describe_exceeded_tolerances(figures: Figures) -> list[str]:
+def describe_exceeded_tolerances(metrics: Metrics) -> list[str]:
     """Describe the measures of difference that are out of tolerance.
 
     Parameters
     ----------
-    figures : Figures
+    metrics : Metrics
         Measures of the difference between the pictures.
 
     Returns
@@ -212,10 +211,10 @@ def describe_exceeded_tolerances(figures: Figures) -> list[str]:
         One clause per such measure, for example "SSIM 0.99800 is below 0.999".
     """
     clauses = []
-    if figures.ssim < MIN_SSIM:
-        clauses.append(f"SSIM {figures.ssim:.5f} is below {MIN_SSIM}")
-    if figures.median > MAX_MEDIAN:
-        clauses.append(f"median difference {figures.median:.1e} exceeds {MAX_MEDIAN:.0e}")
+    if metrics.ssim < MIN_SSIM:
+        clauses.append(f"SSIM {metrics.ssim:.5f} is below {MIN_SSIM}")
+    if metrics.median > MAX_MEDIAN:
+        clauses.append(f"median difference {metrics.median:.1e} exceeds {MAX_MEDIAN:.0e}")
     return clauses
 
 
@@ -277,12 +276,12 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "compared"):
-        check_flavour = {"exact": check_scene, "stock": check_diffuse}[flavour]
+        check_flavour = {"exact": check_scene, "stock": check_diffuse_light}[flavour]
         return check_flavour(scene, make_printable(path.stem), variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare the pictures of a scene by the tracer and by this project's Mitsuba plugins.
+    """Compare how the tracer and this project's Mitsuba plugins render a scene.
 
     Parameters
     ----------
@@ -311,8 +310,8 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     return compare(scene, name, render_with_mitsuba())
 
 
-def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
-    """Compare a scene's diffuse light as rendered by the tracer and by Mitsuba's stock plugins.
+def check_diffuse_light(scene: Scene, name: str, variant: str | None = None) -> CheckResult:
+    """Compare how the tracer and Mitsuba's stock plugins render the diffuse light of a scene.
 
     Stock plugins are built into Mitsuba.  They require square pixels, so the height of both
     pictures may differ from the scene's.
@@ -351,7 +350,7 @@ def check_diffuse(scene: Scene, name: str, variant: str | None = None) -> CheckR
 
 
 def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
-    """Render the diffuse light of a scene with a single light, using Mitsuba's stock plugins.
+    """Render the diffuse light of a scene that has one light, using Mitsuba's stock plugins.
 
     Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
     To undo the fall-off, each pixel's radiance is multiplied by the squared distance between the
@@ -360,7 +359,7 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     Parameters
     ----------
     diffuse_scene : Scene
-        A scene of Lambertian surfaces with one light.
+        The scene, whose surfaces are Lambertian.
     variant : str or None
         Mitsuba's variant; None for the fastest that works on this machine.
 
@@ -436,21 +435,21 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale
     # If the pictures differ too much as a whole, compare the pixels with a smaller tolerance.
     for tolerance in (limits.difference, MAX_MEDIAN):
-        is_different, max_difference = difference > tolerance, tolerance * scale
+        is_different, scaled_tolerance = difference > tolerance, tolerance * scale
         is_edge = is_different.copy()
         if is_different.any():
-            is_edge &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, max_difference)
+            is_edge &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, scaled_tolerance)
         if is_edge.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
             is_edge[:] = False
-        is_tie, is_examined, is_wrong = _examine_exactly(
-            scene, tracer_image, mitsuba_image, is_different & ~is_edge, max_difference
+        is_tie, is_examined, is_wrong = _judge_differing_pixels(
+            scene, tracer_image, mitsuba_image, is_different & ~is_edge, scaled_tolerance
         )
         is_excluded = is_edge | is_tie
         # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
         compared_image = np.where(is_excluded[:, :, None], mitsuba_image, tracer_image)
         mask = None if is_excluded.all() else is_excluded
-        figures = measure_differences(compared_image / scale, mitsuba_image / scale, mask)
-        if is_examined.any() or not describe_exceeded_tolerances(figures):
+        metrics = measure_differences(compared_image / scale, mitsuba_image / scale, mask)
+        if is_examined.any() or not describe_exceeded_tolerances(metrics):
             break
     return CheckResult(
         name=name,
@@ -462,27 +461,28 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         is_disputed=is_different & ~is_excluded,
         is_examined=is_examined,
         is_wrong=is_wrong,
-        figures=figures,
+        metrics=metrics,
     )
 
 
-def _examine_exactly(
+def _judge_differing_pixels(
     scene: Scene, tracer_image: Floats, mitsuba_image: Floats, is_different: Bools, tolerance: float
 ) -> tuple[Bools, Bools, Bools]:
-    """Decide in exact arithmetic which of two pictures is wrong where they differ.
+    """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
     A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
-    may be unable to tell the two apart.  If surfaces coincide, the tracer must show the first of
-    them in the scene file, and Mitsuba may show the first or the last.
+    may be unable to tell the two apart.  Where surfaces coincide, the tracer must show the one that
+    comes first in the scene file; Mitsuba may also show the last.
 
-    Pixels are examined in batches, until a batch contains a pixel that is wrong in either picture.
+    A pixel that is right in both pictures is a tie.  Pixels are examined in batches, until a batch
+    contains one that is not a tie.
 
     Parameters
     ----------
     scene : Scene
         The scene.
     tracer_image, mitsuba_image : (h, w, 3) float arrays
-        Linear radiance of the scene's pixels, computed by the tracer and by Mitsuba.
+        The two pictures, in linear radiance.
     is_different : (h, w) bool array
         Pixels to examine.
     tolerance : float
@@ -491,7 +491,7 @@ def _examine_exactly(
     Returns
     -------
     is_tie : (h, w) bool array
-        Pixels that are right in both pictures.
+        Pixels that are ties.
     is_examined : (h, w) bool array
         Pixels of the last batch that are not ties; all False if every pixel is a tie.
     is_wrong : (h, w) bool array
@@ -508,9 +508,9 @@ def _examine_exactly(
             x, y = columns + 0.5 + shift, rows + 0.5 + shift
             trace = partial(plain.trace, similar_scene, x, y, arithmetic="decimal")
             errors = [np.abs(radiance - trace(ties=tie).radiance) for tie in ("first", "last")]
-            is_exact = np.max(errors, axis=3) <= tolerance  # axes: surface shown, picture, pixel
-            tracer_is_right |= is_exact[0, 0]
-            mitsuba_is_right |= is_exact[:, 1].any(axis=0)
+            shows_first, shows_last = np.max(errors, axis=3) <= tolerance  # axes: picture, pixel
+            tracer_is_right |= shows_first[0]
+            mitsuba_is_right |= shows_first[1] | shows_last[1]
             if tracer_is_right.all():
                 break
         is_batch_tie = tracer_is_right & mitsuba_is_right
@@ -560,7 +560,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        1 if a scene differs or cannot be compared; otherwise 3 if one is undecided; otherwise 0.
+        0 if all scenes agree; 1 if one differs or cannot be compared; 3 if one is undecided and
+        none is worse.
 
     Raises
     ------
@@ -593,18 +594,19 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     Parameters
     ----------
     results : iterable of CheckResult or Failure
-        For each scene, the comparison, or the reason why it failed.
+        For each scene, the comparison, or the failure that prevented it.
 
     Returns
     -------
     exit_status : int
-        1 if a scene differs or a comparison failed; otherwise 3 if one is undecided; otherwise 0.
+        0 if all scenes agree; 1 if one differs or its comparison failed; 3 if one is undecided and
+        none is worse.
     """
     statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results
     )
-    from_best_to_worst = 0, STATUS["undecided"], FAILED
-    return max(statuses, key=from_best_to_worst.index, default=0)
+    severity_order = 0, STATUS["undecided"], FAILED
+    return max(statuses, key=severity_order.index, default=0)
 
 
 def _check_and_print(path: Path, comparison_path: Path, options: argparse.Namespace) -> CheckResult:

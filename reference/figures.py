@@ -26,8 +26,8 @@ _SSIM_SIDE = 7
 # Large pictures are compared in bands of rows, of at most about this number of pixels each.  The
 # comparison of a band takes about 100 bytes of memory per pixel.
 _PIXELS_PER_BAND = 500_000
-# Pixels that differ by more than this, in linear light, are counted.
-_COUNTED_DIFFERENCE = 1e-3
+# Pixels that differ by more than this in linear light are counted.
+_LARGE_DIFFERENCE = 1e-3
 # Percentile of the pixels' differences that is reported, and that limits their amplification.
 _PERCENTILE = 99.9
 # Pictures are enlarged, pixel by pixel, to panels at least this wide or high; lengths in pixels.
@@ -56,42 +56,43 @@ def decode_to_linear(codes: NDArray[np.generic]) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Figures:
+class Metrics:
     """Measures of the difference between two pictures, in linear light.
 
-    The difference of a pixel is the largest of the absolute differences of its three channels.
-    Excluded pixels affect only the structural similarity.
+    The difference of a pixel is the largest absolute difference of its three channels.  Excluded
+    pixels affect only the structural similarity.
 
     Attributes
     ----------
     ssim : float
         Structural similarity of the gamma-encoded pictures; 1 if they are equal.
-    max, p999, median : float
+    max, percentile, median : float
         Maximum, 99.9th percentile and median of the pixels' differences.
     rmse : float
         Root mean square of the differences of all channels.
-    over_count : int
+    differing_count : int
         Number of pixels that differ by more than 1e-3.
     """
 
     ssim: float
     max: float
-    p999: float
+    percentile: float
     rmse: float
     median: float
-    over_count: int
+    differing_count: int
 
     def __str__(self) -> str:
         """Format all measures as one line of text."""
         return (
-            f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e}, 99.9% {self.p999:.1e},"
-            f" median {self.median:.1e}, RMSE {self.rmse:.1e}, pixels over 1e-3: {self.over_count}"
+            f"SSIM {self.ssim:.6f}; linear difference: max {self.max:.1e},"
+            f" 99.9% {self.percentile:.1e}, median {self.median:.1e}, RMSE {self.rmse:.1e},"
+            f" pixels over 1e-3: {self.differing_count}"
         )
 
 
 def measure_differences(
     first_image: Floats, second_image: Floats, is_excluded: Bools | None = None
-) -> Figures:
+) -> Metrics:
     """Measure how much two pictures differ in linear radiance.
 
     Parameters
@@ -103,7 +104,7 @@ def measure_differences(
 
     Returns
     -------
-    figures : Figures
+    metrics : Metrics
         The structural similarity of the pictures; the maximum, 99.9th percentile, median and root
         mean square of their differences; and the number of pixels that differ by more than 1e-3.
 
@@ -126,13 +127,13 @@ def measure_differences(
     ssim = structural_similarity(*padded_pair, win_size=_SSIM_SIDE, channel_axis=2, data_range=1.0)
     channel_difference = np.abs(first_image - second_image)[is_compared]
     pixel_difference = channel_difference.max(axis=1)
-    return Figures(
+    return Metrics(
         ssim=float(ssim),
         max=float(pixel_difference.max()),
-        p999=float(np.percentile(pixel_difference, _PERCENTILE)),
+        percentile=float(np.percentile(pixel_difference, _PERCENTILE)),
         rmse=float(np.sqrt(np.mean(channel_difference**2))),
         median=float(np.median(pixel_difference)),
-        over_count=int(np.count_nonzero(pixel_difference > _COUNTED_DIFFERENCE)),
+        differing_count=int(np.count_nonzero(pixel_difference > _LARGE_DIFFERENCE)),
     )
 
 
@@ -151,21 +152,21 @@ def compare_codes(codes_a: Codes, codes_b: Codes) -> tuple[float, float, float, 
     rmse, maximum : float
         Root mean square and maximum of the absolute differences of all pixels and channels.
     difference : (height, width) float32 array
-        For each pixel, the difference of the channel that differs most; positive if picture A
-        is brighter.
+        For each pixel, the difference in the channel that differs most; positive if picture A is
+        brighter.
     """
     (height, width, _), window_margin = codes_a.shape, _SSIM_SIDE - 1
     band_height = max(1, _PIXELS_PER_BAND // width)
-    # Number of rows that can be the top row of a window of the structural similarity.
+    # Number of positions of an SSIM window along a column of pixels.
     top_row_count = max(1, height - window_margin)
     ssim, sum_of_squares, maximum, difference_bands = 0.0, 0.0, 0.0, []
     for band_start in range(0, height, band_height):
         # Windows whose top row is in the band may extend below it.
         rows = slice(band_start, band_start + band_height + window_margin)
         light_a, light_b = decode_to_linear(codes_a[rows]), decode_to_linear(codes_b[rows])
-        figures = measure_differences(light_a, light_b)
+        metrics = measure_differences(light_a, light_b)
         weight = max(0, min(band_height, top_row_count - band_start)) / top_row_count
-        ssim, maximum = ssim + weight * figures.ssim, max(maximum, figures.max)
+        ssim, maximum = ssim + weight * metrics.ssim, max(maximum, metrics.max)
         channel_difference = (light_a - light_b)[:band_height]
         sum_of_squares += float((channel_difference**2).sum())
         difference_bands.append(get_largest_difference(channel_difference))
@@ -208,14 +209,14 @@ def write_comparison(
     band_height = max(1, _PIXELS_PER_BAND // width)
     panels = zip((*images, difference_codes), panel_titles, legends, strict=True)
     for panel_index, (codes, title, legend) in enumerate(panels):
-        left = _MARGIN + panel_index * (panel_width + _MARGIN)
+        panel_left = _MARGIN + panel_index * (panel_width + _MARGIN)
         for text, y in ((title, _MARGIN), (legend, picture_top + zoom * height + 4)):
             label = Image.new("RGB", (panel_width, _LABEL_HEIGHT), _PAPER_COLOR)
             ImageDraw.Draw(label).text((0, 0), text, fill=_INK_COLOR, font=font)
-            sheet.paste(label, (left, y))
+            sheet.paste(label, (panel_left, y))
         for start in range(0, height, band_height):
             enlarged = codes[start : start + band_height].repeat(zoom, axis=0).repeat(zoom, axis=1)
-            sheet.paste(Image.fromarray(enlarged), (left, picture_top + zoom * start))
+            sheet.paste(Image.fromarray(enlarged), (panel_left, picture_top + zoom * start))
     with open_atomically(path, b"\x89PNG\r\n\x1a\n") as file:
         sheet.save(file, format="PNG")
 
@@ -252,21 +253,21 @@ def amplify_difference(difference: Differences) -> tuple[Codes, float]:
     codes : (height, width, 3) uint8 array
         A picture that is orange where the first picture is brighter, and blue where it is darker.
     gain : float
-        Factor by which the difference is amplified; 0 if the pictures are equal.  Otherwise it is
-        1, 2 or 5 times a power of ten: the largest that keeps 99.9 % of the pixels at or below 1.
+        Factor by which the difference is amplified: 1, 2 or 5 times a power of ten, normally the
+        largest that clips at most 0.1 % of the pixels.  It is 0 if the pictures are equal.
     """
     codes = np.zeros((*difference.shape, 3), dtype=np.uint8)
-    shown_maximum = float(np.percentile(np.abs(difference), _PERCENTILE))
-    shown_maximum = shown_maximum or float(np.abs(difference).max())
-    if shown_maximum == 0:
+    max_shown_difference = float(np.percentile(np.abs(difference), _PERCENTILE))
+    max_shown_difference = max_shown_difference or float(np.abs(difference).max())
+    if max_shown_difference == 0:
         return codes, 0.0
-    power_of_ten = float(10.0 ** np.floor(np.log10(1 / shown_maximum)))
+    power_of_ten = float(10.0 ** np.floor(np.log10(1 / max_shown_difference)))
     gains = [factor * power_of_ten for factor in (1, 2, 5)]
-    gain = max(gain for gain in gains if gain * shown_maximum <= 1)
-    brighter_code, darker_code = (255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])).astype(
+    gain = max(gain for gain in gains if gain * max_shown_difference <= 1)
+    brighter_color, darker_color = (255 * np.array([_BRIGHTER_COLOR, _DARKER_COLOR])).astype(
         np.float32
     )
     for row_codes, row in zip(codes, difference, strict=True):  # row by row, to save memory
         intensity = np.clip(gain * row, -1, 1)[:, None]
-        row_codes[:] = np.round(np.maximum(intensity * brighter_code, -intensity * darker_code))
+        row_codes[:] = np.round(np.maximum(intensity * brighter_color, -intensity * darker_color))
     return codes, gain

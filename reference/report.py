@@ -89,7 +89,7 @@ def render_report(
         table_name="All scenes",
         column_titles=_HEAD,
         rows=[_format_overview_row(index, result) for index, result in enumerate(results)],
-        pairs=[_prepare_result(result, comment) for result, comment in described_results],
+        pairs=[_prepare_scene_pair(result, comment) for result, comment in described_results],
         legend=_DIFFERENCE_LEGEND,
         source=f"Mitsuba {variants}; {describe_origin()}",
         faults=[f"Not compared: {failure}" for failure in failures],
@@ -103,7 +103,7 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
     Parameters
     ----------
     pair_index : int
-        Index of the comparison on the page, to which the row links.
+        Index of the comparison to which the row links.
     result : CheckResult
         The comparison.
 
@@ -114,14 +114,14 @@ def _format_overview_row(pair_index: int, result: CheckResult) -> list[list[Cell
     """
     verdict = Cell(result.verdict, is_good=result.verdict == "agrees")
     excluded_share = f"{result.is_excluded.mean():.2%}"
-    metrics = f"{result.figures.ssim:.6f}", f"{result.figures.max:.1e}", excluded_share
+    metric_texts = f"{result.metrics.ssim:.6f}", f"{result.metrics.max:.1e}", excluded_share
     times = _format_time(result.tracer_seconds), _format_time(result.mitsuba.seconds)
-    cells = Cell(result.name, pair_index), verdict, *map(Cell, metrics + times)
+    cells = Cell(result.name, pair_index), verdict, *map(Cell, metric_texts + times)
     return [[cell] for cell in cells]
 
 
-def _prepare_result(result: CheckResult, comment: str) -> Pair:
-    """Prepare a comparison for the template of the HTML page.
+def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
+    """Prepare one comparison for the template of the HTML page.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
     pair : Pair
         The values that the template shows: pictures, text and figures.
     """
-    is_excluded, figures, is_good = result.is_excluded, result.figures, result.verdict == "agrees"
+    is_excluded, metrics, is_good = result.is_excluded, result.metrics, result.verdict == "agrees"
     mitsuba_image = np.where(is_excluded[:, :, None], result.tracer_image, result.mitsuba.image)
     difference = get_largest_difference(result.tracer_image - mitsuba_image)
     difference_codes, gain = amplify_difference(difference)
@@ -154,9 +154,9 @@ def _prepare_result(result: CheckResult, comment: str) -> Pair:
         faults=[] if is_good else remarks,
         notes=remarks if is_good else [],
         figures=(
-            ("SSIM", f"{figures.ssim:.6f}"), ("largest difference", f"{figures.max:.2e}"),
-            ("99.9th percentile", f"{figures.p999:.2e}"), ("RMSE", f"{figures.rmse:.2e}"),
-            ("median", f"{figures.median:.2e}"), ("pixels over 1e-3", figures.over_count),
+            ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
+            ("99.9th percentile", f"{metrics.percentile:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
+            ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.differing_count),
             ("edge pixels excluded", result.is_edge.sum()), ("ties excluded", result.is_tie.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
             (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
@@ -199,7 +199,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        1 if a scene differs or cannot be compared; otherwise 3 if one is undecided; otherwise 0.
+        0 if all scenes agree; 1 if one differs or cannot be compared; 3 if one is undecided and
+        none is worse.
 
     Raises
     ------
@@ -228,9 +229,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         outcomes.append(attempt(_compare_scene, path, name, arguments.variant))
     described_results = [outcome for outcome in outcomes if not isinstance(outcome, Failure)]
     failures = [str(failure) for failure in outcomes if isinstance(failure, Failure)]
-    # The project's charts are shown only with its own scenes.
-    has_charts = {*paths} <= {*list_scene_files()}
-    charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if has_charts]
+    # Charts appear only on a page that shows none but the project's own scenes.
+    shows_charts = {*paths} <= {*list_scene_files()}
+    charts = [(title, path.read_bytes()) for title, path in CHARTS.items() if shows_charts]
     write_page(page_path, render_report(described_results, charts, failures))
     print_line(sys.stdout, make_printable(str(page_path)))
     return FAILED if failures else choose_exit_status(result for result, _ in described_results)
@@ -246,7 +247,7 @@ def _compare_scene(path: Path, name: str, variant: str | None) -> tuple[CheckRes
     name : str
         Name of the scene in the report.
     variant : str or None
-        Mitsuba's variant; None for the fastest that works here.
+        Mitsuba's variant; None for the fastest that works on this machine.
 
     Returns
     -------

@@ -20,9 +20,9 @@ from scene_files import HARD_SCENES, hard_scenes, small_scene
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use_variant
 from reference import check, report
-from reference.check import STOCK, CheckResult, Limits, check_diffuse, check_scene, compare
+from reference.check import STOCK, CheckResult, Limits, check_diffuse_light, check_scene, compare
 from reference.command import SCENES
-from reference.figures import Figures
+from reference.figures import Metrics
 from reference.regenerate import load_small_scene
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.command.failure import Failure
@@ -77,7 +77,7 @@ def test_ties_are_explained_pixel_by_pixel(monkeypatch):
     mitsuba = red.copy()
     mitsuba[5:, :9] = white[5:, :9]
     result = compare_to(scene, mitsuba)
-    assert (result.verdict, result.is_tie.sum(), result.figures.max) == ("agrees", 19 * 9, 0)
+    assert (result.verdict, result.is_tie.sum(), result.metrics.max) == ("agrees", 19 * 9, 0)
     assert np.array_equal(result.mitsuba.image, mitsuba)
     assert "surfaces coincide, Mitsuba shows the other one in 171 pixels" in result.format_report()
     # All pixels of a picture may be ties; one pixel that is not a tie is still found.
@@ -100,8 +100,8 @@ def test_the_verdict_is_undecided_if_mitsuba_is_wrong():
     result = compare_to(scene, image)
     assert (result.verdict, result.is_disputed.sum()) == ("undecided", 1600)
     assert 50 <= result.is_examined.sum() <= 100
-    assert result.figures.max == pytest.approx(0.01, rel=0.05)
-    assert f"scene: undecided\n  SSIM {result.figures.ssim:.6f}" in result.format_report()
+    assert result.metrics.max == pytest.approx(0.01, rel=0.05)
+    assert f"scene: undecided\n  SSIM {result.metrics.ssim:.6f}" in result.format_report()
     message = "the pictures differ in 1,600 pixels, for example at column 0, row 0"
     assert message in result.format_report()
 
@@ -133,7 +133,7 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
         replace_tracer(monkeypatch, wrong)
     result = compare_to(scene, image if tracer_errs else wrong)
     assert any(
-        line.startswith(figure) for line in check.describe_exceeded_tolerances(result.figures)
+        line.startswith(figure) for line in check.describe_exceeded_tolerances(result.metrics)
     )
     assert result.verdict == ("DIFFERS" if tracer_errs else "undecided")
     if not tracer_errs:
@@ -145,8 +145,8 @@ def test_pictures_that_differ_too_much_as_a_whole(monkeypatch, figure, tracer_er
 
 def test_tolerances_of_whole_pictures():
     def describe(ssim: float, median: float) -> list[str]:
-        figures = Figures(ssim=ssim, max=0, p999=0, rmse=0, median=median, over_count=0)
-        return check.describe_exceeded_tolerances(figures)
+        metrics = Metrics(ssim=ssim, max=0, percentile=0, rmse=0, median=median, differing_count=0)
+        return check.describe_exceeded_tolerances(metrics)
 
     assert describe(0.99901, 0.99e-6) == []
     assert describe(0.99899, 0) == ["SSIM 0.99899 is below 0.999"]
@@ -207,7 +207,7 @@ def test_edges_that_differ_are_excluded_up_to_a_share():
     result = compare_to(scene, np.where(edges[:, :, None], shifted, image), STOCK)
     assert (result.verdict, result.is_examined.any()) == ("agrees", False)
     assert np.array_equal(result.is_edge, edges)
-    assert result.figures.max < 1e-4
+    assert result.metrics.max < 1e-4
     # A value that the tracer computes on neither side of an edge is not excluded.
     assert compare_to(scene, image + 2 * edges[:, :, None], STOCK).verdict == "undecided"
     # More than one in fifty pixels are too many.
@@ -259,7 +259,7 @@ def test_hostile_scenes_raise_no_false_alarm(seeds):
     results = [
         checked(build_hostile_scene(seed), str(seed), SCALAR)
         for seed in seeds
-        for checked in (check_scene, check_diffuse)
+        for checked in (check_scene, check_diffuse_light)
     ]
     use_variant()
     assert [result.format_report() for result in results if result.verdict == "DIFFERS"] == []

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.cross_validation
 @pytest.mark.parametrize("name", NAMES)
 def test_diffuse_light_agrees_with_stock_plugins(name):
     # In the LLVM variant, a ray through the diagonal of a cube's face may miss the cube.
-    result = check.check_diffuse(load_small_scene(SCENES / f"{name}.xml"), name, SCALAR)
+    result = check.check_diffuse_light(load_small_scene(SCENES / f"{name}.xml"), name, SCALAR)
     use_variant()
     assert result.verdict == "agrees", result.format_report()
     assert result.is_edge.mean() <= 0.001

@@ -23,7 +23,7 @@ from converters.flavours import convert_exact
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use_variant
 from reference import check
-from reference.check import check_diffuse, check_scene, compare
+from reference.check import check_diffuse_light, check_scene, compare
 from reference.command import SCENES
 from reference.regenerate import load_small_scene, read_stored_picture
 from tracer import Phong, Scene, Sphere, first_hits, render
@@ -61,7 +61,7 @@ def use_camera(monkeypatch: pytest.MonkeyPatch, camera: Callable[..., CameraFram
         monkeypatch.setattr(module, "compute_frame", camera)
 
 
-@pytest.mark.parametrize("check_flavour", [check_scene, check_diffuse])
+@pytest.mark.parametrize("check_flavour", [check_scene, check_diffuse_light])
 @pytest.mark.parametrize(
     ("camera", "name"),
     [
@@ -107,7 +107,7 @@ def test_a_wrong_picture_is_detected(monkeypatch, mutation, name, ssim_misses):
     monkeypatch.setattr(check, "render", lambda _scene, **_offset: wrong)
     result = check_scene(scene, name)
     assert result.verdict == "DIFFERS"
-    assert (result.figures.ssim >= USUAL_SSIM) == ssim_misses
+    assert (result.metrics.ssim >= USUAL_SSIM) == ssim_misses
 
 
 # Mistakes that `reference/handins/mistakes.md` describes.

@@ -72,9 +72,9 @@ def test_metrics_agree_with_other_computations() -> None:
     mask = np.zeros((10, 10), dtype=np.bool_)
     mask[0, :2] = True
     result = measure_differences(a, b, mask)
-    assert (result.max, result.median, result.over_count) == (0.5, 0.0, 2)
+    assert (result.max, result.median, result.differing_count) == (0.5, 0.0, 2)
     assert result.rmse == pytest.approx(0.5 * np.sqrt(2 / 294), rel=1e-12)  # of 98 * 3 values
-    assert result.p999 == 0.5
+    assert result.percentile == 0.5
     shown = a ** (1 / 2.2), b ** (1 / 2.2)
     right = structural_similarity(*shown, channel_axis=2, data_range=1.0)
     assert measure_differences(a, b).ssim == pytest.approx(right, abs=1e-6)

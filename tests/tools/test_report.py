@@ -52,7 +52,7 @@ def make_result(name: str = "pair") -> CheckResult:
         is_disputed=~edges,
         is_examined=~edges,
         is_wrong=~edges,
-        figures=measure_differences(tracer, mitsuba, edges),
+        metrics=measure_differences(tracer, mitsuba, edges),
     )
 
 
