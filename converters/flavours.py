@@ -558,7 +558,7 @@ def _convert_light(
 
 
 def choose_reflectance_divisor(surfaces: Surfaces) -> float:
-    """Choose the number by which to divide all reflectances, as Mitsuba allows none above 1.
+    """Choose the number by which to divide all reflectances, so that none exceeds 1.
 
     Parameters
     ----------

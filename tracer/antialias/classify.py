@@ -71,7 +71,7 @@ class Cells(NamedTuple):
         Maximum error of the mean radiance of a cell.
     center_x, center_y : (n,) float arrays
         Centres of the cells, in pixels from the upper left corner of the picture.
-    pair_cell, pair_object : (m,) int arrays
+    pair_cell_index, pair_object_index : (m,) int arrays
         Indices of the cell and the object in each of m pairs: the object's silhouette may cross the
         cell.
     """
@@ -81,8 +81,8 @@ class Cells(NamedTuple):
     tolerance: float
     center_x: Floats
     center_y: Floats
-    pair_cell: Ints
-    pair_object: Ints
+    pair_cell_index: Ints
+    pair_object_index: Ints
 
     def to_picture(self, cell_index: Ints, point_in_cell: Points2D) -> tuple[Floats, Floats]:
         """Convert points from cell coordinates to picture coordinates.
@@ -120,12 +120,12 @@ class Cells(NamedTuple):
         """
         quarter_centers = np.tile(Lattice(2, 2).list_points(), cell_index.size)
         x, y = self.to_picture(cell_index.repeat(4), quarter_centers)
-        divided_index = np.full(self.center_x.size, -1)  # of each cell in `cell_index`, or -1
+        divided_index = np.full(self.center_x.size, -1)  # of each cell; -1 if it is not divided
         divided_index[cell_index] = np.arange(cell_index.size)
-        pair_divided_index = divided_index[self.pair_cell]
+        pair_divided_index = divided_index[self.pair_cell_index]
         kept_index = find(pair_divided_index >= 0)
-        pair_quarter = (4 * pair_divided_index[kept_index, None] + np.arange(4)).ravel()
-        pairs = pair_quarter, self.pair_object[kept_index].repeat(4)
+        pair_quarter_index = (4 * pair_divided_index[kept_index, None] + np.arange(4)).ravel()
+        pairs = pair_quarter_index, self.pair_object_index[kept_index].repeat(4)
         return Cells(self.width / 2, (self.samples_per_side + 1) // 2, self.tolerance, x, y, *pairs)
 
 
@@ -154,7 +154,7 @@ class Classification(NamedTuple):
 
 
 def classify_cells(
-    scene: PreparedScene, cells: Cells, samples: Samples, sample_cell: Ints
+    scene: PreparedScene, cells: Cells, samples: Samples, sample_cell_index: Ints
 ) -> Classification:
     """Classify cells by the edges that may cross them.
 
@@ -171,7 +171,7 @@ def classify_cells(
         The n cells.
     samples : Rows or Scattered
         The n samples through the centres of the cells, in any order.
-    sample_cell : (n,) int array
+    sample_cell_index : (n,) int array
         Index of the cell of each sample.
 
     Returns
@@ -181,12 +181,13 @@ def classify_cells(
         unresolved if it may contain something other than straight edges.  It is crowded if finding
         all its edges would take longer than sampling it densely.
     """
-    cell_count, tolerance = sample_cell.size, cells.tolerance
+    cell_count, tolerance = sample_cell_index.size, cells.tolerance
     radiance, center_id = np.empty((3, cell_count)), np.full(cell_count, -1)
     is_unresolved, is_crowded = np.zeros((2, cell_count), dtype=np.bool_)
     hits, hidden_hits = find_nearest_and_hidden_hits(scene, samples)
-    hit_cell, footprint = sample_cell[hits.sample_index], compute_footprints(hits, cells.width)
-    surfaces = CellSurfaces(hits, InverseDepth.from_hits(hits), hit_cell, footprint, cells.width)
+    hit_cell_index = sample_cell_index[hits.sample_index]
+    inverse_depth, footprint = InverseDepth.from_hits(hits), compute_footprints(hits, cells.width)
+    surfaces = CellSurfaces(hits, inverse_depth, hit_cell_index, footprint, cells.width)
     silhouettes = _find_silhouettes_from_eye(scene, cells)
     edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
     geometry_lines, curved_index = fit_lines(edges, tolerance)
@@ -198,9 +199,9 @@ def classify_cells(
         )
         all_lines.append(light_lines)
         is_unresolved[unresolved_index], is_crowded[crowded_index] = True, True
-    radiance[:, sample_cell] = shading.compute_radiance()
+    radiance[:, sample_cell_index] = shading.compute_radiance()
     # An id encodes the face that is hit, and the lights that are visible; -1 is the background.
-    center_id[hit_cell] = shading.ids
+    center_id[hit_cell_index] = shading.ids
     lines = Lines.concatenate(all_lines).remove_duplicates()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
@@ -238,7 +239,7 @@ def _shade_and_find_edges(
     crowded_index : (j,) int array
         Indices of cells in which finding all edges would take longer than dense sampling.
     """
-    hits, hit_cell, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
+    hits, hit_cell_index, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are always divided, so their shadow edges are not needed.
@@ -254,10 +255,10 @@ def _shade_and_find_edges(
     edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges), terminators)
     light_lines, curved_index = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, faces_light, footprint)
-    highlight_indices = [hit_cell[hit_index] for hit_index in highlights]
-    unsearched_index = hit_cell[has_wide_footprint | is_crowded]
+    highlight_indices = [hit_cell_index[hit_index] for hit_index in highlights]
+    unsearched_index = hit_cell_index[has_wide_footprint | is_crowded]
     unresolved_index = np.concatenate([unsearched_index, curved_index, *highlight_indices])
-    return light_lines, unresolved_index, hit_cell[is_crowded]
+    return light_lines, unresolved_index, hit_cell_index[is_crowded]
 
 
 def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
@@ -282,8 +283,8 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
         Values of the edge function at six points of the cell, in the order of `compute_rays`.
     """
     frame = scene.frame
-    for batch in split_indices(np.arange(cells.pair_cell.size)):
-        cell_index, object_index = cells.pair_cell[batch], cells.pair_object[batch]
+    for batch in split_indices(np.arange(cells.pair_cell_index.size)):
+        cell_index, object_index = cells.pair_cell_index[batch], cells.pair_object_index[batch]
         ray_right = frame.to_ray_right(cells.center_x[cell_index])
         ray_down = frame.to_ray_down(cells.center_y[cell_index])
         ray = compute_rays(frame, ray_right, ray_down, cells.width)

@@ -92,7 +92,7 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
         difference = (radiance[:, neighbor_step:] - radiance[:, :-neighbor_step]) * has_same_id
         axis_correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
         has_id_before, has_id_after = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
-        # If only one neighbour has the id, its difference from the pixel estimates the error.
+        # If only one neighbour has the same id, its difference from the pixel estimates the error.
         max_correction = np.abs(axis_correction).max(axis=0)
         axis_error = np.where(has_id_before | has_id_after, max_correction, np.nan)
         error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)

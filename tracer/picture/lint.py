@@ -185,25 +185,25 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
     """
     if not scene.lights:
         return "the scene has no light", "add <light>"
-    visible_objects = _find_visible_objects(prepared_scene)
+    visible_index = _find_visible_objects(prepared_scene)
     camera_remedy = "see viewPoint, viewDir and the window"
-    if not visible_objects.size:
+    if not visible_index.size:
         if prepared_scene.bounds.is_in_picture(prepared_scene.frame).any():
             return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
-    shader_remedy = f"see the shader of {_name_surface(scene, visible_objects)}"
+    shader_remedy = f"see the shader of {_name_surface(scene, visible_index)}"
     # Which channels (red, green, blue) does each object reflect, and each light emit?
     has_reflectance = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
-    reflects_channel = has_reflectance[:, visible_objects]
+    reflects_channel = has_reflectance[:, visible_index]
     emits_channel = np.array([light.intensity for light in scene.lights]) > 0
     if not reflects_channel.any():
         return "all surfaces in view are black", shader_remedy
     if emits_channel.any() and not reflects_channel[emits_channel.any(axis=0)].any():
         return "the surfaces in view reflect no colour of the lights", shader_remedy
     remedy = "see the lights' positions and intensities"
-    objects_around_eye = visible_objects[prepared_scene.is_eye_inside[visible_objects]]
-    if objects_around_eye.size:
-        surface_name = _name_surface(scene, objects_around_eye)
+    enclosing_index = visible_index[prepared_scene.is_eye_inside[visible_index]]
+    if enclosing_index.size:
+        surface_name = _name_surface(scene, enclosing_index)
         remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
     return "no light reaches anything in view", remedy
 
@@ -218,18 +218,18 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
 
     Returns
     -------
-    visible_objects : (k,) int array
+    visible_index : (k,) int array
         Indices of the objects, in ascending order.
     """
-    (rows, columns), object_batches = scene.window, [np.zeros(0, dtype=np.intp)]
+    (rows, columns), index_batches = scene.window, [np.zeros(0, dtype=np.intp)]
     if columns.start < columns.stop:
         rows_per_batch = max(
             1, scene.choose_batch_size(BATCH_SIZE) // (columns.stop - columns.start)
         )
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = PIXEL_CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
-            object_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
-    return np.unique(np.concatenate(object_batches))
+            index_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
+    return np.unique(np.concatenate(index_batches))
 
 
 def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
@@ -328,8 +328,8 @@ def _check_color_ranges(scene: Scene) -> Iterator[str]:
     ]
     # A shader's colours are reported for the first surface in the file that uses the shader.
     shader_of_surface = surfaces.shader_index[surfaces.array_index]
-    _, first_surfaces = np.unique(shader_of_surface, return_index=True)
-    for surface_index in first_surfaces.tolist():
+    _, first_indices = np.unique(shader_of_surface, return_index=True)
+    for surface_index in first_indices.tolist():
         shader = surfaces.shaders[shader_of_surface[surface_index]]
         colors.append(("diffuseColor", shader.diffuse, "surface", surface_index))
         if isinstance(shader, Phong):
