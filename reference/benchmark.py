@@ -116,7 +116,7 @@ def format_section(
 
 
 def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Timing]:
-    """Time alternate renderings of a scene by the tracer and by Mitsuba, in this process.
+    """Time the tracer and Mitsuba alternately, as they render a scene in this process.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Ti
     Returns
     -------
     tracer_timing, mitsuba_timing : Timing
-        Time that each renderer takes for one picture.
+        The time that each renderer takes for one picture.
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     loaded_scene = mi.load_string(mitsuba_xml)
@@ -172,8 +172,8 @@ def benchmark_whole_process(quick: bool) -> str:
             commands["POV-Ray"] = povray.prepare_command(scene, Path(png_path))
         tasks = {name: make_command_task(command) for name, command in commands.items()}
         timings = time_alternately(tasks, ROUNDS, min_seconds=2.0)
-        fastest_stock = min(timings["Mitsuba stock"], timings["the same, scalar"])
-        baselines = timings["Mitsuba exact"], fastest_stock
+        fastest_stock_timing = min(timings["Mitsuba stock"], timings["the same, scalar"])
+        baselines = timings["Mitsuba exact"], fastest_stock_timing
         speedups = [compute_speedup(timings["tracer"], baseline) for baseline in baselines]
         rows.append((f"{scene_name} {size[0]}×{size[1]}", *timings.values(), *speedups))
     return format_section(

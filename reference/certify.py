@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Raises
     ------
     Failure
-        If a file cannot be read, certified or written.
+        If a file cannot be read or written, or the scene cannot be certified.
     SystemExit
         If the arguments are wrong.
     """
@@ -69,13 +69,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     output_path = arguments.output or f"{scene_path}.certified.png"
     input_paths = [Path(file) for file in (scene_path, arguments.judge) if file]
     forbid_overwriting_inputs(command_parser, [Path(output_path)], input_paths)
-    as_failure = partial(errors_as_failure, exit_status=FAILED_STATUS)
-    with as_failure(scene_path, "read", memory_remedy="split the scene"):
+    convert_errors = partial(errors_as_failure, exit_status=FAILED_STATUS)
+    with convert_errors(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     judged_codes = _read_codes(arguments.judge, scene) if arguments.judge else None
     start = perf_counter()
     with (
-        as_failure(scene_path, "certified", error_types=(ValueError, RuntimeError)),
+        convert_errors(scene_path, "certified", error_types=(ValueError, RuntimeError)),
         Progress(1, "pictures") as progress,
     ):
         certificate = certify(scene, float(arguments.error), progress.update)
@@ -86,15 +86,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         wrong_count, verdict = count_wrong_codes(certificate, judged_codes)
         lines.append(f"{arguments.judge}: {verdict}")
     lines.append(f"{output_path}: {certificate.cell_count} cells in {seconds:.2f} s")
-    with as_failure(output_path, "written", "choose another with -o"):
+    with convert_errors(output_path, "written", "choose another with -o"):
         write_png(output_path, certificate.image)
-    with as_failure("standard output", "written"):
+    with convert_errors("standard output", "written"):
         print_or_raise(sys.stdout, "\n".join(map(make_printable, lines)))
     return 1 if wrong_count else 0
 
 
 def _make_command_parser() -> CommandParser:
-    """Build the command-line parser of `python -m reference.certify`."""
+    """Make the command-line parser of `python -m reference.certify`."""
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
@@ -167,17 +167,17 @@ def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) 
         Two or three lines to print.
     """
     pixel_count = certificate.error.size
-    exceeding_count = np.count_nonzero(certificate.error > float(permitted_error))
-    certain_count = np.count_nonzero(certificate.is_certain)
+    imprecise_count = np.count_nonzero(certificate.error > float(permitted_error))
+    certain_pixel_count = np.count_nonzero(certificate.is_certain)
     lines = [
-        f"{pixel_count - exceeding_count} of {pixel_count} pixels are within {permitted_error};"
+        f"{pixel_count - imprecise_count} of {pixel_count} pixels are within {permitted_error};"
         f" all are within {certificate.error.max():.2g}",
-        f"8-bit codes are certain in {certain_count} of {pixel_count} pixels,"
-        f" {certain_count / pixel_count:.2%}",
+        f"8-bit codes are certain in {certain_pixel_count} of {pixel_count} pixels,"
+        f" {certain_pixel_count / pixel_count:.2%}",
     ]
-    if exceeding_count:
+    if imprecise_count:
         reason = "because edges touch there"
-        lines.append(f"{exceeding_count} pixels have larger error bounds, {reason}")
+        lines.append(f"{imprecise_count} pixels have larger error bounds, {reason}")
     return lines
 
 
@@ -196,7 +196,7 @@ def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]
     wrong_count : int
         Number of codes that no radiance within the bounds can produce.
     verdict : str
-        A phrase that states this number, and the position and value of the worst code.
+        A phrase that states this number, and describes the code that is farthest out of bounds.
     """
     lowest_codes = to_codes(certificate.low).astype(int)
     highest_codes = to_codes(certificate.high).astype(int)
@@ -205,8 +205,8 @@ def count_wrong_codes(certificate: Certificate, codes: Codes) -> tuple[int, str]
     if not wrong_count:
         return 0, "no code is certainly wrong"
     worst_index = row, column, channel = np.unravel_index(deviation.argmax(), deviation.shape)
-    limits = sorted({lowest_codes[worst_index], highest_codes[worst_index]})
+    code_limits = sorted({lowest_codes[worst_index], highest_codes[worst_index]})
     position = f"at {column},{row}, where {'RGB'[channel]} is {codes[worst_index]}"
-    requirement = f"must be {' to '.join(map(str, limits))}"
+    requirement = f"must be {' to '.join(map(str, code_limits))}"
     verdict = f"{wrong_count} of {codes.size} codes are certainly wrong, by up to {deviation.max()}"
     return wrong_count, f"{verdict}, {position} and {requirement}"

@@ -25,7 +25,7 @@ _FRAME_COUNT = 1_000_000
 
 # Assumptions, which are not measured: the price of a core for an hour in dollars; the memory, in
 # bytes, of the computer that gathers the results; and the number of frames in a larger task.
-_DOLLARS_PER_CORE_HOUR, _CLIENT_BYTES, _FRAMES_PER_TASK = 0.05, 16e9, 100
+_DOLLARS_PER_CORE_HOUR, _CLIENT_MEMORY, _FRAMES_PER_TASK = 0.05, 16e9, 100
 
 # Renderers whose whole CPU time can be measured: keys that `prepare_animation_commands` returns.
 _RENDERERS = ("tracer, 1 process", "Mitsuba exact", "Mitsuba stock", "POV-Ray")
@@ -84,7 +84,7 @@ def main() -> None:
     png_files = [build_path(f"frame-{frame_index}.xml.png") for frame_index in range(frame_count)]
     png_size = sum(path.stat().st_size for path in png_files) / frame_count
     max_cores = tracer_seconds / seconds_per_task
-    costs = format_section(
+    cost_table = format_section(
         "What they would cost",
         f"Measured with {frame_count} frames of {size[0]}×{size[1]}, one sample per pixel: CPU time"
         " for reading scenes, rendering and writing PNG files. POV-Ray starts anew for each frame;"
@@ -97,7 +97,7 @@ def main() -> None:
             for name, seconds in cpu_seconds.items()
         ],
     )  # fmt: skip
-    limits = format_section(
+    limit_table = format_section(
         "What would break first",
         f"Measured: Dask's scheduler takes {1e3 * seconds_per_task:.2f} ms per task, and a PNG file"
         f" takes {png_size / 1e3:,.0f} kB. Computed: when each limit is reached with one frame"
@@ -107,14 +107,14 @@ def main() -> None:
             ("the scheduler is too slow for the workers", f"{max_cores:,.0f} cores",
              f"{_FRAMES_PER_TASK} frames per task, for {max_cores * _FRAMES_PER_TASK:,.0f} cores;"
              f" a lost worker then costs {tracer_seconds * _FRAMES_PER_TASK:,.0f} s of CPU time"),
-            (f"gathered PNG files fill a memory of {_CLIENT_BYTES / 1e9:.0f} GB",
-             f"{_CLIENT_BYTES / png_size:,.0f} frames", "tasks that write the files themselves"),
+            (f"gathered PNG files fill a memory of {_CLIENT_MEMORY / 1e9:.0f} GB",
+             f"{_CLIENT_MEMORY / png_size:,.0f} frames", "tasks that write the files themselves"),
             ("a folder has too many files for its file system", "(not measured)",
              "a folder for each thousand frames"),
         ],
     )  # fmt: skip
     origin = f"Written by `python -m reference.cluster`, measured on {describe_origin()}."
-    page = "\n\n".join(["# A million frames on a cluster", origin, costs, limits]) + "\n"
+    page = "\n\n".join(["# A million frames on a cluster", origin, cost_table, limit_table]) + "\n"
     page_path = build_path("cluster.md") if arguments.quick else HERE / "cluster.md"
     page_path.write_text(page, encoding="utf-8")
     print(page, end="")

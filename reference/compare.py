@@ -171,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all pictures agree; 1 if some differ or are missing; 3 if some cannot be compared.
+        0 if all pictures agree; 3 if some cannot be compared; 1 if some only differ or are missing.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _compare_with_progress_bar(
     options: argparse.Namespace, hand_in: HandIn
 ) -> tuple[Result, Pair | None]:
-    """Compare one picture with its reference; show a progress bar after the first second.
+    """Compare one picture with its reference, showing a progress bar after the first second.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def _compare_with_progress_bar(
         while not is_finished.wait(_REFRESH_SECONDS):
             bar.update(0)
 
-    # The comparison runs in the main thread, in which freed memory is reused best.
+    # The comparison runs in the main thread, where freed memory is reused best.
     with Progress(1, "pictures") as bar, ThreadPoolExecutor(1) as executor:
         executor.submit(refresh, bar)
         try:
@@ -243,9 +243,9 @@ def _compare_with_progress_bar(
 
 
 def _get_sort_key(result_and_pair: tuple[Result, Pair | None]) -> tuple[bool, str, str]:
-    """Return the key that sorts pictures by path, followed by missing pictures by student.
+    """Return a sort key: pictures come first, by path, and missing pictures follow, by student.
 
-    Scenes that nobody handed in come last.
+    Scenes for which nobody handed in a picture come last.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def _load_reference(path: Path) -> Reference:
 
 
 def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Result, Pair | None]:
-    """Compare a submitted picture with its reference; return errors instead of raising them.
+    """Compare a submitted picture with its reference, and return errors instead of raising them.
 
     Parameters
     ----------
@@ -330,9 +330,9 @@ def compare_hand_in(options: argparse.Namespace, hand_in: HandIn) -> tuple[Resul
 def _compare_files(
     options: argparse.Namespace, picture_path: Path, reference_path: Path, result: Result
 ) -> tuple[Result, Pair | None]:
-    """Compare a picture with its reference, and draw them side by side if requested.
+    """Compare a picture with its reference, and draw both side by side if requested.
 
-    If a whole class is compared, only pictures that differ are drawn.
+    If a whole class is compared, only pictures that do not agree are drawn.
 
     Parameters
     ----------
@@ -348,8 +348,8 @@ def _compare_files(
     Returns
     -------
     result : Result
-        A copy of `result`, completed with the mistakes and, if the sizes are equal, with measures
-        of the difference.
+        A copy of `result` that also contains the mistakes in the picture, and measures of the
+        difference if the sizes are equal.
     pair : Pair or None
         Both pictures, for the HTML page.  None if no page is requested, or if the sizes differ.
 

@@ -148,18 +148,18 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
     object_count : (n,) float array
         Number of objects listed in each cell.
     """
-    polygons, fraction = [], np.linspace(0, 1, grid.cells_per_side + 1)
+    polygons, fractions = [], np.linspace(0, 1, grid.cells_per_side + 1)
     for octant, patch_index in enumerate(grid.patch_of_octant.tolist()):
         if patch_index >= 0:
             origin, size = grid.patch_origin[:, patch_index], grid.patch_size[:, patch_index]
-            # The grid's lines are at u and v, which are |x| and |y| in the inner diamond.
-            u, v = np.meshgrid(*(origin + size * fraction[:, None]).T)
+            # Positions of the grid's lines: u and v are |x| and |y| in the inner diamond.
+            u, v = np.meshgrid(*(origin + size * fractions[:, None]).T)
             # Bit k of `octant` is set where component k of the direction is negative.
             x, y = (1 - v, 1 - u) if octant & 4 else (u, v)
             nodes = np.stack([-x if octant & 1 else x, -y if octant & 2 else y], axis=-1)
             cell_corners = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
             polygons.append(np.stack(cell_corners, axis=2).reshape(-1, 4, 2))
-    # Each cell has four lists, which follow each other.
+    # Each cell has four lists, stored one after another.
     return np.concatenate(polygons), np.diff(grid.list_start[::4].astype(np.float64))
 
 
@@ -180,30 +180,32 @@ def draw_light_grid() -> None:
 
 
 def _clip_lines(classification: Classification) -> Iterable[Floats]:
-    """Clip each straight edge to the cell (a pixel or a part of one) that it crosses.
+    """Clip the line along each straight edge to the cell that the edge crosses.
+
+    A cell is a pixel or a square part of one.
 
     Parameters
     ----------
     classification : Classification
-        The cells, and for each of them the lines along the edges that cross it.
+        The cells, and the lines along the straight edges in them.
 
     Yields
     ------
     segment : (2, 2) float array
         The two end points (x, y) of a clipped line, in pixels.
     """
-    cells, sides = classification.cells, np.array([-0.5, 0.5])
+    cells, side_offsets = classification.cells, np.array([-0.5, 0.5])
     for cell_index, a, b, c in zip(*classification.lines, strict=True):
         # The line a x + b y + c = 0 meets each of the cell's four sides at most once.
-        crossings = [*zip(sides, -(c + a * sides) / b, strict=True)]
-        crossings += [*zip(-(c + b * sides) / a, sides, strict=True)]
+        crossings = [*zip(side_offsets, -(c + a * side_offsets) / b, strict=True)]
+        crossings += [*zip(-(c + b * side_offsets) / a, side_offsets, strict=True)]
         ends = [point for point in crossings if np.abs(point).max() <= 0.5 + 1e-9]
         if len(ends) >= 2:
             yield np.add(ends[:2], (cells.center_x[cell_index], cells.center_y[cell_index]))
 
 
 def draw_classes() -> None:
-    """Draw `classes.png`: pixels coloured by class, with the straight edges and samples in them."""
+    """Draw `classes.png`: pixels coloured by class, overlaid with straight edges and samples."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, sample_index = PIXEL_CENTERS.place(rows, columns), np.arange(20 * 28)
@@ -234,11 +236,11 @@ def draw_classes() -> None:
 def draw_certificate() -> None:
     """Draw `certificate.png`: the cells into which the certificate divides a picture."""
     scene, _, _ = _load_prepared_scene("four-spheres", 48)
-    with patch.object(_Picture, "add_cells", autospec=True, side_effect=_Picture.add_cells) as mock:
+    with patch.object(_Picture, "add_cells", autospec=True, side_effect=_Picture.add_cells) as spy:
         certificate = certify(scene, 1 / 256)
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     outlines: list[Floats] = []
-    for _, cells, cell_index, _ in (call.args for call in mock.call_args_list):
+    for _, cells, cell_index, _ in (call.args for call in spy.call_args_list):
         centers = np.stack([cells.x[cell_index], cells.y[cell_index]], axis=-1)
         outlines += [*(centers[:, None] + cells.width * corners)]
     _, (image_axes, cell_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.7))

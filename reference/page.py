@@ -61,7 +61,7 @@ def prepare_pair(
     left_codes, right_codes : (height, width, 3) uint8 arrays
         The left and the right picture, as 8-bit codes.
     difference_codes : (height, width, 3) uint8 array
-        A picture of their difference, as 8-bit codes.
+        A picture of the difference, as 8-bit codes.
     gain : float
         Factor by which the difference is amplified; 0 if the pictures are equal.
     **content
@@ -104,7 +104,7 @@ def render_page(**content: Any) -> str:
         - `introduction`, `verdict` : str, the beginning and the end of the first paragraph
         - `is_good` : bool, whether the verdict is a success
         - `column_titles` : sequence of str
-        - `rows` : nested sequences of rows, columns, and one or more `Cell` objects
+        - `rows` : sequence of rows, with a sequence of `Cell` objects for each column
         - `pairs` : sequence of results of `prepare_pair`
         - `legend` : str
         - `source` : str, the origin of the pictures, optional
@@ -126,7 +126,7 @@ def render_page(**content: Any) -> str:
     id_by_png: dict[bytes, str] = {}
 
     def format_image_attributes(png: bytes) -> Markup:
-        """Format an image's id and data when it first occurs, and a reference to it later."""
+        """Format the id and data of a new image, or a reference to the id of an earlier one."""
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"

@@ -75,9 +75,8 @@ def read_picture(path: Path) -> Picture:
     Raises
     ------
     Failure
-        If the file is missing, damaged, not a regular file, or not a picture in a known format; if
-        it has more than 9 million pixels, or pixels that are not RGB, palette or grey; or if memory
-        runs out.
+        If the file is missing, damaged, or not a picture in a known format; if the picture has more
+        than 9 million pixels, or colours that are not RGB, palette or grey; or if memory runs out.
     """
     # Pillow raises a SyntaxError for a damaged PNG.
     error_types = SyntaxError, ValueError
@@ -93,10 +92,10 @@ def read_picture(path: Path) -> Picture:
             if width * height > _MAX_PIXELS:
                 maximum = f"{_MAX_PIXELS // 1_000_000} million"
                 raise ValueError(f"has {width}x{height} pixels; at most {maximum} can be compared")
-            return _decode(image, path)
+            return _decode_picture(image, path)
 
 
-def _decode(image: ImageFile.ImageFile, path: Path) -> Picture:
+def _decode_picture(image: ImageFile.ImageFile, path: Path) -> Picture:
     """Decode a picture file, and determine how its format altered the colours.
 
     Parameters
@@ -168,22 +167,22 @@ def _make_jpeg_encoder(image: Image.Image) -> Callable[[Codes], Codes]:
     Returns
     -------
     reencode : callable
-        Saves the 8-bit codes (h, w, 3) of a picture as a JPEG, and returns the codes (h, w, 3)
-        that are read back.
+        Function that saves the 8-bit codes (h, w, 3) of a picture as a JPEG in memory, and returns
+        the codes that are read back.
     """
     quantization_tables = image.quantization  # type: ignore[attr-defined]
     subsampling = JpegImagePlugin.get_sampling(image)
 
     def reencode(codes: Codes) -> Codes:
-        """Save a picture (h, w, 3) as a JPEG in memory, and return the codes that are read back."""
+        """Save 8-bit codes (h, w, 3) as a JPEG in memory, and return the codes read back."""
         reloaded_codes = np.empty_like(codes)
         band_height = JPEG_BLOCK * max(1, _PIXELS_PER_BAND // (JPEG_BLOCK * codes.shape[1]))
         for start in range(0, len(codes), band_height):
             # The neighbouring blocks are compressed, too, because they affect the outermost rows.
-            first_row, end = max(0, start - JPEG_BLOCK), start + band_height + JPEG_BLOCK
-            jpeg_file, band = io.BytesIO(), Image.fromarray(codes[first_row:end])
+            padded_start, padded_end = max(0, start - JPEG_BLOCK), start + band_height + JPEG_BLOCK
+            jpeg_file, band = io.BytesIO(), Image.fromarray(codes[padded_start:padded_end])
             band.save(jpeg_file, "JPEG", qtables=quantization_tables, subsampling=subsampling)
-            rows = slice(start - first_row, start - first_row + band_height)
+            rows = slice(start - padded_start, start - padded_start + band_height)
             reloaded_codes[start : start + band_height] = np.asarray(Image.open(jpeg_file))[rows]
         return reloaded_codes
 
@@ -201,7 +200,7 @@ def to_picture(columns: Codes, width: int) -> Codes:
 
 
 def compare_levels(first_codes: Codes, second_codes: Codes, axis: int = -2) -> Codes:
-    """Compute the largest difference among the channels, for each pixel of two pictures.
+    """Compute, for each pixel of two pictures, the largest difference in any channel.
 
     Parameters
     ----------

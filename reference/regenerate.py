@@ -61,7 +61,7 @@ def hash_scene_file(path: Path) -> str:
 
 
 def read_stored_picture(name: str) -> Floats:
-    """Read Mitsuba's picture of a scene, which is stored with this project.
+    """Read Mitsuba's stored picture of a scene.
 
     Parameters
     ----------

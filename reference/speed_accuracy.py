@@ -100,8 +100,8 @@ def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Cal
     Returns
     -------
     tasks : dict of (str, int) to callable
-        Maps a method and a factor to a function that returns an image (height, width, 3) with
-        factor * 4**level samples per pixel.  The certified tracer instead permits an error of
+        Functions that return an image (height, width, 3), by method and factor.  An image has
+        factor * 4**level samples per pixel; the certified tracer instead permits an error of
         1 / (factor * 4**level).
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
@@ -138,15 +138,15 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
-    # An error is shown only if it exceeds that of a less accurate reference picture.
+    # Errors below that of a less accurate reference picture are too uncertain to be shown.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = compute_rms_error(less_accurate_image, reference_image)
     povray_picture = build_path("povray.ppm")
     finished_tasks: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
     for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
         tasks = _make_rendering_tasks(scene, level)
-        options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
-        command = povray.prepare_linear_command(scene, povray_picture, *options)
+        quality_options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
+        command = povray.prepare_linear_command(scene, povray_picture, *quality_options)
         # The time that POV-Ray reports does not include its start.
         tasks[_POVRAY, 1] = partial(povray.render_and_time, command)
         tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
@@ -177,19 +177,19 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     """
     figure, axes_grid = plt.subplots(3, 2, figsize=(CHART_WIDTH, 8.2), sharex=True, sharey=True)
     panels = axes_grid.ravel()
-    for axes, scene in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
+    for axes, title in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
         for method in _METHODS:
-            points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [scene, method]]
+            points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [title, method]]
             # If points have the same error, only the one with the most samples is drawn.
             curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
             axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
             for error, (seconds, samples) in curve.items():
-                # 9, 36, ... samples often give the same picture as 16, 64, ...: omit their labels.
+                # Label only 1, 4, 16, ... samples, because 9 often give the same picture as 16.
                 if method == _TRACER and int(samples).bit_count() == 1:
                     axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
         rounding_label = "error of rounding to 8 bits"
         axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
-        axes.set(title=scene, xlabel="time", ylabel="RMSE")
+        axes.set(title=title, xlabel="time", ylabel="RMSE")
         axes.minorticks_off()
         axes.tick_params(labelbottom=True)
     panels[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")

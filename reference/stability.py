@@ -101,14 +101,14 @@ def build_silhouette(distance: float) -> Scene:
     return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
 
 
-def build_moved_sphere(offset: float) -> Scene:
-    """Build a scene of a unit sphere, moved away from the origin by an offset.
+def build_moved_sphere(offset_factor: float) -> Scene:
+    """Build a scene of a unit sphere, and move the whole scene away from the origin.
 
-    The camera, the light and the sphere are all moved by (1, -0.7, 0.4) times the offset.  The eye
-    is about 4 radii away from the sphere's centre.
+    The scene is moved by (1, -0.7, 0.4) times `offset_factor`.  The eye is about 4 radii away from
+    the sphere's centre.
     """
     positions = np.array([(0, 0, 0), (1, 0, 4), (1, 2, 6)])
-    center, eye, light = positions + offset * np.array([1, -0.7, 0.4])
+    center, eye, light = positions + offset_factor * np.array([1, -0.7, 0.4])
     return _build_scene(eye, (-1, 0, -4), light, Sphere(center=center), window=(4, 1, 1))
 
 
@@ -347,9 +347,9 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
     """
     left_panels = [panel for panel in PANELS if panel.methods != _SHADOW_METHODS]
     right_panels = [panel for panel in PANELS if panel.methods == _SHADOW_METHODS]
-    heights = 3.8, 1.9 * len(left_panels)
-    figure: Any = plt.figure(figsize=(CHART_WIDTH, sum(heights)))
-    pictures_subfigure, panels_subfigure = figure.subfigures(2, 1, height_ratios=heights)
+    subfigure_heights = 3.8, 1.9 * len(left_panels)
+    figure: Any = plt.figure(figsize=(CHART_WIDTH, sum(subfigure_heights)))
+    pictures_subfigure, panels_subfigure = figure.subfigures(2, 1, height_ratios=subfigure_heights)
     picture_axes = pictures_subfigure.subplots(2, len(EXAMPLES))
     pictures_subfigure.subplots_adjust(0.02, 0.03, 0.98, 0.68, wspace=0.03, hspace=0.03)
     for (title, scene, method), axes_pair in zip(EXAMPLES, picture_axes.T, strict=True):
@@ -359,9 +359,9 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
         axes_pair[0].set_title(f"{title}\n{method}", fontsize=9)
     axes_grid = panels_subfigure.subplots(len(left_panels), 2)
     panels_subfigure.subplots_adjust(0.07, 0.07, 0.98, 0.96, wspace=0.2, hspace=0.8)
-    free_axes = axes_grid[len(right_panels) :, 1]
-    all_panels = left_panels, right_panels
-    columns = zip(("left", "right"), all_panels, axes_grid.T, free_axes, strict=True)
+    all_legend_axes = axes_grid[len(right_panels) :, 1]
+    panels_by_column = left_panels, right_panels
+    columns = zip(("left", "right"), panels_by_column, axes_grid.T, all_legend_axes, strict=True)
     for side, panels, column_axes, legend_axes in columns:
         methods = dict.fromkeys(method for panel in panels for method in panel.methods)
         styles = dict(zip(["this tracer", *methods], plt.rcParams["axes.prop_cycle"], strict=False))
@@ -370,8 +370,8 @@ def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
             _draw_panel(axes, panel, [row[1:] for row in rows if row[0] == panel.title], styles)
             handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
         legend_axes.axis("off")
-        title = f"In the {side} column"
-        legend_axes.legend(handles.values(), handles, loc="center", title=title, ncols=2)
+        legend_title = f"In the {side} column"
+        legend_axes.legend(handles.values(), handles, loc="center", title=legend_title, ncols=2)
     return figure
 
 
@@ -406,8 +406,8 @@ def _draw_panel(
     zero_height = {method: min_error / _CURVE_SPACING**index for index, method in enumerate(curves)}
     limits = {"xlim": (x[0], x[-1]), "ylim": (min(zero_height.values()) / 1.6, 1.6 * max_error)}
     guides = [f"{dashes}: {name}" for dashes, name in zip(_GUIDES, panel.guides, strict=False)]
-    label = ";   ".join([panel.axis_label, *guides])
-    axes.set(title=panel.title, xlabel=label, xscale="log", yscale="log", **limits)
+    x_label = ";   ".join([panel.axis_label, *guides])
+    axes.set(title=panel.title, xlabel=x_label, xscale="log", yscale="log", **limits)
     if is_radiance_error:
         axes.axhspan(_VISIBLE_ERROR, 1.6, color="#fbe8dd", lw=0, zorder=0, label="visible error")
         axes.set_yticks(10.0 ** np.arange(-16, 1, 4))

@@ -61,7 +61,7 @@ class Timing(NamedTuple):
 
 
 def time_alternately(
-    tasks: Mapping[_Name, Task], rounds: int, *, min_seconds: float = _MIN_TOTAL_SECONDS
+    tasks: Mapping[_Name, Task], min_rounds: int, *, min_seconds: float = _MIN_TOTAL_SECONDS
 ) -> dict[_Name, Timing]:
     """Time tasks alternately, so that a slow period of the machine affects all tasks alike.
 
@@ -71,13 +71,13 @@ def time_alternately(
     Parameters
     ----------
     tasks : mapping of names to Task
-        Functions without arguments.  If a task returns a float, that is its time in seconds;
-        otherwise the time is measured.
-    rounds : int
+        Functions without arguments.  If a task returns a float, this is its time in seconds;
+        otherwise its time is measured.
+    min_rounds : int
         Minimum number of rounds.
     min_seconds : float
-        After `rounds` rounds, a task keeps running until its times add up to this many seconds, but
-        not beyond five times `rounds` rounds.
+        Further rounds run each task until its times add up to this many seconds, or until five
+        times `min_rounds` rounds are complete.
 
     Returns
     -------
@@ -90,9 +90,9 @@ def time_alternately(
         task()
         warm_up_seconds[name] = perf_counter() - start
     seconds: dict[_Name, list[float]] = {name: [] for name in tasks}
-    for round_index in range(_MAX_ROUNDS_FACTOR * rounds):
+    for round_index in range(_MAX_ROUNDS_FACTOR * min_rounds):
         for name, task in tasks.items():
-            if round_index < rounds or sum(seconds[name]) < min_seconds:
+            if round_index < min_rounds or sum(seconds[name]) < min_seconds:
                 sleep(_PAUSE_SECONDS)
                 if warm_up_seconds[name] < _MAX_WARM_UP_SECONDS:
                     task()
@@ -167,7 +167,7 @@ def read_csv(path: Path) -> tuple[str, list[list[str]]]:
 
 
 def describe_origin() -> str:
-    """Describe the origin of a measurement made now, in one line.
+    """Describe in one line when, where and with which software a measurement is made.
 
     The line gives the date, the commit, the processor, the system, and the versions of programs.
     """
