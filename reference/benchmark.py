@@ -383,7 +383,7 @@ def run_commands(commands: Sequence[Sequence[str]]) -> None:
         make_command_task(command)()
 
 
-SECTIONS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, benchmark_frames)
+BENCHMARKS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, benchmark_frames)
 
 
 def main() -> None:
@@ -395,7 +395,7 @@ def main() -> None:
         f" least {ROUNDS} rounds. A speedup above 1 means that the tracer is faster. Measured on"
         f" {describe_origin()}."
     ]
-    for benchmark in SECTIONS:
+    for benchmark in BENCHMARKS:
         sections.append(benchmark(arguments.quick))
         print(sections[-1], end="\n\n", flush=True)
     page_path = build_path("benchmark.md") if arguments.quick else HERE / "benchmark.md"

@@ -471,7 +471,7 @@ def _judge_differing_pixels(
     """Decide by exact arithmetic which of two pictures is wrong where they differ.
 
     A pixel is right if its radiance is exact for the scene, or for a scene so similar that float64
-    may be unable to tell the two apart.  Where surfaces coincide, the tracer must show the one that
+    may be unable to tell the two apart.  If surfaces coincide, the tracer must show the one that
     comes first in the scene file; Mitsuba may also show the last.
 
     A pixel that is right in both pictures is a tie.  Pixels are examined in batches, until a batch
@@ -560,8 +560,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree; 1 if one differs or cannot be compared; 3 if one is undecided and
-        none is worse.
+        0 if all scenes agree; 1 if one differs or cannot be compared; otherwise 3 (undecided).
 
     Raises
     ------
@@ -599,8 +598,7 @@ def choose_exit_status(results: Iterable[CheckResult | Failure]) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree; 1 if one differs or its comparison failed; 3 if one is undecided and
-        none is worse.
+        0 if all scenes agree; 1 if one differs or cannot be compared; otherwise 3 (undecided).
     """
     statuses = (
         FAILED if isinstance(result, Failure) else STATUS[result.verdict] for result in results

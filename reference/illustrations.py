@@ -182,12 +182,10 @@ def draw_light_grid() -> None:
 def _clip_lines(classification: Classification) -> Iterable[Floats]:
     """Clip the line along each straight edge to the cell that the edge crosses.
 
-    A cell is a pixel or a square part of one.
-
     Parameters
     ----------
     classification : Classification
-        The cells, and the lines along the straight edges in them.
+        The cells (pixels or square parts of them), and the lines along the straight edges in them.
 
     Yields
     ------

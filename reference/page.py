@@ -83,13 +83,13 @@ def prepare_pair(
     """
     height, width, _ = left_codes.shape
     defaults = {"comment": "", "faults": (), "notes": (), "worst_pixel": None, "thumbnail": None}
-    pictures = {
+    picture_content = {
         "left_png": encode_png(left_codes),
         "right_png": encode_png(right_codes),
         "difference_png": encode_png(difference_codes),
         "difference_caption": f"difference × {gain:,.10g}" if gain else "no difference",
     }
-    return defaults | pictures | {"width": width, "height": height} | content
+    return defaults | picture_content | {"width": width, "height": height} | content
 
 
 def render_page(**content: Any) -> str:

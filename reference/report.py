@@ -199,8 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     exit_status : int
-        0 if all scenes agree; 1 if one differs or cannot be compared; 3 if one is undecided and
-        none is worse.
+        0 if all scenes agree; 1 if one differs or cannot be compared; otherwise 3 (undecided).
 
     Raises
     ------
