@@ -128,7 +128,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     scene : Scene
         The scene.
     quick : bool
-        Whether to measure fewer points, against a less accurate reference picture.
+        Whether to measure fewer points, against a coarser reference picture.
 
     Yields
     ------
