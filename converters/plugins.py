@@ -177,8 +177,7 @@ class BlinnPhong(mi.BSDF):
         self.specular = mi.Color3f(_to_vector(props["specular"]))
         self.exponent = float(props["exponent"])
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
-        self.m_components = [flags]
-        self.m_flags = flags
+        self.m_components, self.m_flags = [flags], flags
 
     def eval(self, context, hit, to_light, active=True):
         """Compute the Blinn-Phong shading of a point that is lit from a given direction.

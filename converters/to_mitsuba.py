@@ -74,10 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     scenes = skip_converted_scenes(options.scenes)
     # A path such as / has no name, but is accepted here: reading it fails with a clear message.
     default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
-    scene_names = [*map(str, scenes)]
-    output_paths = choose_output_paths(
-        parser, scene_names, options.output, default_paths, list_files
-    )
+    paths = [*map(str, scenes)]
+    output_paths = choose_output_paths(parser, paths, options.output, default_paths, list_files)
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     if options.render:

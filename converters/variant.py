@@ -29,8 +29,7 @@ __all__ += ["use_variant"]
 if dr.thread_count() < 2:
     dr.set_thread_count(2)
 
-LLVM = "llvm_ad_rgb"
-SCALAR = "scalar_rgb"
+LLVM, SCALAR = "llvm_ad_rgb", "scalar_rgb"
 
 # The kernel contains the two operations at which unusable versions are known to fail: a maximum,
 # and the intersection of rays with a scene.

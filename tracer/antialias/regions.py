@@ -90,8 +90,7 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     region_count = cell_count << max_lines
     weight, is_represented = _compute_weights(position, region_index, centroids, region_count)
     added_index = find(~is_represented[centroids.region_index] & (centroids.weight > _MIN_AREA))
-    point_cell_index = cell_index.repeat(points.size)
-    placed_points = WeightedPoints(point_cell_index, position, weight, region_index)
+    placed_points = WeightedPoints(cell_index.repeat(points.size), position, weight, region_index)
     added_points = (field[added_index] for field in centroids)
     return WeightedPoints._make(map(np.append, placed_points, added_points))
 
@@ -238,8 +237,7 @@ def _compute_weights(
     def sum_by_region(value_region_index: Ints, values: Floats) -> Floats:
         """Return the sum of the values in each region, given the region index of each value."""
         # Convert the result: NumPy returns integers if there are no values.
-        sums = np.bincount(value_region_index, values, minlength=region_count)
-        return sums.astype(float, copy=False)
+        return np.bincount(value_region_index, values, region_count).astype(float, copy=False)
 
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
     # their number.  With the weights w (1 + t . (point - mean)), the weighted mean of the points is

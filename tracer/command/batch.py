@@ -156,13 +156,11 @@ class Batch:
         # The last few scenes cannot occupy all processes, so all processes share the larger ones.
         worker_count = self._pool.worker_count
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
-        queued_jobs = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
-        queued_jobs[unshared_count:] = jobs[unshared_count:]
+        queue = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
+        queue[unshared_count:] = jobs[unshared_count:]
         # If a worker fails, for example because it lacks memory, this process repeats its job.
         render_in_worker = partial(_render_in_worker, self._settings)
-        self._distribution = Distribution(
-            self._try_render, render_in_worker, queued_jobs, worker_count
-        )
+        self._distribution = Distribution(self._try_render, render_in_worker, queue, worker_count)
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._distribution, strict=True):
                 self._finished_count += 1

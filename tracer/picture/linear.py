@@ -56,8 +56,7 @@ def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) 
     """
     header = {"descr": "=f8", "fortran_order": False, "shape": (height, width, 3)}
     np.lib.format.write_array_header_1_0(file, header)
-    for tile in tiles:
-        file.write(tile)
+    file.writelines(tiles)
 
 
 def write_exr(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:

@@ -222,10 +222,9 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
         Indices of the objects, in ascending order.
     """
     (rows, columns), index_batches = scene.window, [np.zeros(0, dtype=np.intp)]
-    if columns.start < columns.stop:
-        rows_per_batch = max(
-            1, scene.choose_batch_size(BATCH_SIZE) // (columns.stop - columns.start)
-        )
+    column_count = columns.stop - columns.start
+    if column_count > 0:
+        rows_per_batch = max(1, scene.choose_batch_size(BATCH_SIZE) // column_count)
         for top in range(rows.start, rows.stop, rows_per_batch):
             samples = PIXEL_CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
             index_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))

@@ -268,8 +268,7 @@ class _Reader:
         match = re.fullmatch(rf"{number_pattern}\s{number_pattern}\s*", element.text, re.ASCII)
         if match is None:
             text = element.text.strip()
-            requirement = "needs two whole numbers, width and height, as in 640 480"
-            message = f"{requirement}; has {quote(text)}"
+            message = f"needs two whole numbers, width and height, as in 640 480; has {quote(text)}"
             self.report(element, message if text.isascii() else explain_invalid_number(text))
             return
         try:
