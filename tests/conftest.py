@@ -79,7 +79,7 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Without this fixture, antialiasing samples all pixels of such pictures uniformly.
     """
-    monkeypatch.setattr(antialias, "_MAX_SILHOUETTE_PAIRS", math.inf)
+    monkeypatch.setattr(antialias, "_MAX_PAIRS_PER_SAMPLE", math.inf)
 
 
 @pytest.fixture

@@ -137,7 +137,7 @@ def test_pictures_full_of_silhouettes_are_lattices():
 
 @pytest.mark.parametrize("max_silhouette_pairs", [-1.0, math.inf])
 def test_an_offset_of_whole_pixels_moves_the_picture(max_silhouette_pairs, monkeypatch):
-    monkeypatch.setattr(refine, "_MAX_SILHOUETTE_PAIRS", max_silhouette_pairs)
+    monkeypatch.setattr(refine, "_MAX_PAIRS_PER_SAMPLE", max_silhouette_pairs)
     scene = crowd(30, width=48, height=27)
     image, shifted = (render(scene, 16, offset=offset) for offset in ((0, 0), (3, 2)))
     assert image.std() > 0.05
@@ -147,7 +147,7 @@ def test_an_offset_of_whole_pixels_moves_the_picture(max_silhouette_pairs, monke
 
 @pytest.mark.parametrize("slope", [0, 1 / 2, 2 / 3, 3 / 4, 1 / 3, 3 / 2])
 def test_edges_in_the_directions_of_lattices(slope, monkeypatch):
-    monkeypatch.setattr(refine, "_MAX_SILHOUETTE_PAIRS", -1.0)
+    monkeypatch.setattr(refine, "_MAX_PAIRS_PER_SAMPLE", -1.0)
     rng = np.random.default_rng(0)
     centers = rng.uniform((-1.2, -1, -4.5), (1.2, 1, -3.5), (60, 3))
     boxes = [

@@ -10,8 +10,7 @@ cell
 center sample
     The sample whose ray passes through the centre of a cell.
 footprint
-    The radius of the part of a surface that is visible in a cell, around the hit of the cell's
-    center sample.
+    The part of a surface that is visible in a cell, around the hit of the cell's center sample.
 id
     An integer that two samples share if they hit the same face of the same object, and the same
     lights are visible from both hits; -1 for the background.
@@ -32,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.antialias.edge_functions import EdgeValues, InverseDepth, Lines, compute_rays, fit_lines
-from tracer.antialias.edges import CellSurfaces, compute_footprints, evaluate_silhouettes
+from tracer.antialias.edges import CellSurfaces, compute_footprint_radii, evaluate_silhouettes
 from tracer.antialias.lattice import Lattice, Points2D
 from tracer.antialias.smooth import CenterSamples
 from tracer.arrays import Bools, Floats, Ints, find, split_indices
@@ -186,8 +185,8 @@ def classify_cells(
     is_unresolved, is_crowded = np.zeros((2, cell_count), dtype=np.bool_)
     hits, hidden_hits = find_nearest_and_hidden_hits(scene, samples)
     hit_cell_index = sample_cell_index[hits.sample_index]
-    inverse_depth, footprint = InverseDepth.from_hits(hits), compute_footprints(hits, cells.width)
-    surfaces = CellSurfaces(hits, inverse_depth, hit_cell_index, footprint, cells.width)
+    inverse_depth, radius = InverseDepth.from_hits(hits), compute_footprint_radii(hits, cells.width)
+    surfaces = CellSurfaces(hits, inverse_depth, hit_cell_index, radius, cells.width)
     silhouettes = _find_silhouettes_from_eye(scene, cells)
     edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
     geometry_lines, curved_index = fit_lines(edges, tolerance)
@@ -202,7 +201,7 @@ def classify_cells(
     radiance[:, sample_cell_index] = shading.compute_radiance()
     # An id encodes the face that is hit, and the lights that are visible; -1 is the background.
     center_id[hit_cell_index] = shading.ids
-    lines = Lines.concatenate(all_lines).remove_duplicates()
+    lines = Lines.concatenate(all_lines).sort_and_deduplicate()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
     lines = lines.limit_per_cell(MAX_LINES)
@@ -239,22 +238,21 @@ def _shade_and_find_edges(
     crowded_index : (j,) int array
         Indices of cells in which finding all edges would take longer than dense sampling.
     """
-    hits, hit_cell_index, footprint = surfaces.hits, surfaces.cell, surfaces.footprint
+    hits, hit_cell_index, footprint_radius = surfaces.hits, surfaces.cell, surfaces.footprint_radius
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are always divided, so their shadow edges are not needed.
-    has_wide_footprint = np.any(geometry.distance2 < (footprint / _MAX_FOOTPRINT) ** 2, axis=0)
-    search_radius = np.where(has_wide_footprint, 0, footprint)
+    min_squared_distance = (footprint_radius / _MAX_FOOTPRINT) ** 2
+    has_wide_footprint = np.any(geometry.squared_distance < min_squared_distance, axis=0)
+    search_radius = np.where(has_wide_footprint, 0, footprint_radius)
     is_blocked, shadow_edges, is_crowded = find_shadow_edges(
         hits, lights, faces_light, search_radius
     )
     shading.add(geometry, faces_light & ~is_blocked)
-    terminators = surfaces.find_terminators(
-        lights.near_position, geometry.n_dot_l, geometry.distance2
-    )
+    terminators = surfaces.find_terminators(geometry)
     edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges), terminators)
     light_lines, curved_index = fit_lines(edges, tolerance)
-    highlights = find_narrow_highlights(geometry, faces_light, footprint)
+    highlights = find_narrow_highlights(geometry, faces_light, footprint_radius)
     highlight_indices = [hit_cell_index[hit_index] for hit_index in highlights]
     unsearched_index = hit_cell_index[has_wide_footprint | is_crowded]
     unresolved_index = np.concatenate([unsearched_index, curved_index, *highlight_indices])

@@ -103,7 +103,7 @@ class Lines(NamedTuple):
         """
         return Lines._make(field[line_index] for field in self)
 
-    def remove_duplicates(self) -> Lines:
+    def sort_and_deduplicate(self) -> Lines:
         """Sort the lines by cell and then by coefficients, and remove duplicates.
 
         The result does not depend on the order in which the lines were found.
@@ -136,7 +136,7 @@ class Lines(NamedTuple):
 
 
 def compute_rays(
-    frame: CameraFrame, center_right: Floats, center_down: Floats, cell_width: float
+    frame: CameraFrame, center_ray_right: Floats, center_ray_down: Floats, cell_width: float
 ) -> Triple:
     """Compute the rays from the eye through six points of each of n cells.
 
@@ -147,7 +147,7 @@ def compute_rays(
     ----------
     frame : CameraFrame
         The camera.
-    center_right, center_down : (n,) float arrays
+    center_ray_right, center_ray_down : (n,) float arrays
         Rightward and downward components of the ray through the centre of each cell.  The forward
         component is `frame.depth`.
     cell_width : float
@@ -162,16 +162,15 @@ def compute_rays(
     """
     offset_right = _POINT_X * (frame.pixel_width * cell_width)
     offset_down = _POINT_Y * (frame.pixel_height * cell_width)
-    ray_forward = np.full((1, center_right.size), frame.depth)
-    return center_right + offset_right, center_down + offset_down, ray_forward
+    ray_forward = np.full((1, center_ray_right.size), frame.depth)
+    return center_ray_right + offset_right, center_ray_down + offset_down, ray_forward
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Bound how far each edge function in a cell differs from its value at the centre.
+    """Bound the difference between each edge function and its value at the centre of a cell.
 
     A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
-    picture that is zero at an edge.  It is approximated by the quadratic polynomial through six
-    values.
+    picture that is zero at an edge.  A quadratic polynomial through six values approximates it.
 
     Parameters
     ----------
@@ -192,7 +191,7 @@ def bound_variation(values: Floats) -> Floats:
 
 
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
-    """Fit straight lines to edges in cells, and list the cells of curved edges.
+    """Fit a straight line to each edge in a cell, and find the cells with curved edges.
 
     A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
     smooth function on the picture that is zero at the edge.
@@ -204,7 +203,7 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
         `values` (6, n) contains the values of the edge function at six points of this cell, in the
         order of `compute_rays`.  Unknown values are NaN.
     tolerance : float
-        Maximum error of the mean radiance of a cell.
+        Tolerated error of the mean radiance of a cell.
 
     Returns
     -------
@@ -222,7 +221,7 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
 
 
 def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
-    """Fit a straight line to each of n edges, and list the cells of curved edges.
+    """Fit a straight line to each of n edges, and find the cells with curved edges.
 
     A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
     smooth function f on the picture that is zero at the edge.  The line is parallel to the edge
@@ -236,7 +235,7 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
         Values of each edge function at six points of the cell, in the order of `compute_rays`.
         Unknown values are NaN.
     tolerance : float
-        Maximum error of the mean radiance of a cell.
+        Tolerated error of the mean radiance of a cell.
 
     Returns
     -------
@@ -306,8 +305,8 @@ class InverseDepth(NamedTuple):
     def from_hits(cls, hits: Hits) -> InverseDepth:
         """Compute the coefficients of the surfaces at n hits.
 
-        A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2).
-        The coefficients are the vector k and the number w.
+        A ray d from the eye meets a sphere at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2),
+        and a plane where 1 / t = k . d.  The coefficients are the vector k and the number w.
 
         Parameters
         ----------
@@ -352,8 +351,8 @@ class InverseDepth(NamedTuple):
     def compute_inverse_t(self, ray: Triple) -> Floats:
         """Compute 1 / t for six rays to each surface, where t * ray is the point on the surface.
 
-        For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), with the coefficients k and w of the
-        surface.  For planes, the root is omitted.  If a ray misses a sphere, the root is 0.
+        For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), where k and w are the coefficients of
+        the surface.  For a plane, and for a ray that misses its sphere, 1 / t = k . d.
 
         Parameters
         ----------

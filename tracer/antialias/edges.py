@@ -7,9 +7,8 @@ these values whether the edge crosses the cell.
 
 Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
 is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
-which is the point where the ray through the centre of the cell meets a surface.  The search radius
-is the *footprint*: the radius, around the hit, of the part of the surface that is visible in the
-cell.
+which is the point where the ray through the centre of the cell meets a surface.  The search covers
+the *footprint* of the hit, which is the part of the surface that is visible in the cell.
 """
 
 from __future__ import annotations
@@ -37,6 +36,7 @@ from tracer.arrays import (
 from tracer.geometry.camera import CameraFrame
 from tracer.geometry.silhouette import compute_miss_angles, evaluate_box_edges, find_edge_planes
 from tracer.trace.hits import Hits
+from tracer.trace.lighting import LightGeometry
 from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
 
@@ -45,38 +45,37 @@ from tracer.world.prepared_scene import PreparedScene
 _MIN_COSINE_RATIO = 1e-3
 
 
-def compute_footprints(hits: Hits, cell_width: float) -> Floats:
-    """Compute the footprint of each hit: the radius of the area that is visible in a cell.
+def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
+    """Compute the radius of the surface area that is visible in each cell of the picture.
 
-    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
-    the cell meets the surface.
+    A cell is a pixel, or a square part of a pixel.
 
     Parameters
     ----------
     hits : Hits
-        The n hits.
+        The n hits, where the rays through the centres of the cells meet surfaces.
     cell_width : float
         Width of the cells, in pixels.
 
     Returns
     -------
-    footprint : (n,) float array
+    footprint_radius : (n,) float array
         Radius around each hit, in the scene's unit of length.
     """
     cell_angle, distance = _compute_cell_angle(hits.scene.frame, cell_width), hits.distance
-    footprint = np.empty(distance.size)
+    footprint_radius = np.empty(distance.size)
     for group in hits.groups:
         cell_radius = hits.from_eye[2][group.interval] * cell_angle
         cosine = group.expand_to_hits(group.eye_height) / distance[group.interval]
         if group.shape.is_planar:
-            footprint[group.interval] = _compute_face_footprint(cell_radius, cosine, cell_angle)
-            continue
-        # A strip of width r along the silhouette of a sphere of radius R shows a part of the sphere
-        # that is at most sqrt(2 r R) wide.
-        curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
-        max_footprint = np.sqrt(2 * cell_radius / curvature)
-        footprint[group.interval] = np.fmin(cell_radius / cosine, max_footprint)
-    return footprint
+            radius = _compute_face_radii(cell_radius, cosine, cell_angle)
+        else:
+            # A strip of width r along the silhouette of a sphere of radius R shows a part of the
+            # sphere that is at most sqrt(2 r R) wide.
+            curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
+            radius = np.fmin(cell_radius / cosine, np.sqrt(2 * cell_radius / curvature))
+        footprint_radius[group.interval] = radius
+    return footprint_radius
 
 
 def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
@@ -98,11 +97,10 @@ def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
 
 
-def _compute_face_footprint(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
-    """Compute the footprint of each of n hits: the radius of the area that is visible in a cell.
+def _compute_face_radii(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
+    """Compute the radius of the part of a planar face that is visible in each of n cells.
 
-    A cell is a pixel, or a square part of a pixel.  The hit is where the ray through the centre of
-    the cell meets a planar face.
+    A cell is a pixel, or a square part of a pixel.  The face is hit by the ray through its centre.
 
     Parameters
     ----------
@@ -115,7 +113,7 @@ def _compute_face_footprint(cell_radius: Floats, cosine: Floats, cell_angle: flo
 
     Returns
     -------
-    footprint : (n,) float array
+    footprint_radius : (n,) float array
         Radius around each hit, in the scene's unit of length.
     """
     # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
@@ -128,7 +126,7 @@ def find_silhouette_pixels(
     """Find the pixels that the silhouette of each object may cross.
 
     All objects are convex.  So an object that covers the upper and the lower side of a pixel covers
-    the whole pixel.  Any other pixel that the object overlaps may contain part of its silhouette.
+    the whole pixel.  All other pixels that it overlaps may contain part of its silhouette.
 
     Parameters
     ----------
@@ -144,21 +142,22 @@ def find_silhouette_pixels(
     object_index : (n,) int array
         Index of the object in each pair.
     """
-    border = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # y of the borders of rows
+    border_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # borders between rows
     top, bottom = scene.bounds.top, scene.bounds.bottom
     # For each interval of pixels: its row, its object, and the columns where it starts and stops.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
     column_limits = columns.start, columns.stop
     for shape in scene.shapes:
-        spans = find_object_spans(shape, scene, border[:-1], column_limits, height=1.0)
+        spans = find_object_spans(shape, scene, border_y[:-1], column_limits, height=1.0)
         object_index, row, left, right = spans
         # Find the columns in which the object covers the upper and the lower side of the row.
         covered_start, covered_stop = left, right
-        for border_index in (row, row + 1):
-            border_left, border_right = shape.find_columns(object_index, border[border_index], 0.0)
+        upper_y, lower_y = border_y[row], border_y[row + 1]
+        for y in (upper_y, lower_y):
+            border_left, border_right = shape.find_columns(object_index, y, 0.0)
             covered_start = np.maximum(covered_start, border_left)
             covered_stop = np.minimum(covered_stop, border_right)
-        covers_row = (top[object_index] < border[row]) & (bottom[object_index] > border[row + 1])
+        covers_row = (top[object_index] < upper_y) & (bottom[object_index] > lower_y)
         covers_row &= covered_start < covered_stop
         start, stop = np.floor(left), np.floor(right) + 1
         # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
@@ -176,10 +175,10 @@ def find_silhouette_pixels(
 def evaluate_silhouettes(
     scene: PreparedScene, apex_position: Floats, candidates: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Evaluate the silhouettes that may cross cells, seen from the eye or from lights.
+    """Evaluate the edge functions of silhouettes that may cross cells.
 
-    A cell is a pixel, or a square part of a pixel.  The eye or the light is called the apex.  Each
-    silhouette is given by its edge function, a smooth function that is zero at the silhouette.
+    A cell is a pixel, or a square part of a pixel.  A silhouette is seen from the eye or from a
+    light, which is called the apex.  Its edge function is smooth, and zero at the silhouette.
 
     Parameters
     ----------
@@ -247,7 +246,7 @@ class CellSurfaces(NamedTuple):
         The surface at each hit, as a function on the picture.
     cell : (n,) int array
         Index of the cell of each hit.
-    footprint : (n,) float array
+    footprint_radius : (n,) float array
         Radius, around each hit, of the part of the surface that is visible in the cell.
     cell_width : float
         Width of the cells, in pixels.
@@ -256,14 +255,14 @@ class CellSurfaces(NamedTuple):
     hits: Hits
     inverse_depth: InverseDepth
     cell: Ints
-    footprint: Floats
+    footprint_radius: Floats
     cell_width: float
 
     def trace_rays(self, hit_index: Ints) -> tuple[Triple, Floats]:
-        """Compute rays through six points of each cell, and intersect them with a surface.
+        """Compute rays through six points of each cell, and intersect them with its surface.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  This hit lies on
-        the surface.  The points are those of `compute_rays`.
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Its surface is
+        the one on which the hit lies.  The points are those of `compute_rays`.
 
         Parameters
         ----------
@@ -306,7 +305,8 @@ class CellSurfaces(NamedTuple):
         hit_of_sample[sample_index] = np.arange(sample_index.size)
         visible_index = hit_of_sample[hidden_hits.sample_index]
         # Surfaces that meet within the cell are at most this far apart along the ray.
-        max_gap = self.footprint[visible_index] + compute_footprints(hidden_hits, self.cell_width)
+        max_gap = compute_footprint_radii(hidden_hits, self.cell_width)
+        max_gap += self.footprint_radius[visible_index]
         is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
         hidden_surfaces = InverseDepth.from_hits(hidden_hits)
         for hidden_index in split_indices(find(is_close)):
@@ -321,8 +321,8 @@ class CellSurfaces(NamedTuple):
         """Yield the edges where a visible surface may meet the faces of a box behind it.
 
         A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The same
-        ray has a hidden hit behind the visible hit.  If the hidden hit is on a box, other faces of
-        the box may also meet the visible surface within the cell.
+        ray has a hidden hit behind the visible hit.  If the hidden hit is on a box, the visible
+        surface may also meet other faces of the box within the cell.
 
         Parameters
         ----------
@@ -349,7 +349,8 @@ class CellSurfaces(NamedTuple):
         hit_object, is_eye_inside = hit_object[hidden_index], is_eye_inside[hidden_index]
         box_index, visible_index = boxes.objects.to_local(hit_object), visible_index[hidden_index]
         from_eye = take(hidden_hits.from_eye, hidden_index)
-        distance, footprint = hidden_hits.distance[hidden_index], self.footprint[visible_index]
+        distance = hidden_hits.distance[hidden_index]
+        footprint_radius = self.footprint_radius[visible_index]
         visible_distance = self.hits.distance[visible_index]
         for axis in range(3):
             hit_offset = frame.project_onto_axis(from_eye, axis)
@@ -359,7 +360,7 @@ class CellSurfaces(NamedTuple):
             # The ray meets the plane at plane_t times the vector from the eye to the hidden hit.
             plane_t = plane_offset / hit_offset
             cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
-            max_gap = footprint + _compute_face_footprint(cell_radius, cosine, cell_angle)
+            max_gap = footprint_radius + _compute_face_radii(cell_radius, cosine, cell_angle)
             may_meet = np.abs(plane_t * distance - visible_distance) <= max_gap
             yield from self._intersect_planes(axis, visible_index, plane_offset, may_meet)
 
@@ -391,7 +392,7 @@ class CellSurfaces(NamedTuple):
                 is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * face_offset < 0)
                 is_visible = group.repeat_runs(is_visible & is_other_face)
                 plane_offset = group.repeat_runs(face_offset)
-                may_meet = np.abs(hit_offset - plane_offset) < self.footprint[group.interval]
+                may_meet = np.abs(hit_offset - plane_offset) < self.footprint_radius[group.interval]
                 may_meet &= is_visible
                 yield from self._intersect_planes(axis, hit_index, plane_offset, may_meet)
 
@@ -429,10 +430,10 @@ class CellSurfaces(NamedTuple):
     def evaluate_shadow_edges(
         self, light_position: Floats, shadow_edges: Ints
     ) -> Iterator[EdgeValues]:
-        """Evaluate the edges of shadows that may cross cells.
+        """Evaluate the edge functions of shadow edges that may cross cells.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  The edge of a
-        shadow is the silhouette of an occluder, seen from a light.
+        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  A shadow edge is
+        the silhouette of an occluder, seen from a light.
 
         Parameters
         ----------
@@ -453,27 +454,22 @@ class CellSurfaces(NamedTuple):
         for batch in split_indices(np.arange(shadow_edges.shape[1])):
             light_index, hit_index, occluder_index = shadow_edges[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
-            # The vector from the light to the surface is t * ray - light.  Divide it by t.
+            # The vector from the light to the surface is t * ray - light.  Only its direction
+            # matters, so it is divided by t.
             scaled_light = scale(take(light_from_eye, light_index), inverse_t)
             light_ray = map_xyz(np.subtract, ray, scaled_light)
             candidates = np.array([light_index, self.cell[hit_index], occluder_index])
             yield from evaluate_silhouettes(scene, light_position, candidates, light_ray)
 
-    def find_terminators(
-        self, light_position: Floats, n_dot_l: Floats, distance2: Floats
-    ) -> Iterator[EdgeValues]:
+    def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
         """Yield the terminators: the edges where spheres turn away from lights.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.
 
         Parameters
         ----------
-        light_position : (m, 3) float array
-            Positions of the lights, in scene axes.
-        n_dot_l : (m, n) float array
-            Dot product of the unit normal at each hit and the vector to each light.
-        distance2 : (m, n) float array
-            Squared distance of each light from each hit.
+        geometry : LightGeometry
+            The lights, and their positions relative to the hits.
 
         Yields
         ------
@@ -483,17 +479,17 @@ class CellSurfaces(NamedTuple):
             Edge function at six points of each cell (see `compute_rays`): the cosine of the angle
             between the normal and the direction to the light.
         """
-        scene, spheres = self.hits.scene, self.hits.scene.spheres
-        hit_object = self.hits.hit_object
-        light_from_eye = scene.frame.points_to_camera(light_position)
+        scene, hit_object = self.hits.scene, self.hits.hit_object
+        light_from_eye = scene.frame.points_to_camera(geometry.lights.near_position)
         # The normal turns by at most this angle within the footprint, in radians.
-        max_turn = self.footprint * scene.curvature[hit_object]
-        for pair_index in split_indices(find(n_dot_l**2 < max_turn * max_turn * distance2)):
+        max_turn = self.footprint_radius * scene.curvature[hit_object]
+        may_cross = geometry.n_dot_l**2 < max_turn * max_turn * geometry.squared_distance
+        for pair_index in split_indices(find(may_cross)):
             light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
             # The ray meets the sphere at ray / inverse_t.  Multiply all vectors by inverse_t.
-            sphere_index = spheres.objects.to_local(hit_object[hit_index])
-            center = take(spheres.from_eye, sphere_index)
+            sphere_index = scene.spheres.objects.to_local(hit_object[hit_index])
+            center = take(scene.spheres.from_eye, sphere_index)
             normal = map_xyz(np.subtract, ray, scale(center, inverse_t))
             scaled_light = scale(take(light_from_eye, light_index), inverse_t)
             to_light = map_xyz(np.subtract, scaled_light, ray)

@@ -47,16 +47,16 @@ class Lattice(NamedTuple):
 
     Attributes
     ----------
-    columns : int
+    column_count : int
         Number of points in each row of a pixel.
-    rows : int
+    row_count : int
         Number of rows of points in a pixel.  An upright grid has equal numbers of rows and columns.
         A rank-1 lattice of m points (5, 13, 25 or 65) has one column and m rows.  If it is repeated
         k times in both directions, it has k columns and k m rows.
     """
 
-    columns: int
-    rows: int
+    column_count: int
+    row_count: int
 
     @classmethod
     def choose(cls, grid_side: int, min_ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
@@ -83,7 +83,7 @@ class Lattice(NamedTuple):
     @property
     def size(self) -> int:
         """Number of points of the lattice in a pixel."""
-        return self.columns * self.rows
+        return self.column_count * self.row_count
 
     def place(self, pixel_rows: slice, pixel_columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
@@ -98,14 +98,14 @@ class Lattice(NamedTuple):
         Returns
         -------
         samples : Rows
-            All lattice points, in rows that extend across the rectangle.
+            All lattice points, row by row across the whole width of the rectangle.
         """
         # Rows and columns of lattice points, numbered from the upper left corner of the picture.
-        row = np.arange(self.rows * pixel_rows.start, self.rows * pixel_rows.stop)
-        column = np.arange(self.columns * pixel_columns.start, self.columns * pixel_columns.stop)
-        y, x = (row + 0.5) / self.rows, (column + 0.5) / self.columns
-        shift = self._compute_row_shift(row)
-        return Rows(y, x, shift / self.columns, (self.columns, self.rows))
+        column_count, row_count = self
+        row = np.arange(row_count * pixel_rows.start, row_count * pixel_rows.stop)
+        column = np.arange(column_count * pixel_columns.start, column_count * pixel_columns.stop)
+        y, x = (row + 0.5) / row_count, (column + 0.5) / column_count
+        return Rows(y, x, self._compute_row_shift(row) / column_count, (column_count, row_count))
 
     def list_points(self) -> Points2D:
         """List the lattice points of a single pixel, row by row.
@@ -125,7 +125,7 @@ class Lattice(NamedTuple):
         Parameters
         ----------
         radiance : (3, n) float array
-            Linear RGB radiance of all samples in the rectangle, in rows that extend across it.
+            Linear RGB radiance of all samples in the rectangle, row by row across its whole width.
         width : int
             Number of pixels in each row of the rectangle.
 
@@ -134,11 +134,11 @@ class Lattice(NamedTuple):
         mean : (height, width, 3) float array
             Mean radiance of each pixel.
         """
-        sample_radiance = radiance.reshape(3, -1, self.rows, width, self.columns)
+        sample_radiance = radiance.reshape(3, -1, self.row_count, width, self.column_count)
         # Add row by row.  NumPy's order of summation along an axis depends on the width, so the
         # last digits of the mean would depend on the rectangle.
         row_sum = sample_radiance[:, :, 0].copy()
-        for sample_row in range(1, self.rows):
+        for sample_row in range(1, self.row_count):
             row_sum += sample_radiance[:, :, sample_row]
         return np.moveaxis(row_sum.sum(axis=3) / self.size, 0, 2)
 
@@ -157,11 +157,11 @@ class Lattice(NamedTuple):
             of the grid.
         """
         # The middle row of a rank-1 lattice is not shifted.
-        point_count = self.rows // self.columns
+        point_count = self.row_count // self.column_count
         middle = point_count // 2
         column = (_COLUMN_STEPS.get(point_count, 0) * (sample_row - middle) + middle) % point_count
         # If all lattices were the same, an edge could be parallel to lattice lines in every pixel.
-        is_mirrored = sample_row // self.rows % 2
+        is_mirrored = sample_row // self.row_count % 2
         return np.where(is_mirrored, middle - column, column - middle) / point_count
 
 

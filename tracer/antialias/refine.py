@@ -68,7 +68,7 @@ _MAX_SAMPLED_SIDE = 3
 # pictures with more, samples in all pixels cost less than classification.  Tuned on the project's
 # scenes: with half the limit, errors are up to 3 times as large; with twice the limit, the times of
 # 16 samples are up to 5 times as long.
-_MAX_SILHOUETTE_PAIRS = 0.006
+_MAX_PAIRS_PER_SAMPLE = 0.006
 
 
 def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> bool:
@@ -88,15 +88,15 @@ def is_supersampling_cheaper(scene: PreparedScene, samples_per_side: int) -> boo
         of silhouettes that cross the same pixel.
     """
     pairs_per_pixel = scene.bounds.estimate_silhouette_pairs(scene.frame)
-    return pairs_per_pixel > _MAX_SILHOUETTE_PAIRS * samples_per_side**2
+    return pairs_per_pixel > _MAX_PAIRS_PER_SAMPLE * samples_per_side**2
 
 
 def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None]:
     """Choose how to refine cells that edges cross.
 
-    A cell is a pixel, or a square part of a pixel.  First, cells are sampled on a lattice.  If the
-    samples reveal an edge that was missed, a second step follows: the cell is sampled on another
-    lattice, or divided into quarters.
+    A cell is a pixel, or a square part of a pixel.  It is refined in up to two steps.  The first
+    step samples the cell on a lattice.  If the samples reveal an edge that was missed, the second
+    step samples the cell on another lattice, or divides it into quarters.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
 def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    The root-mean-square error should not exceed that of a uniform grid of samples in each pixel.
+    The aim is a root-mean-square error no larger than that of a uniform grid in each pixel.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side:
     rows, columns : slice
         Rows and columns of the rectangle's pixels.  Neither range is empty.
     grid_side : int
-        Number of samples along each side of this grid, at least 2.
+        Number of samples along each side of the uniform grid, at least 2.
 
     Returns
     -------
@@ -144,13 +144,13 @@ def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side:
         Mean linear RGB radiance of each pixel.
     """
     # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
-    top, height = rows.start - 1, rows.stop + 2 - rows.start
-    first_column, width = columns.start - 1, columns.stop + 2 - columns.start
+    first_row, first_column = rows.start - 1, columns.start - 1
     samples = PIXEL_CENTERS.place(
-        slice(top, top + height), slice(first_column, first_column + width)
+        slice(first_row, rows.stop + 1), slice(first_column, columns.stop + 1)
     )
+    height, width = samples.y.size, samples.x.size
     pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
-    pair_pixel = (pair_row - top) * width + pair_column - first_column
+    pair_pixel = (pair_row - first_row) * width + pair_column - first_column
     pixel_index = np.arange(samples.size)
     tolerance = _TOLERANCE / grid_side**1.5
     center_x, center_y = samples.get_positions(pixel_index)
@@ -208,9 +208,8 @@ def _compute_cell_means(
         is_pending[finished_index] = False
     pending_index = find(is_pending)
     if second_lattice is not None:
-        cell_mean[:, pending_index], _ = _sample_cells(
-            scene, classification, pending_index, second_lattice
-        )
+        sampled_mean, _ = _sample_cells(scene, classification, pending_index, second_lattice)
+        cell_mean[:, pending_index] = sampled_mean
         return cell_mean
     for batch in split_indices(pending_index, _choose_batch_size(scene, samples_per_cell=4)):
         cell_mean[:, batch] = _divide_and_average(scene, classification, estimate.error, batch)
@@ -240,8 +239,8 @@ def _sample_cells(
 ) -> tuple[Floats, Bools]:
     """Estimate the mean radiance of cells from a lattice of samples in each cell.
 
-    A cell is a pixel, or a square part of a pixel.  Straight lines along edges divide it into
-    regions.  The samples in a region are weighted by the area of the region.
+    A cell is a pixel, or a square part of a pixel.  Straight lines, which represent edges, divide
+    it into regions.  The samples in a region are weighted by the area of the region.
 
     Parameters
     ----------
@@ -259,8 +258,8 @@ def _sample_cells(
     cell_mean : (3, m) float array
         Mean linear RGB radiance of each sampled cell.
     misses_edge : (m,) bool array
-        Whether the lines of the cell miss an edge: samples in the same region hit different faces,
-        or the same face under different lights.
+        Whether the lines of the cell miss an edge.  This is the case if samples in the same region
+        hit different faces, or the same face under different lights.
     """
     cells, lines, cell_count = classification.cells, classification.lines, cell_index.size
     cell_mean, misses_edge = np.empty((3, cell_count)), np.zeros(cell_count, dtype=np.bool_)
@@ -286,10 +285,9 @@ def _divide_and_average(
 ) -> Floats:
     """Divide cells into quarters, and average the mean radiance of the quarters of each cell.
 
-    A cell is a pixel, or a square part of a pixel.  A quarter is unresolved if it may contain
-    something other than straight edges.  If all quarters of a cell are unresolved and none has a
-    straight edge, the cell is also sampled on a lattice.  If these samples show that the cell is
-    smooth, their mean is used, and the quarters are not refined.
+    A cell is a pixel, or a square part of a pixel.  The search for edges may raise false alarms: no
+    quarter contains a straight edge, but each may contain something else.  Then the cell is sampled
+    on a lattice, too.  If the samples show that it is smooth, their mean is used.
 
     Parameters
     ----------

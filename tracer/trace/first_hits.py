@@ -52,8 +52,9 @@ class FirstHits:
         Returns
         -------
         first_hits : FirstHits
-            Surface, distance, normal and position at each sample, in the order of the samples.
-            Without a hit, they are -1, infinity, NaN and NaN.
+            Surface, distance, normal and position of each sample's hit, in the order of the
+            samples.  If there is no hit, the surface is -1, the distance is infinite, and the
+            normal and the position are NaN.
         """
         sample_count, frame, sample_index = hits.samples.size, hits.scene.frame, hits.sample_index
         surface, distance = np.full(sample_count, -1), np.full(sample_count, np.inf)
@@ -111,9 +112,8 @@ def first_hits(scene: Scene, x: ArrayLike | None = None, y: ArrayLike | None = N
         raise ValueError("x and y must be finite")
     prepared_scene = PreparedScene(scene)
     results = np.empty(ray_count, dtype=np.intp), np.empty(ray_count), *np.empty((2, ray_count, 3))
-    for batch in split_indices(
-        np.arange(ray_count), prepared_scene.choose_batch_size(_RAYS_PER_BATCH)
-    ):
+    batch_size = prepared_scene.choose_batch_size(_RAYS_PER_BATCH)
+    for batch in split_indices(np.arange(ray_count), batch_size):
         samples, order = Scattered.from_positions(position_x[batch], position_y[batch])
         batch_hits = FirstHits.from_hits(find_nearest_hits(prepared_scene, samples))
         for result, batch_result in zip(results, vars(batch_hits).values(), strict=True):

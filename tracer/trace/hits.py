@@ -74,21 +74,21 @@ class ShapeHits(NamedTuple):
         """
         return repeat_runs(run_values, self.run_length)
 
-    def expand_to_hits(self, values: Floats) -> Floats:
-        """Expand values of tangent planes to one value for each of n hits.
+    def expand_to_hits(self, plane_values: Floats) -> Floats:
+        """Look up the value of the tangent plane at each of n hits.
 
         Parameters
         ----------
-        values : (runs,) or (n,) float array
-            One value for each tangent plane.  There is one plane per run of hits if the shape is
-            planar, otherwise one per hit.
+        plane_values : (runs,) or (n,) float array
+            The value of each tangent plane.  If the shape is planar, there is one plane for each
+            run of hits; otherwise, there is one for each hit.
 
         Returns
         -------
         hit_values : (n,) float array
             The value of each hit's tangent plane.
         """
-        return repeat_runs(values, self.run_length) if self.shape.is_planar else values
+        return self.repeat_runs(plane_values) if self.shape.is_planar else plane_values
 
     def compute_height(self, point: Floats, to_point: Triple) -> Floats:
         """Compute the height of a point above the tangent plane at each of n hits.

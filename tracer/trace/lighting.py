@@ -46,14 +46,14 @@ class LightGeometry(NamedTuple):
     n_dot_l : (lights, n) float array
         n . l for each pair; -inf if the eye is inside the hit's object and the light is outside,
         because no light enters the object.
-    distance2 : (lights, n) float array
+    squared_distance : (lights, n) float array
         l . l for each pair: the squared distance of the light.
     """
 
     hits: Hits
     lights: Lights
     n_dot_l: Floats
-    distance2: Floats
+    squared_distance: Floats
 
     def compute_highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
         """Compute the strength of one light's highlight at selected hits.
@@ -77,19 +77,19 @@ class LightGeometry(NamedTuple):
         from_eye = take(hits.from_eye, hit_index)
         x, y, z = self.lights.from_eye[light_index].tolist()
         to_light = x - from_eye[0], y - from_eye[1], z - from_eye[2]
-        light_distance = np.sqrt(self.distance2[light_index][hit_index])
+        light_distance = np.sqrt(self.squared_distance[light_index][hit_index])
         eye_distance = np.sqrt(dot(from_eye, from_eye))
-        n_dot_l = self.n_dot_l[light_index][hit_index] / light_distance
-        n_dot_v = hits.eye_height[hit_index] / eye_distance
-        # For most hits, three cosines suffice: n.h = (n.l + n.v) / |l + v|, |l + v|^2 = 2 + 2 l.v,
-        # where l and v are the directions to the light and to the eye.  Exponents up to 1e6 cause
-        # errors of at most 1e-12 if |l + v| > 0.3, and of at most 1e-10 if |l + v| > 0.002.
+        light_cosine = self.n_dot_l[light_index][hit_index] / light_distance
+        eye_cosine = hits.eye_height[hit_index] / eye_distance
+        # With unit vectors l to the light and v to the eye, n.h = (n.l + n.v) / |l + v|, and
+        # |l + v|^2 = 2 + 2 l.v.  With exponents up to 1e6, the error of this formula is at most
+        # 1e-12 if |l + v| > 0.3, and at most 1e-10 if |l + v| > 0.002.
         half_square = 1 + dot(to_light, from_eye) / (-eye_distance * light_distance)  # |l + v|^2/2
-        cosine_squared = n_dot_l + n_dot_v
-        cosine_squared *= cosine_squared
-        cosine_squared /= 2 * half_square
+        squared_cosine = light_cosine + eye_cosine
+        squared_cosine *= squared_cosine
+        squared_cosine /= 2 * half_square
         exponent = hits.get_object_values(hits.scene.exponent)[hit_index]
-        strength: Floats = np.exp(0.5 * exponent * np.log(cosine_squared))
+        strength: Floats = np.exp(0.5 * exponent * np.log(squared_cosine))
         # The rounding error is large if l and v almost cancel, or if the exponent amplifies it.
         is_inaccurate = (half_square < MIN_HALF_SQUARE) | (exponent * strength > MAX_AMPLIFICATION)
         redo_index = find(is_inaccurate)
@@ -182,8 +182,8 @@ class Shading:
                 self.ids = self.ids * 3 + is_hit_lit
             if not is_hit_lit.any():
                 continue
-            intensity = geometry.lights.intensity[light_index]
-            cosine, distance = np.zeros(is_hit_lit.size), np.sqrt(geometry.distance2[light_index])
+            cosine, intensity = np.zeros(is_hit_lit.size), geometry.lights.intensity[light_index]
+            distance = np.sqrt(geometry.squared_distance[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
             lit_index = find(is_hit_lit[self._glossy_slice] & self._is_glossy)
@@ -194,7 +194,7 @@ class Shading:
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
     def compute_channels(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
-        """Compute the diffuse and specular radiance of n hits in each colour channel.
+        """Yield the diffuse and the specular radiance of n hits, channel by channel.
 
         If no hit is lit, nothing is yielded.
 
@@ -205,9 +205,9 @@ class Shading:
         diffuse : (n,) float array
             Diffuse radiance of each hit, summed over the lights.
         glossy_slice : slice
-            Slice of k hits.  All hits with highlights are in this slice, which may be empty.
+            Slice that contains all hits with highlights; it may be empty.
         specular : (k,) float array
-            Specular radiance (highlights) of each hit in the slice, summed over the lights.
+            Specular radiance of each of the k hits in the slice, summed over the lights.
         """
         if self._diffuse_sum is None:
             return
@@ -269,21 +269,21 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute the dot products for shading each hit with each light, regardless of occluders.
+    """Compute the dot products that shading needs for each hit and each light.
 
     Parameters
     ----------
     hits : Hits
         The n hits.
     lights : Lights
-        A batch of lights.
+        A batch of lights.  Occluders are ignored.
 
     Returns
     -------
     geometry : LightGeometry
-        The (lights, n) arrays `n_dot_l` and `distance2` contain n . l and l . l, where n is the
-        unit normal at the hit, and l the vector from the hit to the light.  If the eye is inside
-        the hit's object and the light is outside, `n_dot_l` is -inf.
+        The (lights, n) arrays `n_dot_l` and `squared_distance` contain n . l and l . l.  Here n is
+        the unit normal at the hit, and l the vector from the hit to the light.  If the eye is
+        inside the hit's object and the light is outside, `n_dot_l` is -inf.
     """
     pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
     geometry = LightGeometry(hits, lights, np.empty(pair_shape), np.empty(pair_shape))
@@ -298,14 +298,14 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
                 # Not 0, which would mean that the light is exactly on the hit's horizon.
                 n_dot_l[group.repeat_runs(is_blocker[group.run_object])] = -np.inf
             geometry.n_dot_l[light_index, group.interval] = n_dot_l
-            geometry.distance2[light_index, group.interval] = dot(to_light, to_light)
+            geometry.squared_distance[light_index, group.interval] = dot(to_light, to_light)
     return geometry
 
 
 def find_narrow_highlights(
     geometry: LightGeometry, faces_light: Bools, footprint_radius: Floats
 ) -> Iterator[Ints]:
-    """Find hits near which a highlight may be too narrow for one sample to capture.
+    """Find hits near which one sample may miss a narrow highlight.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
     picture (a pixel or a part of it).
@@ -329,13 +329,13 @@ def find_narrow_highlights(
     is_glossy = hits.get_object_values(scene.is_glossy)
     if not is_glossy.any():
         return
-    # The strength is about exp(-x^2) with x = a sqrt(p / 2), where p is the exponent, and a the
-    # angle between the normal and the half vector.  The angle changes over the footprint, with the
-    # normal and with the directions to the eye and the light.
+    # A highlight's strength is about exp(-x^2) with x = a sqrt(p / 2), where p is the exponent, and
+    # a the angle between the normal and the half vector.  Across the footprint, a changes because
+    # the normal and the directions to the eye and to the light turn.
     turn_rate = 1 / hits.distance + hits.get_object_values(scene.curvature)
     x_per_angle = np.where(is_glossy, np.sqrt(hits.get_object_values(scene.exponent) / 2), 0)
     for light_index, hit_faces_light in enumerate(faces_light):
-        max_turn_rate = turn_rate + 1 / np.sqrt(geometry.distance2[light_index])
+        max_turn_rate = turn_rate + 1 / np.sqrt(geometry.squared_distance[light_index])
         max_step = footprint_radius * max_turn_rate * x_per_angle  # maximum change of x
         hit_index = find((max_step > _MAX_LOBE_STEP) & hit_faces_light)
         if hit_index.size:

@@ -99,7 +99,7 @@ class Packets(NamedTuple):
         Centre of each packet's bounding sphere, in scene axes.
     radius : (m,) float array
         Radius of each packet's bounding sphere, which contains the footprints of all its hits.
-    is_lit : (lights, m) bool array
+    may_be_lit : (lights, m) bool array
         Whether the light may be visible from any hit of the packet.  At first this is True if any
         hit of the packet faces the light.  `_find_occluders` sets it to False when a single object
         shades the whole packet.
@@ -110,10 +110,10 @@ class Packets(NamedTuple):
     child_count: Ints
     center: Floats
     radius: Floats
-    is_lit: Bools
+    may_be_lit: Bools
 
     def replace_by_children(self, packet_columns: Ints) -> Ints:
-        """Replace packets by their children in an array of indices.
+        """Replace the index of each packet by the indices of its children.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
@@ -125,7 +125,8 @@ class Packets(NamedTuple):
         Returns
         -------
         child_columns : (2, j) or (3, j) int array
-            For each column, one copy per child of its packet, with the child's index in row 1.
+            Each column, repeated for every child of its packet.  Row 1 contains the indices of the
+            children.
         """
         packet_index = packet_columns[1]
         child_count, child_start = self.child_count[packet_index], self.child_start[packet_index]
@@ -150,7 +151,7 @@ def _find_occluders(
     lights : Lights
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Most other pairs are skipped.
+        Whether the surface at the hit faces the light.  Most other hits are skipped.
     margin : (n,) float array, optional
         If given, also find objects that may block the light at any surface point within this
         distance of the hit.
@@ -163,8 +164,8 @@ def _find_occluders(
         Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
-        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow,
-        together with all surface points within `margin` of these hits.
+        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  If
+        `margin` is given, all surface points within this distance of the hits are, too.
     """
     if lights.grid is None or not faces_light.any():
         return
@@ -190,7 +191,7 @@ def _query_grid(
     grid : LightGrid
         Lists of objects by their direction from each light.
     packets : Packets
-        The packets.  Pairs of a light and a packet are skipped if `packets.is_lit` is False.
+        The packets.  Pairs of a light and a packet are skipped if `packets.may_be_lit` is False.
     shapes : iterable of Spheres and Boxes
         All objects, grouped by shape.
 
@@ -205,8 +206,8 @@ def _query_grid(
     for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
         packet_slice = slice(start, start + _PACKETS_PER_QUERY)
         center, radius = packets.center[:, packet_slice], packets.radius[packet_slice]
-        own_object, is_lit = packets.object_index[packet_slice], packets.is_lit[:, packet_slice]
-        for candidates in grid.query(center, radius, own_object, is_lit):
+        owner, is_active = packets.object_index[packet_slice], packets.may_be_lit[:, packet_slice]
+        for candidates in grid.query(center, radius, owner, is_active):
             candidates[1] += start
             for shape in shapes:
                 group = candidates.take(find(shape.objects.contains(candidates[2])), axis=1)
@@ -217,11 +218,11 @@ def _query_grid(
 def _test_packets(
     packets: Packets, lights: Lights, shape: Shape, candidates: Ints
 ) -> tuple[Ints, Ints]:
-    """Find packets that a single object shades entirely, and the candidates that remain undecided.
+    """Test which objects shade all hits of a packet, and which may shade some.
 
     A packet is a group of neighbouring hits.  The segments from these hits to a light lie in a
     capsule.  An object that misses the capsule shades no hit of the packet.  An object that cuts
-    right through the capsule shades all hits, and `packets.is_lit` is set to False.
+    right through the capsule shades all hits, and `packets.may_be_lit` is set to False.
 
     Parameters
     ----------
@@ -237,21 +238,21 @@ def _test_packets(
     Returns
     -------
     undecided_candidates : (3, j) int array
-        The columns of `candidates` whose object may shade some hits of the packet, except for
-        packets that a single object shades entirely.
+        The columns of `candidates` whose object may shade some hits of the packet.  Packets that a
+        single object shades entirely are excluded.
     shaded_packets : (2, i) int array
         Row 0 contains light indices, and row 1 indices of packets that an object shades entirely.
     """
     # An object in an earlier batch may shade the whole packet.
-    candidates = candidates.take(find(take_2d(packets.is_lit, *candidates[:2])), axis=1)
+    candidates = candidates.take(find(take_2d(packets.may_be_lit, *candidates[:2])), axis=1)
     light_index, packet_index, object_index = candidates
     center, radius = take(packets.center, packet_index), packets.radius[packet_index]
     light_position = take(lights.position.T, light_index)
     may_block, blocks_all = shape.test_capsules(object_index, center, light_position, radius)
     shaded_packets = candidates[:2].take(find(blocks_all), axis=1)
-    put_2d(packets.is_lit, shaded_packets[0], shaded_packets[1], False)
+    put_2d(packets.may_be_lit, shaded_packets[0], shaded_packets[1], False)
     # Another object in this batch may shade the whole packet.
-    is_undecided = may_block & take_2d(packets.is_lit, light_index, packet_index)
+    is_undecided = may_block & take_2d(packets.may_be_lit, light_index, packet_index)
     return candidates.take(find(is_undecided), axis=1), shaded_packets
 
 
@@ -279,9 +280,10 @@ class _EdgeSet:
         self._counts, self._key_batches = counts, [np.zeros(0, dtype=np.intp)]
 
     def add(self, edges: Ints) -> None:
-        """Add shadow edges to the set, except those of crowded (light, hit) pairs.
+        """Add shadow edges to the set.
 
-        A pair is crowded if it has more than `_MAX_EDGES_PER_HIT` edges.
+        A (light, hit) pair is crowded if it has more than `_MAX_EDGES_PER_HIT` edges.  Edges of
+        pairs that are already marked as crowded are not added.
 
         Parameters
         ----------
@@ -325,8 +327,8 @@ class _EdgeSet:
 def find_shadows(hits: Hits, lights: Lights, faces_light: Bools) -> Bools:
     """Test whether each hit is in the shadow of another object, for each light.
 
-    The object on which the hit lies is not tested.  It blocks only the lights that the surface at
-    the hit does not face.
+    The object on which a hit lies is not tested.  All objects are convex, so it can only block
+    lights that its surface does not face at the hit.
 
     Parameters
     ----------
@@ -357,8 +359,8 @@ def find_shadow_edges(
     """Test which hits are in shadow, and find the visible shadow edges near each hit.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
-    picture (a pixel or a part of it).  A shadow edge is near the hit if it may cross the footprint.
-    It is invisible if any object shades the whole footprint from the same light.
+    picture (a pixel or a part of it).  Shadow edges that may cross the footprint are found, unless
+    a single object shades the whole footprint from the same light.
 
     Parameters
     ----------
@@ -431,15 +433,15 @@ def _test_footprints(
     # If the object shades any part of the footprint, the grown object shades the hit.
     growth = footprint_radius[candidates[1]]
     grown_object_blocks = _test_blocking(hits, lights, shape, candidates, growth)
-    # If the light and the hit are both inside the grown object, it does not block the segment,
-    # although the unchanged object may.
+    # The grown object blocks no segment that lies inside it, but the object itself may.  So the
+    # candidate is kept if the light is inside the grown object.
     light_distance = shape.measure_distance(candidates[2], take(lights.position.T, candidates[0]))
     near_index = find(grown_object_blocks | (light_distance <= growth))
     near_candidates = candidates.take(near_index, axis=1)
     growth, light_distance = growth[near_index], light_distance[near_index]
     is_blocking = _test_blocking(hits, lights, shape, near_candidates)
-    # The object shades the whole footprint if the shrunk object blocks the light, too.  But if the
-    # hit is between both surfaces, the shrunk object may block a light that the object does not.
+    # The object shades the whole footprint if the shrunk object blocks the segment, too.  A test of
+    # the shrunk object does not suffice, because the hit may lie between the two surfaces.
     is_covering = is_blocking & _test_blocking(hits, lights, shape, near_candidates, -growth)
     # A light on the object's surface illuminates only one side of the tangent plane there, and this
     # plane may cross the footprint.
@@ -528,8 +530,8 @@ def _build_row_packets(
     Returns
     -------
     row_packets : Packets
-        The packets, in the order of the hits.  `is_lit` is True if the surface at any hit of the
-        packet faces the light.
+        The packets, in the order of the hits.  `may_be_lit` is True if the surface at any hit of
+        the packet faces the light.
     """
     run_length = np.diff(hits.run_start)
     run_index, offset_in_run = enumerate_ranges(-(-run_length // max_hits))
@@ -537,12 +539,12 @@ def _build_row_packets(
     first_hit = hits.run_start[run_index] + offset_in_run
     hit_count = np.minimum(run_length[run_index] - offset_in_run, max_hits)
     object_index = hits.run_object[run_index]
-    is_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
+    may_be_lit = np.logical_or.reduceat(faces_light, first_hit, axis=1)
     center, radius = _compute_bounding_spheres(hits, first_hit)
     radius += hits.scene.position_error[object_index]
     if margin is not None:
         radius += np.maximum.reduceat(margin, first_hit)
-    return Packets(object_index, first_hit, hit_count, center, radius, is_lit)
+    return Packets(object_index, first_hit, hit_count, center, radius, may_be_lit)
 
 
 def _build_square_packets(
@@ -572,15 +574,15 @@ def _build_square_packets(
     """
     first_hit = row_packets.child_start
     # One integer encodes the object, and the row and the column of the square.
-    square_key = row_packets.object_index
+    group_key = row_packets.object_index
     for coordinate in hits.samples.get_positions(hits.sample_index.take(first_hit)):
-        square_index = (coordinate / square_width).astype(np.intp)
-        square_index -= square_index.min()
-        square_key = square_key * (square_index.max() + 1) + square_index
-    order = square_key.argsort(kind="stable")
+        square_coordinate = (coordinate / square_width).astype(np.intp)
+        square_coordinate -= square_coordinate.min()
+        group_key = group_key * (square_coordinate.max() + 1) + square_coordinate
+    order = group_key.argsort(kind="stable")
     depth_layer = hits.scene.frame.assign_layer(hits.from_eye[2].take(first_hit), square_width)
     row_packets = Packets._make(field.take(order, axis=-1) for field in row_packets)
-    first_child, child_count = find_runs(square_key[order], depth_layer[order])
+    first_child, child_count = find_runs(group_key[order], depth_layer[order])
     return _merge_row_packets(row_packets, first_child, child_count), row_packets
 
 
@@ -620,8 +622,8 @@ def _merge_row_packets(row_packets: Packets, first_child: Ints, child_count: Int
     """Merge consecutive row packets into square packets.
 
     A row packet is a group of hits that are consecutive in one row of samples.  The bounding sphere
-    of a square packet contains the bounding spheres of its row packets.  A square packet is lit if
-    at least one of its row packets is lit.
+    of a square packet contains the bounding spheres of its row packets.  A square packet may be
+    lit if at least one of its row packets may be lit.
 
     Parameters
     ----------
@@ -643,6 +645,6 @@ def _merge_row_packets(row_packets: Packets, first_child: Ints, child_count: Int
     center_offset = row_packets.center - center.repeat(child_count, axis=1)
     needed_radius = np.sqrt((center_offset * center_offset).sum(axis=0)) + row_packets.radius
     radius = np.maximum.reduceat(needed_radius, first_child)
-    is_lit = np.logical_or.reduceat(row_packets.is_lit, first_child, axis=1)
+    may_be_lit = np.logical_or.reduceat(row_packets.may_be_lit, first_child, axis=1)
     object_index = row_packets.object_index[first_child]
-    return Packets(object_index, first_child, child_count, center, radius, is_lit)
+    return Packets(object_index, first_child, child_count, center, radius, may_be_lit)

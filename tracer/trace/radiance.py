@@ -37,7 +37,10 @@ def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None 
 
 
 def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance at each sample, and an id of the surface and lights visible there.
+    """Compute the radiance and the id of each sample.
+
+    Two samples have the same id if their rays hit the same face of the same object, and the same
+    lights are visible from both hits.
 
     Parameters
     ----------
@@ -51,8 +54,7 @@ def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Fl
     radiance : (3, n) float array
         Linear RGB radiance towards the eye, as from `compute_radiance`.
     ids : (n,) int array
-        -1 if the ray meets no surface.  Otherwise, two samples have the same id if their rays hit
-        the same face of the same object, and the same lights are visible from both hits.
+        Id of each sample; -1 if the ray meets no surface.
     """
     hits = find_nearest_hits(scene, samples)
     shading = shade(hits, scene.light_batches, with_ids=True)

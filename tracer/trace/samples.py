@@ -70,13 +70,15 @@ def find_object_spans(
     in_range_index = find((bounds.left - pad <= x_range[1]) & (bounds.right + pad >= x_range[0]))
     first_row = row_top.searchsorted(bounds.top[in_range_index] - pad - height)
     end_row = row_top.searchsorted(bounds.bottom[in_range_index] + pad, side="right")
-    span_candidate, row = enumerate_ranges(np.maximum(end_row - first_row, 0), first_row)
-    position = in_range_index[span_candidate]
-    object_index = position + shape.objects.start
+    candidate_index, row = enumerate_ranges(np.maximum(end_row - first_row, 0), first_row)
+    index_in_shape = in_range_index[candidate_index]
+    object_index = index_in_shape + shape.objects.start
     left, right = shape.find_columns(object_index, row_top[row], height)
-    left, right = np.maximum(left, bounds.left[position]), np.minimum(right, bounds.right[position])
-    kept_span = find(left <= right)
-    return object_index[kept_span], row[kept_span], left[kept_span] - pad, right[kept_span] + pad
+    left = np.maximum(left, bounds.left[index_in_shape])
+    right = np.minimum(right, bounds.right[index_in_shape])
+    kept_index = find(left <= right)
+    left, right = left[kept_index] - pad, right[kept_index] + pad
+    return object_index[kept_index], row[kept_index], left, right
 
 
 class Rows(NamedTuple):
@@ -108,9 +110,9 @@ class Rows(NamedTuple):
 
     @property
     def density(self) -> float:
-        """Typical number of samples across a pixel, used to choose the size of packets.
+        """Weighted geometric mean of the numbers of samples across a pixel along x and y.
 
-        A packet is a group of neighbouring hits.  Samples along x count more than samples along y,
+        It determines the size of packets (groups of neighbouring hits).  The weight of x is larger,
         because most packets lie along a row.
         """
         x_count, y_count = self.per_pixel
@@ -287,15 +289,15 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's sample.  Both arrays are the same: each sample has its own row.
+            Index of each span's sample.  Both arrays are the same, because `y` has one element for
+            each sample.
         sample_count : None
             None, because each span has one sample.
         """
         row_top = np.floor(self.y[self.row_start])
         x_range = self.x.min(initial=0), self.x.max(initial=0)
-        object_index, row, left, right = find_object_spans(
-            shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING
-        )
+        spans = find_object_spans(shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING)
+        object_index, row, left, right = spans
         start = self.sort_key.searchsorted(_encode_position(row + 1, left))
         stop = self.sort_key.searchsorted(_encode_position(row + 1, right), side="right")
         span_index, sample_index = enumerate_ranges(np.maximum(stop - start, 0), start)

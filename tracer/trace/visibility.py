@@ -140,11 +140,11 @@ class _Intersections(NamedTuple):
         return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
-        """Divide hits into runs, and return the index of the first hit of each run.
+        """Find the first hit of each run.
 
         A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  For scattered samples, a row of pixels counts as a row of samples, and the hits of
-        a run must also be close together.
+        object.  A run of scattered samples lies in one row of pixels instead, and its hits are
+        close together.
 
         Parameters
         ----------
@@ -185,13 +185,14 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     Returns
     -------
     groups : list of _Intersections
-        One group of (sample, object) pairs for each shape.  The ray may miss the object.
+        One group of (sample, object) pairs for each shape.  The ray parameter t is infinite if the
+        ray misses the object.
     """
     frame, groups = scene.frame, []
     sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.to_ray_down(samples.y)
     for shape in scene.shapes:
-        object_index, row, start, sample_count = samples.find_spans(shape, scene)
-        sample_index = start if sample_count is None else join_ranges(sample_count, start)
+        object_index, row, span_start, sample_count = samples.find_spans(shape, scene)
+        sample_index = span_start if sample_count is None else join_ranges(sample_count, span_start)
         ray_down, ray_right = row_ray_down.take(row), sample_ray_right.take(sample_index)
         t, hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
         fields = sample_count, object_index, ray_down, sample_index, ray_right, t, hit_data
@@ -256,7 +257,7 @@ def _select_visible(
 
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Build hits from intersections, with their positions and tangent planes.
+    """Compute the positions and tangent planes of hits from intersections.
 
     Parameters
     ----------
@@ -265,7 +266,7 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
     samples : Rows or Scattered
         Positions in the picture, through which rays are traced.
     groups : list of _Intersections
-        One group of intersections for each shape.  Every ray meets the object of its pair.
+        One group of intersections for each shape, without misses.
 
     Returns
     -------

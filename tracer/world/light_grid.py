@@ -169,8 +169,8 @@ class LightGrid(NamedTuple):
     ) -> Iterator[Ints]:
         """Find objects that may lie between balls and lights, and yield them in batches.
 
-        All objects that block a segment from a point of a ball to a light are found.  Some of the
-        objects found block no segment, and some are found several times.
+        Every object that blocks a segment from a point of a ball to a light is found.  Other
+        objects may be found, too, and the same object may be found several times.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class LightGrid(NamedTuple):
         ------
         triples : (3, k) int array
             Row 0 contains light indices, row 1 ball indices, and row 2 indices of objects that may
-            lie between them.
+            lie between the light and the ball.
         """
         ball_count = own_object_index.size
         # The vectors from a ball to a light fill a box, which is split into up to eight parts.
@@ -215,11 +215,10 @@ class LightGrid(NamedTuple):
                 yield np.array([row.take(others) for row in (light_index, ball_index, occluder)])
 
     def _find_entries(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
-        """Find the entries near each rectangle, and yield them as ranges of `listed_entry`.
+        """Find the entries that share a cell with each rectangle, as ranges of `listed_entry`.
 
         An entry is the part of an object in one octant of directions.  A cell is a small range of
-        directions.  `listed_entry` lists the entries that overlap each cell.  An entry is near a
-        rectangle if both overlap the same cell.  Each such entry is in exactly one range.
+        directions.  Each entry that overlaps a cell of the rectangle is in exactly one range.
 
         Parameters
         ----------
@@ -238,7 +237,7 @@ class LightGrid(NamedTuple):
         """
         overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
         for rectangle_index, cell_index, cell_flags in overlaps:
-            # The flags decide which of the cell's four lists may contain entries not yet found.
+            # The flags decide which of the cell's four lists to read, to find each entry only once.
             starts, stops = (
                 self.list_start.take(4 * cell_index + list_bound.take(cell_flags)).astype(np.intp)
                 for list_bound in _LISTS_TO_READ
@@ -309,7 +308,7 @@ def build_light_grid(
     rectangles = _map_to_patch(rectangles, entry_patch, patch_origin, patch_size)
     patch_count = patch_origin.shape[1]
     per_side = _choose_cells_per_side(rectangles, object_count, light_count, patch_count)
-    lists = _fill_lists(rectangles, entry_patch, per_side, patch_count)
+    lists = _build_lists(rectangles, entry_patch, per_side, patch_count)
     return LightGrid(near_position, *patches, per_side, *lists, entry_bounds, entry_object)
 
 
@@ -319,7 +318,7 @@ def _choose_patches(
     """Choose a patch of directions for each octant that contains visible objects.
 
     Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
-    a rectangle in these coordinates that contains all but a few of the octant's visible objects.
+    a rectangle in these coordinates that contains most of the visible objects in the octant.
 
     Parameters
     ----------
@@ -387,8 +386,8 @@ def _split_by_octant(
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Split boxes of vectors by octant, and bound the directions of the vectors in each part.
 
-    A box contains all vectors to one light with x, y and z in given ranges.  An octant contains all
-    vectors with the same signs of x, y and z.  So a box has up to eight parts.
+    A box contains the vectors to one light whose components x, y and z lie in given ranges.  An
+    octant contains the vectors whose components have given signs.  So a box has up to eight parts.
 
     Parameters
     ----------
@@ -437,10 +436,11 @@ def _split_by_octant(
 
 
 def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
-    """Compute eight bounds on the directions and lengths of vectors, for each of m sets of vectors.
+    """Bound the directions and the lengths of the vectors in each of m sets.
 
-    Here x, y and z are the absolute values of a vector's components.  Maxima are negated, so that
-    all rows are lower bounds.  All bounds are widened by more than their rounding errors.
+    Here x, y and z are the absolute values of a vector's components, and x + y + z is its length.
+    Maxima are negated, so that all bounds are lower bounds.  They are widened by more than their
+    rounding errors.
 
     Parameters
     ----------
@@ -516,12 +516,14 @@ def _choose_cells_per_side(
     return max(1, int(sqrt(cell_count)))
 
 
-def _fill_lists(
+def _build_lists(
     rectangles: Floats, patch_index: Ints, cells_per_side: int, patch_count: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """List each entry (a part of an object) in all cells that its bounding rectangle overlaps.
+    """Build lists of the entries whose bounding rectangles overlap each cell.
 
-    A patch is a square array of cells.  Each cell has four lists: see `_LIST_BY_FLAGS`.
+    An entry is a part of an object, and a patch is a square array of cells.  Each cell has four
+    lists.  The cell's position in the entry's rectangle decides which of them contains the entry:
+    see `_LIST_BY_FLAGS`.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def _find_duplicates(surfaces: Surfaces) -> Bools:
     Returns
     -------
     is_duplicate : (n,) bool array
-        Whether each object is a duplicate: first all spheres, then all boxes.
+        Whether each object is a duplicate.  All spheres come before all boxes.
     """
     # Describe each object by six numbers.  The last is infinite for spheres and finite for boxes,
     # so no sphere equals a box.
