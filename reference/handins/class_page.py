@@ -25,7 +25,7 @@ _LEGEND = (
 def make_pair(
     result: Result, submitted_codes: Codes, reference_codes: Codes, difference: Differences
 ) -> Pair:
-    """Make the part of an HTML page that shows a submitted picture and its reference picture.
+    """Prepare a submitted picture and its reference picture for display on an HTML page.
 
     Parameters
     ----------
@@ -57,10 +57,10 @@ def make_pair(
 
 
 def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder: Path) -> str:
-    """Render an HTML page that shows the results of a class.
+    """Render an HTML page that shows the results of a class of students.
 
-    The page contains a table by student and scene, the pairs of pictures, the number of pictures
-    with each mistake, and the errors of files that could not be compared.
+    The page contains a table by student and scene, each submitted picture next to its reference
+    picture, the number of pictures with each mistake, and the errors of files not compared.
 
     Parameters
     ----------

@@ -55,8 +55,8 @@ class Diagnosis:
     text_before, text_after : str
         Text of the report before and after the sentences of the causes; may be empty.
     hint : str
-        If no cause is known, the keywords of the cause with the most similar picture, joined by
-        ``+``; otherwise empty.
+        If no cause is known, the keywords of the mistakes that come closest to explaining the
+        picture, joined by ``+``; otherwise empty.
     """
 
     causes: tuple[dict[str, str], ...]
@@ -75,15 +75,15 @@ class Diagnosis:
         return " ".join(self.causes[0].values())
 
     def __str__(self) -> str:
-        """Format the report: the first cause, and a few alternative causes in parentheses."""
+        """Format the report: the first cause, then a few of the other causes in parentheses."""
         first_cause, *other_causes = self.causes
         new_texts = (" ".join(cause[keyword] for keyword in cause if keyword not in first_cause)
                      for cause in other_causes)  # fmt: skip
         alternatives, note = [*filter(None, new_texts)], ""
         if alternatives:
-            unnamed_count = len(alternatives) - _MAX_NAMED + 1
+            omitted_count = len(alternatives) - _MAX_NAMED + 1
             note = " Or: ".join(alternatives[: _MAX_NAMED - 1])
-            note += f" Or one of {unnamed_count} more." if unnamed_count > 0 else ""
+            note += f" Or one of {omitted_count} more." if omitted_count > 0 else ""
             note = f"(In this scene, it looks the same as: {note})"
         texts = self.text_before, self.first_cause_text, note, self.text_after
         return " ".join(filter(None, texts))
@@ -111,7 +111,7 @@ class Diagnosis:
         Parameters
         ----------
         cause_counts : Counter of str
-            The frequency of each cause, by its keywords, joined by ``+``.
+            The frequency of each cause.  A key consists of the cause's keywords, joined by ``+``.
         """
         causes = sorted(self.causes, key=lambda cause: -cause_counts["+".join(cause)])
         return replace(self, causes=tuple(causes))
@@ -155,7 +155,7 @@ class Reference:
         Parameters
         ----------
         height, width : int
-            Size of the pictures in pixels; without a scene, that of the reference picture.
+            Size of the pictures in pixels.  Without a scene, it is that of the reference picture.
 
         Returns
         -------
@@ -183,7 +183,7 @@ class Reference:
         Returns
         -------
         Diagnosis
-            The mistakes; or a verdict, such as "identical" or "unknown".
+            The mistakes, or a verdict such as "identical" or "unknown".
         """
         (height, width), reference_size = picture.codes.shape[:2], self.codes.shape[:2]
         if (height, width) == reference_size:
@@ -220,7 +220,7 @@ class Reference:
         Returns
         -------
         Diagnosis
-            The mistakes; or a verdict, such as "identical" or "unknown".
+            The mistakes, or a verdict such as "identical" or "unknown".
         """
         codes, renderer = picture.codes, self._get_renderer(*picture.codes.shape[:2])
         agreement = diagnose_agreement(to_columns(codes), renderer.reference_codes)
@@ -236,7 +236,7 @@ class Reference:
         if finding.causes:
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,}"
             sentence = f"That leaves {counts} wrong pixels unexplained."
-            causes = (_fill_in_sentences(cause, submission) for cause in finding.causes)
+            causes = (_format_sentences(cause, submission) for cause in finding.causes)
             return Diagnosis(tuple(causes), "", sentence if finding.unexplained_count else "")
         if not submission.format_noise and (symptom := symptoms.find_symptom(submission)):
             return _make_verdict(*symptom)
@@ -250,8 +250,8 @@ class Reference:
         submission : Submission
             The submitted picture, and its wrong pixels.
         finding : Finding
-            The result of the search.  It contains no cause, but perhaps a hint: the mistakes with
-            the most similar picture.
+            The result of the search.  It contains no cause, but perhaps a hint: the mistakes that
+            come closest to explaining the picture.
 
         Returns
         -------
@@ -262,27 +262,27 @@ class Reference:
             clause = symptoms.format_count(submission.wrong_count, "is", "are")
             return _make_verdict(UNKNOWN, f"{clause} one level off; no known mistake does this.")
         mistake_count = len(submission.renderer.mistakes)
-        sentence, text = f"None of the {mistake_count} known mistakes explains this picture.", ""
+        sentence, details = f"None of the {mistake_count} known mistakes explains this picture.", ""
         if finding.hint:
-            hint_text = " ".join(_fill_in_sentences(finding.hint, submission).values())
+            hint_text = " ".join(_format_sentences(finding.hint, submission).values())
             counts = f"{finding.unexplained_count:,} of {submission.wrong_count:,} pixels"
-            text = f"The nearest that is known: {hint_text} It does not explain {counts}. "
-        text += self._describe_differences(submission, finding.hint)
-        return Diagnosis(({UNKNOWN: sentence},), text_after=text, hint="+".join(finding.hint))
+            details = f"The nearest that is known: {hint_text} It does not explain {counts}. "
+        details += self._describe_differences(submission, finding.hint)
+        return Diagnosis(({UNKNOWN: sentence},), text_after=details, hint="+".join(finding.hint))
 
     def _describe_differences(self, submission: Submission, hint: Cause) -> str:
         """Describe where a submitted picture differs from the reference picture.
 
         The text names the surfaces with the most wrong pixels.  If there is no hint and the
-        background is right, it also names the worst pixel, and lights that are missing or wrongly
-        present.  Without the scene, it names only the worst pixel.
+        background is right, it also names the worst pixel, and lights that wrongly shine or fail to
+        shine.  Without the scene, it names only the worst pixel.
 
         Parameters
         ----------
         submission : Submission
             The submitted picture, and the renderer of its scene.
         hint : tuple of str
-            Keywords of the mistakes with the most similar picture; may be empty.
+            Keywords of the mistakes that come closest to explaining the picture; may be empty.
 
         Returns
         -------
@@ -309,7 +309,7 @@ class Reference:
         is_scene_size = (self.scene.width, self.scene.height) == (width, height)
         option = "" if is_scene_size else f" --size {width}x{height}"
         command = f"tracer {self.name}{option} --pixel {x},{y}"
-        lights_text = _describe_wrong_lights(self.scene, submission, is_wrong)
+        lights_text = _describe_light_errors(self.scene, submission, is_wrong)
         return f"{count_text}: {surfaces_text}.{lights_text}{worst_text}; {command} explains it."
 
 
@@ -345,8 +345,8 @@ def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Arr
     return ", ".join(phrases)
 
 
-def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array) -> str:
-    """Describe the lights that are missing, or wrongly present, at many wrong pixels.
+def _describe_light_errors(scene: Scene, submission: Submission, is_wrong: Array) -> str:
+    """Describe the lights that wrongly shine, or fail to shine, on many of the wrong pixels.
 
     Parameters
     ----------
@@ -360,7 +360,7 @@ def _describe_wrong_lights(scene: Scene, submission: Submission, is_wrong: Array
     Returns
     -------
     str
-        One sentence for each of these lights, with a space before it; may be empty.
+        One sentence for each such light, preceded by a space; empty if there are none.
     """
     faults = "should shine but does not", "should be blocked but shines"
     sentences = ""
@@ -390,12 +390,9 @@ def _find_visible_surfaces(scene: Scene) -> Array:
     """
     surface_index = np.empty(scene.width * scene.height, dtype=np.int32)
     for start in range(0, len(surface_index), MAX_PIXELS):
-        row, column = np.divmod(
-            np.arange(start, min(start + MAX_PIXELS, len(surface_index))), scene.width
-        )
-        surface_index[start : start + MAX_PIXELS] = first_hits(
-            scene, column + 0.5, row + 0.5
-        ).surface
+        pixels = np.arange(start, min(start + MAX_PIXELS, len(surface_index)))
+        row, column = np.divmod(pixels, scene.width)
+        surface_index[pixels] = first_hits(scene, column + 0.5, row + 0.5).surface
     return surface_index
 
 
@@ -461,8 +458,8 @@ def diagnose_single_color(codes: Codes) -> Diagnosis | None:
     return _make_verdict("black", "The picture is black.")
 
 
-def _fill_in_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
-    """Fill in the numbers in the sentences that describe the mistakes of a cause.
+def _format_sentences(cause: Cause, submission: Submission) -> dict[str, str]:
+    """Format the sentences that describe the mistakes of a cause.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ import numpy as np
 
 from reference.figures import decode_to_linear
 from reference.handins import mistakes
-from reference.handins.formulas import Array, Formulas, collect_names, list_parameters
+from reference.handins.formulas import Array, Formulas, collect_parameters, list_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, make_sample_formulas
 from reference.pictures import Codes
 from tracer import Phong, Scene, Sphere
@@ -47,7 +47,7 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
     shaders = [surface.shader for surface in surfaces]
     # Formulas need a surface: an empty scene gets a sphere with radius NaN, which all rays miss.
     radius_factor = 1 if len(source.surfaces) else np.nan
-    # Sorted by first use, which is nearly the order in the file.
+    # The shaders in the order of first use, which is nearly their order in the file.
     distinct_shaders = [*dict.fromkeys(shaders)]
     shader_by_number = [distinct_shaders[k % len(distinct_shaders)] for k in range(len(surfaces))]
 
@@ -56,7 +56,7 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
         return np.array([getattr(item, attribute, default) for item in items])
 
     def to_vectors(items: Sequence[Any], attribute: str, default: Any = (0.0, 0, 0)) -> Array:
-        """Collect an attribute that is a vector or colour: an array (3, items)."""
+        """Collect a vector or colour from each item, as an array (3, items)."""
         return to_array(items, attribute, default).reshape(-1, 3).T
 
     return {
@@ -126,12 +126,12 @@ class FormulaCache:
         self._recipes: list[Any] = [None] * len(inputs)
         self._cached_bytes = 0
         self._index_by_recipe: dict[Any, int] = {}
-        self._reference_recipes = {name: index for index, name in enumerate(inputs)}
-        self._reference_recipes = self._find_recipes(REFERENCE_FORMULAS)
+        self._reference_recipe_indices = {name: index for index, name in enumerate(inputs)}
+        self._reference_recipe_indices = self._find_recipe_indices(REFERENCE_FORMULAS)
         self._reference_recipe_count = len(self._recipes)
 
-    def _find_recipes(self, replacements: Formulas) -> dict[str, int]:
-        """Find the recipe for the value of each formula when some formulas are replaced.
+    def _find_recipe_indices(self, replacements: Formulas) -> dict[str, int]:
+        """Find the index of each formula's recipe when the given formulas are replaced.
 
         A recipe tells how to compute a value.  It consists of a formula and, for each argument, the
         index of the argument's recipe.  Values that are computed in the same way share a recipe.
@@ -147,7 +147,7 @@ class FormulaCache:
             Indices of the recipes by formula name.  Formulas that cannot be computed from the
             inputs of this cache are omitted.
         """
-        index_by_name = self._reference_recipes.copy()
+        index_by_name = self._reference_recipe_indices.copy()
         for name in _list_affected_formulas(tuple(replacements)):
             if name in self._inputs:
                 continue
@@ -171,7 +171,7 @@ class FormulaCache:
         replacements : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._find_recipes(replacements)
+        return "codes" in self._find_recipe_indices(replacements)
 
     def get_value(self, name: str, replacements: Formulas) -> Any:
         """Return the value of a formula for all n pixels of this cache.
@@ -179,7 +179,7 @@ class FormulaCache:
         Parameters
         ----------
         name : str
-            Name of the formula, such as "radiance"; "codes" for the 8-bit codes.
+            Name of the formula, such as "radiance", or "codes" for the 8-bit codes.
         replacements : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
 
@@ -195,7 +195,7 @@ class FormulaCache:
             If the formula cannot be computed from the inputs of this cache.
         """
         if self._fitting_cache:
-            for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & collect_names(replacements):
+            for fitted_name in mistakes.WHOLE_PICTURE_FORMULAS & collect_parameters(replacements):
                 fitted_value = self._fitting_cache.get_value(fitted_name, replacements)
                 replacements = replacements | {fitted_name: _make_constant_function(fitted_value)}
         if "samples" in replacements:  # average the clipped radiance over the samples of a pixel
@@ -210,7 +210,7 @@ class FormulaCache:
             self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
             self._index_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
             self._cached_bytes = 0
-        return self._evaluate_recipe(self._find_recipes(replacements)[name])
+        return self._evaluate_recipe(self._find_recipe_indices(replacements)[name])
 
     def _evaluate_recipe(self, index: int) -> Any:
         """Return the value of a recipe; compute and cache it if it is not yet in the cache.
@@ -243,7 +243,7 @@ def join_formulas(formula_maps: Sequence[Formulas]) -> Formulas:
     Parameters
     ----------
     formula_maps : sequence of dict of str to callable
-        For each mistake, the formulas that it substitutes, by name.
+        For each mistake, the formulas, by name, that replace those of the reference picture.
 
     Returns
     -------

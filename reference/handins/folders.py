@@ -92,8 +92,8 @@ def match_hand_ins(files: Sequence[Path], class_path: Path, reference_path: Path
     Returns
     -------
     list of HandIn
-        One hand-in for each of `files`.  If both paths are folders, those for missing pictures
-        follow: first of scenes that other students have handed in, then of scenes that nobody has
+        One hand-in for each of `files`.  If both paths are folders, hand-ins without a picture
+        follow: first for scenes that other students have handed in, then for scenes that nobody has
         handed in.  An empty subfolder counts as a student.
     """
     path_by_scene = _list_references(reference_path)

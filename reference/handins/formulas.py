@@ -57,7 +57,7 @@ def dot(first: Array, second: Array) -> Array:
 
 
 def select_vectors(surface_vectors: Array, surface_index: Array) -> Array:
-    """Look up the vector of the surface that each of n pixels shows.
+    """Look up a vector for each of n pixels, by the surface that the pixel shows.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def make_intersect(
     box_index = np.flatnonzero(~is_sphere & is_present)
 
     def intersect(o: Array, d: Array) -> Array:
-        """Compute the t (2, surfaces, n) at which n rays o + t d cross each surface."""
+        """Return the smaller and the larger t (2, surfaces, n) at which rays cross surfaces."""
         roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
         centers_and_radii = centers[:, sphere_index], radii[sphere_index]
         roots[:, sphere_index] = intersect_sphere(*centers_and_radii, o, d)
@@ -241,7 +241,7 @@ def intersect_shadow_rays(
     Parameters
     ----------
     intersect : callable
-        A function that `make_intersect` has returned.
+        A function returned by `make_intersect`.
     hits : (3, n) array
         Points on surfaces, where the shadow rays begin.
     shadow_directions : (lights, 3, n) array
@@ -261,7 +261,7 @@ def find_blocking_surfaces(
     shadow_roots: Array, min_t: Array, max_t: Array, is_tested: Array,
     min_far_t: float | None = None,
 ) -> Array:  # fmt: skip
-    """Find the surfaces that block each light from each of n hits.
+    """Find the surfaces that stand between each of n hits and each light.
 
     A shadow ray o + t d leads from each hit to each light.  A surface blocks the light if the ray
     crosses the surface between `min_t` and `max_t`.
@@ -273,25 +273,25 @@ def find_blocking_surfaces(
     min_t, max_t : (lights, n) arrays
         Limits of t for each shadow ray.
     is_tested : (surfaces, n) bool array
-        True if the surface can block light from the hit.
+        False for surfaces to ignore at a hit, such as the surface that the hit lies on.
     min_far_t : float, optional
-        Lower limit for the larger t of each surface.  By default, it is `min_t`.
+        Replaces `min_t` for the larger t of each surface, to simulate a mistake.
 
     Returns
     -------
     is_blocking : (lights, surfaces, n) bool array
-        True if the surface blocks the light from the hit.
+        True if the surface stands between the hit and the light.
     """
     far_limits = min_t if min_far_t is None else np.full_like(min_t, min_far_t)
     is_blocking, rays_by_light = [], zip(shadow_roots, min_t, far_limits, max_t, strict=True)
-    for (near_t, far_t), near_limit, far_limit, end_t in rays_by_light:
+    for (near_t, far_t), near_limit, far_limit, upper_limit in rays_by_light:
         first_t = np.where(near_t > near_limit, near_t, np.where(far_t > far_limit, far_t, np.nan))
-        is_blocking.append((first_t < end_t) & is_tested)
+        is_blocking.append((first_t < upper_limit) & is_tested)
     return np.array(is_blocking, dtype=bool).reshape(len(shadow_roots), *is_tested.shape)
 
 
-def select_last_chosen(values: Array, is_chosen: Array) -> Array:
-    """Select the value of the chosen surface that comes last in the scene file.
+def select_last_value(values: Array, is_chosen: Array) -> Array:
+    """Select the value of the last chosen surface.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ def select_last_chosen(values: Array, is_chosen: Array) -> Array:
     Returns
     -------
     value : (..., 1) array
-        The value of that surface; zero if no surface is chosen.
+        Zero if no surface is chosen.
     """
     chosen_index = np.flatnonzero(is_chosen)
     return values[..., chosen_index[-1:]] if chosen_index.size else 0 * values[..., :1]
@@ -337,7 +337,7 @@ def compute_box_normals(
     return np.eye(3)[:, (face_axis + axis_shift) % 3] * sign
 
 
-def mix_channels(weights: tuple[float, float, float], channels: Array) -> Array:
+def convert_to_grey(weights: tuple[float, float, float], channels: Array) -> Array:
     """Convert a picture to grey: replace each channel with the weighted mean of all channels.
 
     Parameters
@@ -419,8 +419,8 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
                      for channel in np.moveaxis(picture, 2, 0)])  # fmt: skip
 
 
-def shows_surface(reference_picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
-    """Guess, without the scene, which pixels of a submitted picture show a surface.
+def guess_hits(reference_picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
+    """Guess which pixels of a submitted picture show a surface, if its scene is unknown.
 
     A pixel counts as background if it is black in the reference picture, but not in the submitted
     picture.
@@ -430,8 +430,8 @@ def shows_surface(reference_picture: Array, x: Array, y: Array, submitted_codes:
     reference_picture : (h, w, 3) array
         Linear light of the reference picture.
     x, y : (n,) arrays
-        Positions of the pixels: -0.5 at the left and lower edges of the picture, and 0.5 at the
-        right and upper edges.
+        For each pixel, the position in the reference picture: -0.5 at the left and lower edges, and
+        0.5 at the right and upper edges.
     submitted_codes : (3, n) uint8 array
         8-bit codes of the submitted picture.
 
@@ -446,8 +446,8 @@ def shows_surface(reference_picture: Array, x: Array, y: Array, submitted_codes:
 _OWN: tuple[Callable[..., Any], ...] = (
     normalize, dot, select_vectors, intersect_spheres, intersect_boxes, make_scaled_intersect,
     make_far_intersect, make_intersect, find_first_crossing, intersect_shadow_rays,
-    find_blocking_surfaces, select_last_chosen, compute_box_normals, mix_channels,
-    find_background_color, compute_median, interpolate_light, shows_surface, len, partial,
+    find_blocking_surfaces, select_last_value, compute_box_normals, convert_to_grey,
+    find_background_color, compute_median, interpolate_light, guess_hits, len, partial,
 )  # fmt: skip
 _NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
     logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
@@ -486,17 +486,17 @@ def compile_formula(expression: str) -> Callable[..., Any]:
 
 @cache
 def list_parameters(function: Callable[..., Any]) -> tuple[str, ...]:
-    """List the parameter names, in order, of a function that `compile_formula` has returned."""
+    """List the parameter names, in order, of a function returned by `compile_formula`."""
     code = function.__code__
     return code.co_varnames[: code.co_argcount]
 
 
-def collect_names(formulas: Formulas) -> set[str]:
-    """Collect the names of all values that formulas use.
+def collect_parameters(formulas: Formulas) -> set[str]:
+    """Collect the parameters of several formulas: the names of the values that they use.
 
     Parameters
     ----------
     formulas : dict of str to callable
-        The formulas by name: functions that `compile_formula` has returned.
+        The formulas by name: functions returned by `compile_formula`.
     """
     return {name for formula in formulas.values() for name in list_parameters(formula)}

@@ -110,8 +110,7 @@ def make_sample_formulas(x: float, y: float) -> Formulas:
 
 # Formulas that replace those of a scene if only the reference picture is known.
 PICTURE_FORMULAS = parse_formulas(
-    "hit = shows_surface(picture, x, y, submitted_codes);"
-    " radiance = interpolate_light(picture, x, y)"
+    "hit = guess_hits(picture, x, y, submitted_codes); radiance = interpolate_light(picture, x, y)"
 )
 
 

@@ -71,14 +71,15 @@ class Result(NamedTuple):
         -------
         dict of str to object
             The values by column name.  The diagnosis takes three columns: "kind" (keywords of the
-            mistakes), "hint" (keywords of the mistakes with the most similar picture) and
-            "diagnosis" (sentences).  Without a diagnosis, they are None.
+            mistakes), "hint" (if no cause is known, keywords of the mistakes that come closest to
+            explaining the picture) and "diagnosis" (sentences).  They are None without a diagnosis.
         """
-        diagnosis = self.diagnosis
+        diagnosis, row = self.diagnosis, dict[str, Any]()
         new_columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
                        "diagnosis": diagnosis and str(diagnosis)}  # fmt: skip
-        columns = [*self._asdict().items()]
-        return dict(columns[:5]) | new_columns | dict(columns[6:])  # without the diagnosis
+        for name, value in self._asdict().items():
+            row |= new_columns if name == "diagnosis" else {name: value}
+        return row
 
     def format_metrics(self) -> str:
         """Format the metrics of the comparison as text.

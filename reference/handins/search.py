@@ -8,9 +8,9 @@ with each pair would take hours.  A few pixels refute almost all pairs, so the s
 halving (Jamieson and Talwalkar 2016): it tries all causes at a few pixels, the best of them at more
 pixels, and only the last few in full.
 
-A cause is reported only if the scene, rendered with it, gives the submitted picture, except for at
-most 3 % of the pixels in which it differs from the reference picture.  If there is no such cause,
-the cause with the most similar picture is returned as a hint.
+A cause is reported only if the scene, rendered with it, gives the submitted picture.  Exceptions
+are allowed in 3 % of the pixels that differ from the reference picture.  If no cause is reported,
+the one that comes closest to explaining the picture is returned as a hint.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from reference.handins import mistakes
 from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
-from reference.handins.formulas import Array, Formulas, collect_names
+from reference.handins.formulas import Array, Formulas, collect_parameters
 from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_picture
 from tracer import Scene
 
@@ -69,14 +69,14 @@ class Finding(NamedTuple):
     Attributes
     ----------
     causes : tuple of tuples of str
-        The causes that explain the submitted picture.  If there are several, their pictures of this
-        scene are nearly the same.  Empty if there is no such cause.
+        The causes that explain the submitted picture.  If there are several, they give nearly the
+        same picture of this scene.  Empty if there is no such cause.
     unexplained_count : int
         Number of pixels that the first cause, or otherwise the hint, leaves unexplained.  Without a
         hint, the number of wrong pixels.
     hint : tuple of str
-        If `causes` is empty, the cause with the most similar picture.  Empty if even that picture
-        explains less than half of the wrong pixels.
+        If `causes` is empty, the cause that comes closest to explaining the picture.  Empty if even
+        this cause leaves more than half of the wrong pixels unexplained.
     """
 
     causes: tuple[Cause, ...]
@@ -173,7 +173,7 @@ class MistakeRenderer:
         self.sample = subset[choose_from_strata(strata, sample_size)]
 
     def get_formulas(self, cause: Cause) -> Formulas:
-        """Collect the formulas that simulate a cause.
+        """Collect the formulas that simulate the given mistakes.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class MistakeRenderer:
         keyword : str
             Keyword of the mistake, such as "gamma".
         """
-        names = collect_names(self.mistakes[keyword].formulas)
+        names = collect_parameters(self.mistakes[keyword].formulas)
         return any(name.startswith("fitted_") for name in names)
 
     def make_cache(
@@ -229,7 +229,7 @@ class MistakeRenderer:
         self, formula_maps: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
         fitting_cache: FormulaCache | None = None, name: str = "codes",
     ) -> Array:  # fmt: skip
-        """Evaluate a formula at some pixels of several pictures with different mistakes.
+        """Evaluate a formula at some pixels of several pictures, which contain different mistakes.
 
         Parameters
         ----------
@@ -259,10 +259,10 @@ class MistakeRenderer:
 
     @cached_property
     def cause_groups(self) -> dict[Cause, list[Cause]]:
-        """Groups of causes that give the same picture, by the first cause of each group.
+        """Lists of causes that give the same picture; the first cause in each list is its key.
 
-        A cause contains one mistake.  It may also contain a variant (another way to write a correct
-        tracer) with which the mistake looks different.
+        A cause consists of one mistake, alone or with a variant: another way to write a correct
+        tracer, with which the mistake looks different.
 
         Mistakes that depend on numbers estimated from a submitted picture are omitted.  So are
         mistakes that concern a single surface or light, if the scene has many surfaces.
@@ -278,13 +278,13 @@ class MistakeRenderer:
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
         pixels = self.sample[:_GROUPING_PIXELS]
         pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixels)
-        # These mistakes may be visible only together with one that raises the radiance above 1.
+        # Keep these mistakes: they may show only with another one that raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
             for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes
         }  # fmt: skip
-        for cause, codes in zip(causes, pictures, strict=True):
-            group = groups.setdefault(codes.tobytes(), [])
+        for cause, picture in zip(causes, pictures, strict=True):
+            group = groups.setdefault(picture.tobytes(), [])
             if cause[:1] not in group:
                 group.append(cause)
         groups.pop(self.reference_codes[:, pixels].tobytes(), None)
@@ -298,10 +298,10 @@ class MistakeRenderer:
 
     @cached_property
     def rendered_pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Array]:
-        """All pairs of mistakes, rendered at k pixels.
+        """The pairs of mistakes to try, rendered at k pixels.
 
-        Item 0 maps each joined cause to the two causes that it joins.  Item 1 contains the 8-bit
-        codes (pairs, 3, k) of their pictures.  Item 2 contains the indices (k,) of the pixels.
+        Item 0 maps the joint cause of each pair to the pair's two causes.  Item 1 contains the
+        rendered 8-bit codes (pairs, 3, k).  Item 2 contains the indices (k,) of the pixels.
         """
         pixels = self.sample[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
@@ -320,8 +320,8 @@ class MistakeRenderer:
         Parameters
         ----------
         first, second : tuple of str
-            Keywords of mistakes that are made together.  The last keyword may be that of a variant:
-            another way to write a correct tracer.
+            Keywords of mistakes that are made together, perhaps followed by the keyword of a
+            variant (another way to write a correct tracer).
 
         Returns
         -------
@@ -423,24 +423,24 @@ class Submission:
     def _choose_blocks(self, count: int) -> tuple[Array, Array, int]:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
 
-        The chosen blocks form a smaller picture.  JPEG compresses each block separately, so
-        compression alters the blocks as it does in the whole picture, except at their edges.
+        The chosen blocks form a mosaic, one below the other.  JPEG compresses blocks separately, so
+        compression alters them as it does in the whole picture, except at their edges.
 
         Parameters
         ----------
         count : int
-            Number of pixels to choose, or `MAX_PIXELS` / 8 if that is more.  All pixels are chosen
-            if the picture has no more, or if it is less than a block wide or high.
+            Number of pixels to choose; raised to `MAX_PIXELS` / 8 if it is less.  If the picture
+            has no more pixels, or is narrower or lower than a block, all pixels are chosen.
 
         Returns
         -------
         pixels : (k,) int array
-            Indices of the pixels of the chosen blocks, in the order of the smaller picture.
+            Indices of the pixels of the chosen blocks, in the order of the mosaic.
         weights : (k,) float array
             Number of pixels of the whole picture that each chosen pixel represents; 0 at the edges
             of blocks.
         width : int
-            Width of the smaller picture: the width of a block, or of the whole picture.
+            Width of a block; or of the whole picture, if all pixels are chosen.
         """
         pixel_count, width, side = self.renderer.pixel_count, self.renderer.width, JPEG_BLOCK
         every_pixel, count = np.arange(pixel_count, dtype=np.int32), max(count, MAX_PIXELS // 8)
@@ -450,16 +450,16 @@ class Submission:
         rows, columns = (size // side * side for size in pixel_grid.shape)
         blocks: Array = pixel_grid[:rows, :columns].reshape(-1, side, columns // side, side)
         blocks = blocks.swapaxes(1, 2).reshape(-1, side, side)
-        has_wrong = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)
-        block_index = choose_from_strata(has_wrong, count // side**2)
-        block_weights = np.bincount(has_wrong) / np.bincount(has_wrong[block_index])
+        strata = self.is_wrong[blocks].any(axis=(1, 2)).astype(int)  # 1 if any pixel is wrong
+        block_index = choose_from_strata(strata, count // side**2)
+        block_weights = np.bincount(strata) / np.bincount(strata[block_index])
         weights = np.zeros((len(block_index), side, side))
-        weights[:, 1:-1, 1:-1] = block_weights[has_wrong[block_index], None, None]
+        weights[:, 1:-1, 1:-1] = block_weights[strata[block_index], None, None]
         weights *= side**2 / (side - 2) ** 2
         return blocks[block_index].ravel(), weights.ravel(), side
 
     def _compress(self, codes: Codes, width: int) -> Codes:
-        """Compress a picture as the file format of the submitted picture does.
+        """Compress a picture in the file format of the submitted picture, and decompress it.
 
         Parameters
         ----------
@@ -471,12 +471,12 @@ class Submission:
         Returns
         -------
         (3, n) uint8 array
-            The codes after compression; unchanged if `reencode` is None.
+            The codes after decompression; unchanged if `reencode` is None.
         """
         return to_columns(self._reencode(to_picture(codes, width))) if self._reencode else codes
 
     def _compare_levels(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
-        """Compare the submitted picture with pictures that are rendered with given causes.
+        """Render a picture with each cause, and compare it with the submitted picture.
 
         Parameters
         ----------
@@ -485,8 +485,8 @@ class Submission:
         pixels : (k,) int array
             Indices of the pixels to compare.
         width : int
-            Width of the picture that `pixels` form.  The rendered pictures are then compressed like
-            the submitted one.  By default, they are not compressed.
+            If given, the pixels form a picture of this width, and the rendered pictures are
+            compressed like the submitted picture.  By default, they are not compressed.
 
         Returns
         -------
@@ -500,9 +500,7 @@ class Submission:
         return compare_levels(pictures, self.codes[:, pixels])
 
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
-        """Count the pixels that each cause leaves unexplained or inexact, and cache the counts.
-
-        `_count_unexplained` and `_count_inexact` look up the counts.
+        """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them.
 
         Parameters
         ----------
@@ -536,9 +534,9 @@ class Submission:
         return self._counts_by_cause[cause][0]
 
     def _count_inexact(self, cause: Cause) -> int:
-        """Count the pixels that a cause does not reproduce exactly.
+        """Count the pixels of the submitted picture that a cause does not reproduce exactly.
 
-        Differences that lossy compression may explain are ignored.
+        If its format is lossy, differences of at most `format_noise` levels are ignored.
 
         Parameters
         ----------
@@ -603,10 +601,10 @@ class Submission:
         is_unexplained = differences > self.tolerance
         if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _HOPELESS_SHARE:
             return []
-        counts = is_unexplained @ weights
-        max_count = 1.5 * counts.min() + _CHANCE_MARGIN * weights.max()
-        order = np.argsort(counts, kind="stable")[:max_causes]
-        return [causes[k] for k in order if counts[k] <= max_count]
+        unexplained_counts = is_unexplained @ weights
+        max_unexplained = 1.5 * unexplained_counts.min() + _CHANCE_MARGIN * weights.max()
+        order = np.argsort(unexplained_counts, kind="stable")[:max_causes]
+        return [causes[k] for k in order if unexplained_counts[k] <= max_unexplained]
 
     def find_mistakes(self) -> Finding:
         """Search for the mistakes that explain the submitted picture.
@@ -616,8 +614,8 @@ class Submission:
         Returns
         -------
         Finding
-            The causes that explain the picture.  If there are none, perhaps a hint: the cause with
-            the most similar picture.
+            The causes that explain the picture.  If there are none, perhaps a hint: the cause that
+            comes closest to explaining it.
         """
         single_causes = self._add_rounding(self._rank_causes(self.renderer.single_causes))
         pairs = list[Cause]()
@@ -645,10 +643,10 @@ class Submission:
         return int((differences > self.tolerance).sum())
 
     def _select_best_pairs(self) -> list[Cause]:
-        """Select the pairs of mistakes whose pictures are most similar to the submitted picture.
+        """Select the pairs of mistakes that come closest to explaining the submitted picture.
 
-        If several mistakes give the same picture, only one is tried first.  The others are then
-        tried in its place in the best pairs.
+        If several mistakes give the same picture, only one is tried at first.  The others replace
+        it in the best pairs.
 
         Returns
         -------
@@ -666,7 +664,7 @@ class Submission:
             pairs |= {cause: (background, other) for other in groups
                       if (cause := renderer.join_causes(background, other))}  # fmt: skip
         best_pairs = self._rank_causes([*pairs])
-        # The best pairs, and all pairs with the same pictures; the keys of a dictionary are unique.
+        # The best pairs, and all pairs that give the same pictures; a dictionary has no duplicates.
         twin_pairs = {cause: None for pair in best_pairs
                       for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
                       if (cause := renderer.join_causes(first, second))}  # fmt: skip
@@ -675,8 +673,8 @@ class Submission:
     def _needs_each_mistake(self, cause: Cause) -> bool:
         """Test whether both mistakes of a pair are needed to explain the submitted picture.
 
-        With only one of the two mistakes, far more pixels must remain unexplained.  A pair with a
-        camera mistake must also show several surfaces: with fewer, it may agree by chance.
+        With only one of the mistakes, far more pixels must remain unexplained.  A picture with a
+        camera mistake must also show several surfaces, because few surfaces may match by chance.
 
         Parameters
         ----------
@@ -684,13 +682,13 @@ class Submission:
             Keywords of two mistakes, perhaps followed by those of a rounding mistake and of a
             variant (another way to write a correct tracer).
         """
-        pair_count = self._count_unexplained(cause)
-        if pair_count > self._max_unexplained:
+        pair_unexplained = self._count_unexplained(cause)
+        if pair_unexplained > self._max_unexplained:
             return False  # the pair will not be reported
-        min_count = pair_count + max(_MIN_RATIO * pair_count, 1)
+        min_unexplained = pair_unexplained + max(_MIN_RATIO * pair_unexplained, 1)
         for keyword in set(remove_variants(cause)).difference(mistakes.ROUNDINGS):
             remaining_cause = tuple(other for other in cause if other != keyword)
-            if self._count_unexplained(remaining_cause) < min_count:
+            if self._count_unexplained(remaining_cause) < min_unexplained:
                 return False
         renderer, formulas = self.renderer, self.renderer.get_formulas(cause)
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
@@ -721,8 +719,8 @@ class Submission:
         causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        unexplained_limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = [cause for cause in causes if self._count_unexplained(cause) < unexplained_limit]
+        relative_limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        causes = [cause for cause in causes if self._count_unexplained(cause) < relative_limit]
         max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting
@@ -730,9 +728,9 @@ class Submission:
         return sorted(causes, key=lambda cause: [keywords.index(keyword) for keyword in cause])
 
     def _add_rounding(self, causes: list[Cause]) -> list[Cause]:
-        """Add a rounding mistake to each cause if far more pixels then agree exactly.
+        """Add a rounding mistake to each cause that then reproduces far more pixels exactly.
 
-        A rounding mistake, such as truncating levels, changes 8-bit codes by at most one level.
+        A rounding mistake, such as truncation, changes 8-bit codes by at most 1.
 
         Parameters
         ----------
@@ -742,20 +740,20 @@ class Submission:
         Returns
         -------
         list of tuples of str
-            Each cause, unchanged or with one more keyword.
+            The causes in the same order, each unchanged or with the keyword of a rounding mistake.
         """
-        # Without a tolerance, rounding is found like any other mistake; lossy compression hides it.
+        # Without a tolerance, rounding is found like other mistakes; lossy compression hides it.
         if not self.tolerance or self.format_noise:
             return causes
         join, roundings = self.renderer.join_causes, mistakes.ROUNDINGS
-        option_lists = [[cause, *filter(None, (join(cause, (rounding,)) for rounding in roundings))]
-                        for cause in causes]  # fmt: skip
-        self._cache_counts([option for options in option_lists for option in options])
+        candidates = [[cause, *filter(None, (join(cause, (rounding,)) for rounding in roundings))]
+                      for cause in causes]  # fmt: skip
+        self._cache_counts([*chain(*candidates)])
         chosen_causes = list[Cause]()
-        for cause, options in zip(causes, option_lists, strict=True):
-            best_option = min(options, key=self._count_inexact)
-            max_inexact = _MIN_RATIO * max(self._count_inexact(best_option), _MAX_UNEXPLAINED)
-            chosen_causes.append(best_option if max_inexact < self._count_inexact(cause) else cause)
+        for cause, cause_candidates in zip(causes, candidates, strict=True):
+            best_cause = min(cause_candidates, key=self._count_inexact)
+            max_inexact = _MIN_RATIO * max(self._count_inexact(best_cause), _MAX_UNEXPLAINED)
+            chosen_causes.append(best_cause if max_inexact < self._count_inexact(cause) else cause)
         return chosen_causes
 
 

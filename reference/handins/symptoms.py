@@ -35,10 +35,10 @@ _MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
 
 
 def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
-    """Find the lights that are missing, or wrongly present, at each wrong pixel of a submission.
+    """Find the lights that wrongly shine, or fail to shine, on each wrong pixel.
 
-    Each wrong pixel is rendered with every set of lights.  If several sets reproduce the submitted
-    codes, the one with the fewest missing or extra lights is used.
+    Each wrong pixel is rendered with every subset of the scene's lights.  If several subsets
+    reproduce the submitted codes, the one with the fewest missing or extra lights is used.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     is_light_extra : (lights, n) bool array
         True if the light should be blocked, but reaches the pixel.
 
-    Both arrays are false at correct pixels, and where no set of lights reproduces the codes.  The
-    result is None if the scene is unknown, or has no lights or more than `_MAX_LIGHTS`.  It is also
-    None if no pixels are wrong, or more than `MAX_PIXELS`.
+    Both arrays are false at correct pixels, and where no subset of lights reproduces the codes.
+    The result is None if the scene is unknown.  It is also None if the number of lights is 0 or
+    above `_MAX_LIGHTS`, or if the number of wrong pixels is 0 or above `MAX_PIXELS`.
     """
     renderer, pixels = submission.renderer, np.flatnonzero(submission.is_wrong)
     # Without a scene, the renderer has no mistakes that concern lights.
@@ -218,7 +218,7 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     column_count = submitted_codes.shape[1] - width + 1
     if row_count <= 0 or column_count <= 0:
         return None
-    # Find the places of the upper left corner at which some random pixels agree.
+    # Find the places for the upper left corner where 50 random pixels of both pictures agree.
     may_be_corner = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
         window = submitted_codes[row : row + row_count, column : column + column_count]
@@ -250,7 +250,7 @@ def find_wrong_edge(is_wrong: Array) -> str:
 
 
 def find_symptom(submission: Submission) -> tuple[str, str] | None:
-    """Recognise a picture altered by rounding, shadow acne, JPEG compression or one wrong edge.
+    """Recognise rounding, shadow acne, JPEG compression or one wrong edge in a picture.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ def map_in_workers(
 
     If a worker dies, its job is started once more; after a second death, the job is abandoned.
     If there are few jobs, or if no process can be started, the calling process computes the
-    results.  At the end, it kills all its child processes that `multiprocessing` has started.
+    results.  At the end, all child processes that `multiprocessing` has started are killed.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ def map_in_workers(
     object
         The result of each job, in order of completion.
     """
-    # Each job with the number of workers that it has killed.
+    # Pairs of a job and its death count: the number of workers that it has killed.
     pending_jobs = deque((job, 0) for job in jobs)
-    # For each future: the job, that number, the worker, and the function that takes the next job.
+    # By future: the job, its death count, the worker, and the function that takes the next job.
     running_jobs: dict[Future[Result], tuple[Job, int, WorkerPool, Callable[[], Any]]] = {}
 
     def start_next_job(worker: WorkerPool, take_job: Callable[[], tuple[Job, int]]) -> None:

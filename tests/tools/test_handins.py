@@ -18,7 +18,7 @@ from PIL import Image
 from reference.command import SCENES
 from reference.handins.diagnosis import Diagnosis, Reference
 from reference.handins.folders import list_hand_ins, match_hand_ins
-from reference.handins.formulas import collect_names
+from reference.handins.formulas import collect_parameters
 from reference.handins.mistakes import REFERENCE_FORMULAS, list_mistakes
 from reference.handins.results import Result, sort_causes
 from reference.judges import plain
@@ -157,8 +157,8 @@ def test_every_mistake_of_the_table_can_be_rendered_and_most_show() -> None:
     shown = [kind for kind in table if (render_with_mistakes(small, kind) != right).any()]
     assert len(shown) > 0.8 * len(table) > 200
     assert all(one.sentence.endswith(".") for one in table.values())
-    known = {*REFERENCE_FORMULAS} | collect_names(REFERENCE_FORMULAS)
-    used = set[str]().union(*(collect_names(one.formulas) for one in table.values()))
+    known = {*REFERENCE_FORMULAS} | collect_parameters(REFERENCE_FORMULAS)
+    used = set[str]().union(*(collect_parameters(one.formulas) for one in table.values()))
     assert used - known == {"is_phong", "shader_of_number"}
 
 
