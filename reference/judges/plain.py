@@ -214,7 +214,7 @@ class _PlainTracer:
     ----------
     scene, surfaces : Scene, list of Surface
         The scene and its surfaces, in the order of the file.
-    to_numbers : callable
+    to_precision : callable
         Converts a number, or an array of numbers, to the number type of this tracer.
     intersect_sphere, start_shadow_rays : callables
         The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
@@ -260,22 +260,22 @@ class _PlainTracer:
         KeyError
             If a key does not exist.
         """
-        to_numbers, relative_tolerance = ARITHMETICS[arithmetic]
-        self.scene, self.surfaces, self.to_numbers = scene, scene.surfaces[:], to_numbers
+        to_precision, relative_tolerance = ARITHMETICS[arithmetic]
+        self.scene, self.surfaces, self.to_precision = scene, scene.surfaces[:], to_precision
         self.skips_own_object, self.prefers_last = shadow_method == "exact", ties == "last"
         self.intersect_sphere = SPHERE_METHODS[sphere_method]
         self.start_shadow_rays = SHADOW_METHODS[shadow_method]
-        self.eye = to_numbers(scene.camera.view_point)[:, None]
-        self.light_positions = [to_numbers(light.position)[:, None] for light in scene.lights]
+        self.eye = to_precision(scene.camera.view_point)[:, None]
+        self.light_positions = [to_precision(light.position)[:, None] for light in scene.lights]
         self.is_sphere = [isinstance(surface, Sphere) for surface in self.surfaces]
         shapes = [
             (each.center, [each.radius]) if isinstance(each, Sphere) else (each.min_pt, each.max_pt)
             for each in self.surfaces
         ]
-        self.shapes = [[to_numbers(numbers)[:, None] for numbers in shape] for shape in shapes]
-        coordinates = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
-        self.relative_tolerance = to_numbers(relative_tolerance)
-        self.scene_size = max(np.abs(array).max() for array in coordinates)
+        self.shapes = [[to_precision(numbers)[:, None] for numbers in shape] for shape in shapes]
+        lengths = [self.eye, *self.light_positions, *chain.from_iterable(self.shapes)]
+        self.relative_tolerance = to_precision(relative_tolerance)
+        self.scene_size = max(np.abs(array).max() for array in lengths)
         self.tolerance = self.relative_tolerance * self.scene_size
         distances = [self.compute_signed_distance(i, self.eye) for i in range(len(self.shapes))]
         self.is_eye_inside = [bool(distance[0] <= 0) for distance in distances]
@@ -299,14 +299,14 @@ class _PlainTracer:
         if not self.relative_tolerance:
             return values
         is_tiny = np.abs(values) <= self.relative_tolerance * scale
-        return np.where(is_tiny, self.to_numbers(0), values)
+        return np.where(is_tiny, self.to_precision(0), values)
 
-    def compute_signed_distance(self, surface: int, points: Array) -> Array:
+    def compute_signed_distance(self, surface_index: int, points: Array) -> Array:
         """Compute the signed distance of each point from a surface.
 
         Parameters
         ----------
-        surface : int
+        surface_index : int
             Index of the surface in the scene.
         points : (3, n) array
             The points.
@@ -317,11 +317,11 @@ class _PlainTracer:
             Positive outside the surface, 0 on it, negative inside.  For a box, this is the largest
             of the signed distances from the planes of its sides.
         """
-        if self.is_sphere[surface]:
-            center, radius = self.shapes[surface]
+        if self.is_sphere[surface_index]:
+            center, radius = self.shapes[surface_index]
             distance = _norm(points - center) - radius[0]
         else:
-            low, high = self.shapes[surface]
+            low, high = self.shapes[surface_index]
             distance = np.maximum(low - points, points - high).max(axis=0)
         return self.snap_to_zero(distance, self.scene_size)
 
@@ -338,25 +338,28 @@ class _PlainTracer:
         direction : (3, n) array
             Vectors from the eye to the positions on the camera's window.
         """
-        to_numbers, camera = self.to_numbers, self.scene.camera
+        to_precision, camera = self.to_precision, self.scene.camera
         width, height = self.scene.width, self.scene.height
-        ahead, window_normal = _normalise(to_numbers(camera.view_dir)), to_numbers(camera.normal)
-        backwards = _normalise(-window_normal if _dot(window_normal, ahead) > 0 else window_normal)
-        rightwards = _normalise(np.cross(to_numbers(camera.view_up), backwards))
-        upwards = np.cross(backwards, rightwards)
-        shift_right = to_numbers(2 * x - width) / (2 * width) * to_numbers(camera.view_width)
-        shift_up = to_numbers(height - 2 * y) / (2 * height) * to_numbers(camera.view_height)
-        window_center = ahead[:, None] * to_numbers(camera.proj_distance)
-        direction = window_center + np.outer(rightwards, shift_right) + np.outer(upwards, shift_up)
+        view_direction = _normalise(to_precision(camera.view_dir))
+        normal = to_precision(camera.normal)
+        back = _normalise(-normal if _dot(normal, view_direction) > 0 else normal)
+        right = _normalise(np.cross(to_precision(camera.view_up), back))
+        up = np.cross(back, right)
+        shift_right = to_precision(2 * x - width) / (2 * width) * to_precision(camera.view_width)
+        shift_up = to_precision(height - 2 * y) / (2 * height) * to_precision(camera.view_height)
+        eye_to_window = view_direction[:, None] * to_precision(camera.proj_distance)
+        direction = eye_to_window + np.outer(right, shift_right) + np.outer(up, shift_up)
         # With exact zeros, a ray can be exactly parallel to the sides of a box.
         return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
-    def intersect_slabs(self, box: int, origin: Array, direction: Array, is_closed: bool) -> Roots:
+    def intersect_slabs(
+        self, box_index: int, origin: Array, direction: Array, is_closed: bool
+    ) -> Roots:
         """Intersect rays with the three slabs between opposite sides of a box.
 
         Parameters
         ----------
-        box : int
+        box_index : int
             Index of the box among the surfaces of the scene.
         origin : (3, 1) or (3, n) array
             Origins of the rays.
@@ -371,20 +374,22 @@ class _PlainTracer:
             For each axis, the ray enters the slab at origin + near direction, and leaves it at
             origin + far direction.  If the ray misses the slab, near > far.
         """
-        corners = (corner - origin for corner in self.shapes[box])
+        corners = (corner - origin for corner in self.shapes[box_index])
         low, high = (self.snap_to_zero(corner, self.scene_size) for corner in corners)
-        is_between = (low <= 0) & (high >= 0) if is_closed else (low < 0) & (high > 0)
-        far_if_parallel = np.where(is_between, self.to_numbers(np.inf), self.to_numbers(-np.inf))
+        is_in_slab = (low <= 0) & (high >= 0) if is_closed else (low < 0) & (high > 0)
+        parallel_far = np.where(is_in_slab, self.to_precision(np.inf), self.to_precision(-np.inf))
         t_low, t_high = low / direction, high / direction
-        near = np.where(direction == 0, -far_if_parallel, np.minimum(t_low, t_high))
-        return near, np.where(direction == 0, far_if_parallel, np.maximum(t_low, t_high))
+        near = np.where(direction == 0, -parallel_far, np.minimum(t_low, t_high))
+        return near, np.where(direction == 0, parallel_far, np.maximum(t_low, t_high))
 
-    def intersect(self, surface: int, origin: Array, direction: Array, is_closed: bool) -> Roots:
+    def intersect(
+        self, surface_index: int, origin: Array, direction: Array, is_closed: bool
+    ) -> Roots:
         """Intersect rays with a sphere or a box.
 
         Parameters
         ----------
-        surface : int
+        surface_index : int
             Index of the surface in the scene.
         origin : (3, 1) or (3, n) array
             Origins of the rays.
@@ -399,10 +404,10 @@ class _PlainTracer:
             The ray meets the surface at origin + t direction for t = near and far.  If it misses
             the surface, near > far, or both are NaN.
         """
-        if self.is_sphere[surface]:
-            center, radius = self.shapes[surface]
+        if self.is_sphere[surface_index]:
+            center, radius = self.shapes[surface_index]
             return self.intersect_sphere(origin, direction, center, radius[0])
-        near, far = self.intersect_slabs(surface, origin, direction, is_closed)
+        near, far = self.intersect_slabs(surface_index, origin, direction, is_closed)
         return near.max(axis=0), far.min(axis=0)
 
     def trace(self, x: Array, y: Array) -> TracedRays:
@@ -419,29 +424,29 @@ class _PlainTracer:
             For each ray, the visible surface, the lights that reach this surface, and the radiance.
         """
         direction = self.compute_ray_directions(x, y)
-        closest_t, surface = self.find_closest(direction)
-        hit_index = np.flatnonzero(surface >= 0)
-        visible_surface, direction = surface[hit_index], direction.take(hit_index, 1)
-        points = self.eye + closest_t[hit_index] * direction
+        closest_t, surface_index = self.find_closest_hits(direction)
+        ray_index = np.flatnonzero(surface_index >= 0)
+        hit_surface, direction = surface_index[ray_index], direction.take(ray_index, 1)
+        points = self.eye + closest_t[ray_index] * direction
         normals = np.zeros_like(points)
-        for i in np.unique(visible_surface).tolist():
-            ray_index = np.flatnonzero(visible_surface == i)
-            hits = points.take(ray_index, 1), direction.take(ray_index, 1)
-            points[:, ray_index], normals[:, ray_index] = self.project_onto_surface(i, *hits)
+        for i in np.unique(hit_surface).tolist():
+            hit_index = np.flatnonzero(hit_surface == i)
+            hits = points.take(hit_index, 1), direction.take(hit_index, 1)
+            points[:, hit_index], normals[:, hit_index] = self.project_onto_surface(i, *hits)
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
         for light, light_position, is_reached in lights:
-            is_reached[hit_index] = self.is_lit(visible_surface, points, normals, light_position)
+            is_reached[ray_index] = self.is_lit(hit_surface, points, normals, light_position)
             to_light, to_eye = _normalise(light_position - points), -_normalise(direction)
-            for i in np.unique(visible_surface[is_reached[hit_index]]).tolist():
-                ray_index = np.flatnonzero(is_reached[hit_index] & (visible_surface == i))
-                unit_vectors = (vector.take(ray_index, 1) for vector in (normals, to_light, to_eye))
+            for i in np.unique(hit_surface[is_reached[ray_index]]).tolist():
+                hit_index = np.flatnonzero(is_reached[ray_index] & (hit_surface == i))
+                unit_vectors = (vector.take(hit_index, 1) for vector in (normals, to_light, to_eye))
                 reflected = self.compute_reflected_radiance(i, *unit_vectors)
-                radiance[hit_index[ray_index]] += reflected * light.intensity
-        return TracedRays(radiance, surface, is_lit)
+                radiance[ray_index[hit_index]] += reflected * light.intensity
+        return TracedRays(radiance, surface_index, is_lit)
 
-    def find_closest(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
+    def find_closest_hits(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
         """Find the closest intersection of each camera ray with any surface.
 
         Parameters
@@ -453,28 +458,29 @@ class _PlainTracer:
         -------
         closest_t : (n,) array
             The smallest t at which each ray, eye + t direction, meets a surface, or infinity.
-        surface : (n,) int array
-            Index of the surface intersected there, or -1.
+        surface_index : (n,) int array
+            Index of the surface that the ray meets there, or -1.
         """
         ray_count, direction_length = direction.shape[1], _norm(direction)
-        closest_t, surface = self.to_numbers(np.full(ray_count, np.inf)), np.full(ray_count, -1)
-        surface_indices = range(len(self.shapes))
-        for i in reversed(surface_indices) if self.prefers_last else surface_indices:
+        closest_t = self.to_precision(np.full(ray_count, np.inf))
+        surface_index = np.full(ray_count, -1)
+        for i in range(len(self.shapes))[:: -1 if self.prefers_last else 1]:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
             t = far if self.is_eye_inside[i] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
             is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
-            closest_t, surface = np.where(is_closer, t, closest_t), np.where(is_closer, i, surface)
-        return closest_t, surface
+            closest_t = np.where(is_closer, t, closest_t)
+            surface_index = np.where(is_closer, i, surface_index)
+        return closest_t, surface_index
 
     def project_onto_surface(
-        self, surface: int, points: Array, direction: Array
+        self, surface_index: int, points: Array, direction: Array
     ) -> tuple[Array, Array]:
         """Move points near a surface exactly onto it, and compute the normals there.
 
         Parameters
         ----------
-        surface : int
+        surface_index : int
             Index of the surface in the scene.
         points, direction : (3, n) arrays
             Points where camera rays meet the surface, and the directions of these rays.  The points
@@ -487,14 +493,14 @@ class _PlainTracer:
         normals : (3, n) array
             Unit normals on the side of the surface that is visible to the eye.
         """
-        is_eye_inside, shape = self.is_eye_inside[surface], self.shapes[surface]
-        if self.is_sphere[surface]:
+        is_eye_inside, shape = self.is_eye_inside[surface_index], self.shapes[surface_index]
+        if self.is_sphere[surface_index]:
             center, (radius,) = shape
             outward = (points - center) / radius
             return center + radius * outward, -outward if is_eye_inside else outward
         low, high = shape
-        near, far = self.intersect_slabs(surface, self.eye, direction, is_closed=True)
-        # At an edge or a corner, sides are tied.  The one along the first or last axis is visible.
+        near, far = self.intersect_slabs(surface_index, self.eye, direction, is_closed=True)
+        # At an edge or a corner, several sides are tied.  The first or the last axis wins.
         side_t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
         is_tied = np.asarray(np.abs(side_t - visible_t) * _norm(direction) <= self.tolerance)
         axis = 2 - is_tied[::-1].argmax(axis=0) if self.prefers_last else is_tied.argmax(axis=0)
@@ -502,7 +508,7 @@ class _PlainTracer:
         is_forward = direction[axis, ray_index] > 0
         points[axis, ray_index] = np.where(is_forward == is_eye_inside, high[axis, 0], low[axis, 0])
         normals = np.zeros_like(points)
-        normals[axis, ray_index] = self.to_numbers(np.where(is_forward, -1, 1))
+        normals[axis, ray_index] = self.to_precision(np.where(is_forward, -1, 1))
         return points, normals
 
     def is_lit(self, surface_index: Array, points: Array, normals: Array, light: Array) -> Array:
@@ -526,9 +532,8 @@ class _PlainTracer:
         is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
         for i, is_eye_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
-            points_and_normals = points.take(index, 1), normals.take(index, 1)
-            ray_origin, min_length = self.start_shadow_rays(*points_and_normals)
-            is_blocked = self.is_blocking(i, ray_origin, light, min_length)
+            ray_origin, epsilon = self.start_shadow_rays(points[:, index], normals[:, index])
+            is_blocked = self.is_blocking(i, ray_origin, light, epsilon)
             if self.skips_own_object:
                 # A surface shades its own points only if it contains the eye, but not the light.
                 shades_itself = is_eye_inside and self.compute_signed_distance(i, light)[0] >= 0
@@ -536,56 +541,56 @@ class _PlainTracer:
             is_lit[index] = ~is_blocked
         return is_lit
 
-    def is_blocking(self, surface: int, points: Array, light: Array, min_length: float) -> Array:
+    def is_blocking(self, surface_index: int, points: Array, light: Array, epsilon: float) -> Array:
         """Test whether a surface blocks the segment from each point to a light.
 
         Intersections at the ends of the segment do not count.
 
         Parameters
         ----------
-        surface : int
+        surface_index : int
             Index of the surface in the scene.
         points : (3, n) array
             The points.
         light : (3, 1) array
             Position of the light.
-        min_length : float
+        epsilon : float
             Distance from the point within which intersections are ignored.
 
         Returns
         -------
-        is_blocking : (n,) bool array
-            Whether the surface blocks the light from each point.
+        is_blocked : (n,) bool array
+            Whether the surface blocks the segment.
         """
         distance = _norm(light - points)
         direction = (light - points) / distance
         direction = self.snap_to_zero(direction, np.abs(direction).max(axis=0))
-        min_t, max_t = self.to_numbers(min_length) + self.tolerance, distance - self.tolerance
+        min_t, max_t = self.to_precision(epsilon) + self.tolerance, distance - self.tolerance
 
         def is_between(t: Array) -> Any:
             """Test which distances t (n,) lie strictly between the point and the light."""
             return (t > min_t) & (t < max_t)
 
-        near, far = self.intersect(surface, points, direction, is_closed=False)
+        near, far = self.intersect(surface_index, points, direction, is_closed=False)
         is_blocked = (near <= far) & (is_between(near) | is_between(far))
-        if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface]:
+        if self.relative_tolerance and self.skips_own_object and self.is_sphere[surface_index]:
             # If the light or the point is on the sphere, one intersection is known exactly.  The
             # other follows from symmetry: t = middle_t is halfway between them.
-            middle_t = _dot(self.shapes[surface][0] - points, direction)
+            middle_t = _dot(self.shapes[surface_index][0] - points, direction)
             blocks_light_on_sphere = is_between(2 * middle_t - distance)
-            is_light_on_sphere = self.compute_signed_distance(surface, light) == 0
+            is_light_on_sphere = self.compute_signed_distance(surface_index, light) == 0
             is_blocked = np.where(is_light_on_sphere, blocks_light_on_sphere, is_blocked)
-            # A segment from a point on the sphere is blocked if it starts on the side opposite the
-            # eye, or meets the sphere again.
-            is_outward = (middle_t < -self.tolerance) | is_between(2 * middle_t)
-            is_inward = middle_t > self.tolerance
-            blocks_point_on_sphere = is_outward if self.is_eye_inside[surface] else is_inward
-            is_point_on_sphere = self.compute_signed_distance(surface, points) == 0
+            # A segment from a point on the sphere is blocked if it starts on the side hidden from
+            # the eye, or if it meets the sphere again.
+            blocks_point_on_sphere = middle_t > self.tolerance
+            if self.is_eye_inside[surface_index]:
+                blocks_point_on_sphere = (middle_t < -self.tolerance) | is_between(2 * middle_t)
+            is_point_on_sphere = self.compute_signed_distance(surface_index, points) == 0
             is_blocked = np.where(is_point_on_sphere, blocks_point_on_sphere, is_blocked)
         return np.asarray(is_blocked)
 
     def compute_reflected_radiance(
-        self, surface: int, normals: Array, to_light: Array, to_eye: Array
+        self, surface_index: int, normals: Array, to_light: Array, to_eye: Array
     ) -> NDArray[np.float64]:
         """Compute the radiance that surface points reflect from a light of intensity 1.
 
@@ -595,7 +600,7 @@ class _PlainTracer:
 
         Parameters
         ----------
-        surface : int
+        surface_index : int
             Index of the surface in the scene.
         normals, to_light, to_eye : (3, n) arrays
             Unit vectors: normals, and directions to the light and to the eye.
@@ -605,20 +610,20 @@ class _PlainTracer:
         radiance : (n, 3) float array
             Reflected linear RGB radiance.
         """
-        shader = self.surfaces[surface].shader
+        shader = self.surfaces[surface_index].shader
         radiance = np.outer(_dot(normals, to_light).astype(float), shader.diffuse)
         if isinstance(shader, Phong) and any(shader.specular):
             cosine = _dot(normals, _normalise(to_light + to_eye))
-            clamped_cosine = np.where(cosine > 0, cosine, self.to_numbers(0))
+            clamped_cosine = np.where(cosine > 0, cosine, self.to_precision(0))
             # Decimal cannot compute 0 to the power of 0.
-            exponent = self.to_numbers(shader.exponent)
-            lobe = clamped_cosine**exponent if exponent else np.ones(clamped_cosine.size)
-            radiance += np.outer(lobe.astype(float), shader.specular)
+            exponent = self.to_precision(shader.exponent)
+            cosine_power = clamped_cosine**exponent if exponent else np.ones(clamped_cosine.size)
+            radiance += np.outer(cosine_power.astype(float), shader.specular)
         return radiance
 
 
 def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRays:
-    """Trace a camera ray through each of n positions in the picture, testing every object.
+    """Trace a camera ray through each of n positions, and test it against every object.
 
     Parameters
     ----------
@@ -629,12 +634,12 @@ def trace(scene: Scene, x: ArrayLike, y: ArrayLike, **methods: str) -> TracedRay
         pixel has its centre at (0.5, 0.5).
     **methods : str
         `arithmetic` : the number type, a key of `ARITHMETICS`; by default "float64".
-        `sphere_method` : how rays are intersected with spheres, a key of `SPHERE_METHODS`; by
+        `sphere_method` : how to intersect rays with spheres, a key of `SPHERE_METHODS`; by
         default "closest".
-        `shadow_method` : how surfaces are kept from shading their own points, a key of
+        `shadow_method` : how to keep surfaces from shading their own points, a key of
         `SHADOW_METHODS`; by default "exact".
-        `ties` : which of several equally close surfaces is visible, the "first" in the scene file
-        (the default) or the "last".
+        `ties` : which of several equally close surfaces is visible, the "first" or the "last" in
+        the scene file; by default "first".
 
     Returns
     -------
