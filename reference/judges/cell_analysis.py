@@ -109,12 +109,12 @@ class _Condition(NamedTuple):
     functions : _RayFunctions
         The n functions of the camera ray.
     has_edge : bool, or (n,) bool array
-        Whether the picture may have an edge where the function is zero.
+        Whether the picture may have an edge where the function is zero; by default True.
     """
 
     claim_index: Ints
     functions: _RayFunctions
-    has_edge: Bools | bool
+    has_edge: Bools | bool = True
 
 
 def _enclose_cone(
@@ -267,8 +267,8 @@ class CellAnalysis:
         Parameters
         ----------
         functions : _RayFunctions
-            n functions of the form smooth_part + root_factor * root_term.  The root term is
-            a square root for a sphere, and 0 for a side of a box.
+            n functions of the form smooth_part + root_factor * root_term, each for one pair (a cell
+            and a face in it).  The root term is a square root for a sphere, and 0 for a side.
 
         Returns
         -------
@@ -287,18 +287,18 @@ class CellAnalysis:
     ) -> Bools:
         """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
-        A claim concerns a pair (a cell and a face in it): for example, that the face covers the
-        cell.  It is true where all its conditions hold, and a condition holds where its function is
-        positive.  If a claim is undecided, each function that may change its sign in the cell
-        becomes a possible edge.
+        A claim is a statement about a pair (a cell and a face in it), such as "the face covers the
+        cell".  The claim is true wherever the functions of all its conditions are positive.  If the
+        claim may be true in only a part of the cell, it is undecided.  Then each of its functions
+        that may change sign in the cell is listed as a possible edge.
 
         Parameters
         ----------
         light : (n,) int array, or int
             For each claim, the index of the light that it concerns, or -1 if it concerns no light.
         is_false : (n,) bool array
-            Changed in place: set to True for each claim that is false everywhere in its cell.  This
-            happens after each condition, so that later conditions can skip such claims.
+            For each claim, whether it is certainly false everywhere in its cell.  The array is
+            updated in place after each condition, so later conditions can skip such claims.
         conditions : iterable of _Condition
             Conditions, each for some of the claims.  Those without `has_edge` give no edges.
 
@@ -324,12 +324,12 @@ class CellAnalysis:
         return is_true & ~is_false
 
     def _narrow_enclosures(self, functions: _RayFunctions, enclosures: Enclosures) -> Enclosures:
-        """Replace edge functions on spheres where this makes their enclosures narrower.
+        """Replace the enclosures of edge functions on spheres with narrower ones, where possible.
 
         An edge function is smooth_part + root_factor * root_term, where the root term is a square
         root.  Near a silhouette, the root term is steep, so its enclosure is wide.  The replacement
-        smooth_part^2 - (root_factor * root_term)^2 has the same zeros, and perhaps others.  It
-        contains only the square of the root term.
+        encloses smooth_part^2 - (root_factor * root_term)^2, which has the same zeros, and perhaps
+        others.  This function contains no root, because the root term is squared.
 
         Parameters
         ----------
@@ -341,23 +341,24 @@ class CellAnalysis:
         Returns
         -------
         enclosures : Enclosures
-            The same enclosures, with replacements where their `relative_width` is smaller.
+            The same enclosures, each replaced if the replacement has a smaller `relative_width`.
         """
-        # On sides of boxes, the coefficient of the unknown Z is 0.
+        # On sides of boxes, there is no unknown Z: its coefficient is 0.
         sphere_index = np.flatnonzero(enclosures.coef[UNKNOWN])
         if sphere_index.size:
-            pair, smooth_part, factor = functions.take(sphere_index)
-            replacement = smooth_part * smooth_part - self.squared_root_term[pair] * factor * factor
+            pair, smooth_part, root_factor = functions.take(sphere_index)
+            squared_root_part = self.squared_root_term[pair] * root_factor * root_factor
+            replacement = smooth_part * smooth_part - squared_root_part
             is_narrower = replacement.relative_width < enclosures[sphere_index].relative_width
             enclosures.coef[:, sphere_index[is_narrower]] = replacement.coef[:, is_narrower]
         return enclosures
 
     def _find_visible_faces(self) -> None:
-        """Enclose the inverse distance of each pair's face, and remove invisible pairs.
+        """Remove invisible pairs, and enclose the inverse distance 1 / t of each remaining face.
 
-        A pair consists of a cell and a face that may be visible in it.  A pair is removed if its
-        face is outside the cell, or is hidden by another face everywhere in the cell.  The outlines
-        of the remaining faces become possible edges.
+        A pair consists of a cell and a face that may be visible in it.  A camera ray with direction
+        d meets the face at t d.  A pair is removed if the face is outside the cell, or is hidden
+        everywhere in it.  The outlines of the remaining faces become possible edges.
 
         The results are stored in `inverse_distance`, `root_term`, `squared_root_term` and `cells`.
         """
@@ -399,8 +400,8 @@ class CellAnalysis:
         """Yield the conditions under which camera rays hit the face of each pair.
 
         A pair consists of a cell and a face in it.  A ray hits a side of a box if it meets the
-        side's plane within all four edges.  It hits a sphere if the sphere is ahead of the eye, and
-        the ray's line meets the sphere.  Faces that all rays hit are skipped.
+        side's plane within all four edges.  A ray hits a sphere if the sphere is ahead of the eye,
+        and the ray's line meets the sphere.  There is no condition for faces that all rays hit.
 
         Parameters
         ----------
@@ -417,20 +418,20 @@ class CellAnalysis:
         pair = np.flatnonzero(~cells.covers_cell & is_planar)
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
             half_space = half_spaces[:, cells.pair_face[pair]]
-            yield _Condition(pair, self._express_half_space(pair, half_space), has_edge=True)
+            yield _Condition(pair, self._express_half_space(pair, half_space))
         pair = np.flatnonzero(~cells.covers_cell & ~is_planar)
         pair = pair[faces.eye_power[cells.pair_face[pair]] > 0]  # the eye is outside the sphere
         center, zeros = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
         center_dot_ray = self._dot_with_rays(center, cells.pair_cell[pair])
-        # This is no edge: where the function is 0, the line misses the sphere.
+        # The zero of this function is no edge: there, the ray's line misses the sphere.
         yield _Condition(pair, _RayFunctions(pair, center_dot_ray, zeros), has_edge=False)
-        yield _Condition(pair, _RayFunctions(pair, discriminants[pair], zeros), has_edge=True)
+        yield _Condition(pair, _RayFunctions(pair, discriminants[pair], zeros))
 
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
-        """Find the pairs whose face is certainly hidden by another face everywhere in the cell.
+        """Find the pairs whose face is hidden by another face everywhere in the cell.
 
-        A pair consists of a cell and a face in it.  Only one occluder is tried in each cell: of all
-        faces that cover the cell, the one with the smallest upper bound on its distance.
+        A pair consists of a cell and a face in it.  In each cell, only one occluder is tested: the
+        face that covers the cell and has the smallest upper bound on its distance.
 
         Parameters
         ----------
@@ -462,18 +463,18 @@ class CellAnalysis:
         is_hidden[pair] = np.where(is_in_same_plane, comes_later, is_behind)
         return is_hidden
 
-    def _express_light_height(self, pair: Ints, light: Ints) -> _RayFunctions:
+    def _express_light_height(self, pair: Ints, light: Ints | int) -> _RayFunctions:
         """Express the heights of lights above faces as functions of the camera ray.
 
-        Heights are measured from the face's tangent plane at the point where the ray meets the
-        face.  They are divided by the distance from the eye to this point.  They are positive for
-        lights in front of the face.
+        The ray with direction d meets the face at t d.  The function is the light's height above
+        the tangent plane of the face at this point, divided by t.  It is positive if the light is
+        in front of the face.
 
         Parameters
         ----------
         pair : (n,) int array
             Indices of pairs.  A pair consists of a cell and a face in it.
-        light : (n,) int array
+        light : (n,) int array, or int
             For each pair, the index of a light.  Index -1 stands for the eye.
 
         Returns
@@ -485,18 +486,17 @@ class CellAnalysis:
         return self._express_half_space(pair, self.faces.height_half_space[:, light, face])
 
     def _find_terminators(self) -> None:
-        """Find terminators on spheres, and mark lights that cannot reach a sphere in a cell.
+        """Find terminators on spheres, and settle the lights that leave a sphere in a cell dark.
 
-        A terminator is the curve between the lit and the dark side of a sphere.  If all of the
-        sphere in a cell is certainly dark, the light is marked in `cells.is_settled`.  If only
-        a part may be dark, the terminator becomes a possible edge.
+        A terminator is the curve between the lit and the dark side of a sphere.  If the sphere is
+        certainly dark everywhere in a cell, the light is marked in `cells.is_settled`.  If only
+        a part of the sphere may be dark, the terminator becomes a possible edge.
         """
         # Lights behind a side of a box are settled from the start.
         is_sphere = ~self.faces.is_planar[self.cells.pair_face]
         pair, light = np.nonzero(~self.cells.is_settled & is_sphere[:, None])
         is_unlit = np.zeros(pair.size, np.bool_)
-        height_functions = self._express_light_height(pair, light)
-        condition = _Condition(np.arange(pair.size), height_functions, has_edge=True)
+        condition = _Condition(np.arange(pair.size), self._express_light_height(pair, light))
         self._decide_claims(light, is_unlit, [condition])
         self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
 
@@ -529,7 +529,7 @@ class CellAnalysis:
         cell, the light is marked in `cells.is_settled`.  If it may shade only a part, the outline
         of its shadow becomes a possible edge.  Triples that no longer matter are removed.
 
-        Cells of the width `MAX_WIDTH` have no triples yet, so these are created first.
+        Cells of width `MAX_WIDTH` have no triples yet, so their triples are listed first.
         """
         cells = self.cells
         if cells.width == MAX_WIDTH:
@@ -537,26 +537,25 @@ class CellAnalysis:
             triples = self.faces.find_occluders(*part_boxes, cells.pair_face, ~cells.is_settled.T)
             self.cells = cells = cells._replace(triples=triples)
         pair, light, _ = cells.triples
-        # `_decide_claims` updates `is_lit` after each condition.
-        is_lit = np.zeros(pair.size, dtype=np.bool_)
+        # `_decide_claims` updates `casts_no_shadow` after each condition.
+        casts_no_shadow = np.zeros(pair.size, dtype=np.bool_)
         sphere_conditions = self._make_sphere_shadow_conditions()
-        conditions = chain(sphere_conditions, self._make_box_shadow_conditions(is_lit))
-        is_shaded = self._decide_claims(light, is_lit, conditions)
+        conditions = chain(sphere_conditions, self._make_box_shadow_conditions(casts_no_shadow))
+        is_shaded = self._decide_claims(light, casts_no_shadow, conditions)
         cells.is_settled[pair[is_shaded], light[is_shaded]] = True
-        self.cells = cells.select_triples(~is_lit & ~cells.is_settled[pair, light])
+        self.cells = cells.select_triples(~casts_no_shadow & ~cells.is_settled[pair, light])
 
     def _make_sphere_shadow_conditions(self) -> Iterator[_Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a sphere.
 
-        There are two conditions.  The ray must meet the face inside the cone from the light around
-        the sphere.  It must also meet the face behind the plane in which the cone touches the
-        sphere.
+        First, the ray must meet the face inside the cone from the light around the sphere.  Second,
+        the ray must meet the face behind the plane in which the cone touches the sphere.
 
         Yields
         ------
         condition : _Condition
-            The two conditions, each for all triples whose occluder is a sphere.  A triple is
-            a possible shadow: a pair (a cell and a face in it), a light, an occluder.
+            First one condition, then the other, for all triples whose occluder is a sphere.
+            A triple is a possible shadow: a pair (a cell and a face in it), a light, an occluder.
         """
         triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
         faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
@@ -586,7 +585,7 @@ class CellAnalysis:
         s2 = self.squared_root_term[pair]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         u.coef[ERROR] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
-        yield _Condition(triple_index, _RayFunctions(pair, u, Enclosures(v)), has_edge=True)
+        yield _Condition(triple_index, _RayFunctions(pair, u, Enclosures(v)))
         # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
         products = to_center * center
@@ -594,29 +593,29 @@ class CellAnalysis:
         plane_functions = self._express_half_space(pair, np.array([*to_center, b, b_size]))
         yield _Condition(triple_index, plane_functions, has_edge=False)
 
-    def _make_box_shadow_conditions(self, is_lit: Bools) -> Iterator[_Condition]:
+    def _make_box_shadow_conditions(self, casts_no_shadow: Bools) -> Iterator[_Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a box.
 
-        The shadow is the intersection of at most nine half-spaces.  The ray must meet the face
-        inside all of them, so each half-space gives one condition.
+        The shadow is the intersection of at most nine half-spaces.  Each half-space gives one
+        condition: the ray must meet the face inside it.
 
         Parameters
         ----------
-        is_lit : (q,) bool array
-            For each triple, whether earlier conditions have shown that the occluder shades no part
-            of the face in the cell.  A triple is a possible shadow: a pair (a cell and a face in
-            it), a light, an occluder.  The caller may update this array between conditions.
+        casts_no_shadow : (q,) bool array
+            For each triple, whether the occluder certainly does not shade the face in the cell.
+            A triple is a possible shadow: a pair (a cell and a face in it), a light, an occluder.
+            The caller may update this array between conditions.
 
         Yields
         ------
         condition : _Condition
-            A condition for all triples whose occluder is a box, except those marked in `is_lit`.
+            A condition for all triples whose occluder is a box that may cast a shadow.
         """
         pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
         is_box = box >= 0  # the index is negative if the occluder is a sphere
         shadow_planes = self.faces.shadow_volume.swapaxes(0, 1)
         for half_spaces, has_edge in zip(shadow_planes, self.faces.has_shadow_edge, strict=True):
-            index = np.flatnonzero(is_box & ~is_lit)
+            index = np.flatnonzero(is_box & ~casts_no_shadow)
             half_space = half_spaces[:, light[index], box[index]]
             # A box seen edge-on from the light has fewer than nine planes.
             has_plane = half_space[:4].any(axis=0)
@@ -625,10 +624,10 @@ class CellAnalysis:
             yield _Condition(index, functions, has_edge[light[index], box[index]])
 
     def _find_intersections(self) -> None:
-        """List a possible edge wherever two faces may intersect in a cell.
+        """Find possible edges where two faces may intersect in a cell.
 
-        The intersection of two faces lies in a plane.  The edge is where camera rays meet one of
-        the faces on this plane.
+        The intersection of two faces lies in a plane.  The possible edge is where camera rays meet
+        one of the faces in this plane.
         """
         faces, cells = self.faces, self.cells
         sorted_pair = np.argsort(cells.pair_cell, kind="stable")
@@ -636,7 +635,7 @@ class CellAnalysis:
         # Combine each pair (a cell and a face in it) with all earlier pairs of the same cell.
         positions = list_segment_elements(np.arange(sorted_pair.size) - cell_start, cell_start)
         pair, other_pair = (sorted_pair[position] for position in positions)
-        # If only one face is planar, swap the pairs so that it is `other_face`.
+        # If only one of two faces is planar, make it the other face.
         is_planar = faces.is_planar[cells.pair_face[pair]]
         pair, other_pair = np.where(is_planar, (other_pair, pair), (pair, other_pair))
         face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
@@ -648,8 +647,7 @@ class CellAnalysis:
         plane, is_sphere = faces.face_equation[:, other_face], ~faces.is_planar[other_face]
         sphere_equation = faces.face_equation[:, face[is_sphere]]
         plane[:, is_sphere] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
-        functions = self._express_half_space(pair, plane)
-        condition = _Condition(np.arange(pair.size), functions, has_edge=True)
+        condition = _Condition(np.arange(pair.size), self._express_half_space(pair, plane))
         self._decide_claims(-1, np.zeros(pair.size, np.bool_), [condition])
 
     def collect_edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
@@ -674,8 +672,8 @@ class CellAnalysis:
     def shade(self, is_requested: Bools, permitted_error: float) -> Contributions:
         """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
 
-        A pair consists of a cell and a face in it.  A light is settled for a pair if none of
-        the light's edges can cross the cell, and its radiance is accurate enough.  This radiance is
+        A pair consists of a cell and a face in it.  A light reaches all of the face if no edge of
+        the light can cross the cell.  If its radiance is also accurate enough, this radiance is
         added to `cells.radiance`, and the light is marked in `cells.is_settled`.
 
         Parameters
@@ -683,8 +681,8 @@ class CellAnalysis:
         is_requested : (p,) bool array
             For each pair, whether to compute its radiance.
         permitted_error : float
-            Permitted error of the radiance due to all settled lights of a pair together, in any
-            channel.  Each light may cause an equal part of it.
+            Permitted error of the radiance that a pair reflects from all settled lights together,
+            in any channel.  Each light may cause an equal part of this error.
 
         Returns
         -------
@@ -705,7 +703,9 @@ class CellAnalysis:
         return contributions.select(~is_newly_settled)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that each unsettled light adds where it reaches a face.
+        """Enclose the radiance that each unsettled light adds to a face where it reaches the face.
+
+        A light is unsettled if it may reach only a part of the face in the cell.
 
         Parameters
         ----------
@@ -740,8 +740,7 @@ class CellAnalysis:
         glossy_index = np.flatnonzero(scene.is_glossy[object_index])
         glossy_pair, glossy_pair_index = np.unique(pair[glossy_index], return_inverse=True)
         inverse_ray_length = self.squared_ray_length.power(-0.5)  # 1 / |d|
-        eye_functions = self._express_light_height(glossy_pair, 0 * glossy_pair - 1)
-        eye_height = self._enclose_functions(eye_functions)
+        eye_height = self._enclose_functions(self._express_light_height(glossy_pair, -1))
         n_dot_v = eye_height * inverse_ray_length[cells.pair_cell[glossy_pair]]
         scale = inverse_light_distance[glossy_index] * inverse_ray_length[cell[glossy_index]]
         l_dot_v = (squared_ray_length - q_dot_d_over_t)[glossy_index] * scale

@@ -139,16 +139,15 @@ class Cells(NamedTuple):
         """Total area of all cells, in square pixels."""
         return self.x.size * self.width**2
 
-    def split_into_quarters(self, width: int, height: int) -> Cells:
-        """Divide each cell into four quarters, which inherit its pairs and triples.
+    def split_into_quarters(self, picture_width: int, picture_height: int) -> Cells:
+        """Divide each cell into four quarters with the same pairs and triples.
 
         A pair consists of a cell and a face that may be visible in it.  A triple describes
         a possible shadow: a pair, a light, and an object that may shade the face from the light.
-        A quarter inherits even the pairs and triples that do not matter in it.
 
         Parameters
         ----------
-        width, height : int
+        picture_width, picture_height : int
             Size of the picture in pixels.
 
         Returns
@@ -156,7 +155,7 @@ class Cells(NamedTuple):
         quarters : Cells
             The quarters, without those outside the picture.
         """
-        quarter, half_width = np.arange(4), self.width / 4
+        quarter, half_width = np.arange(4), self.width / 4  # half the width of a quarter
         x = np.add.outer(self.x, (2 * (quarter & 1) - 1) * half_width).ravel()
         y = np.add.outer(self.y, (quarter & 2) * half_width - half_width).ravel()
         pair, light, occluder = self.triples.repeat(4, axis=1)
@@ -171,7 +170,7 @@ class Cells(NamedTuple):
             radiance=self.radiance.split_into_quarters(),
             triples=np.array([4 * pair + np.tile(quarter, pair.size // 4), light, occluder]),
         )
-        is_inside = (x - half_width < width) & (y - half_width < height)
+        is_inside = (x - half_width < picture_width) & (y - half_width < picture_height)
         return quarters if is_inside.all() else quarters.select_cells(is_inside)
 
 
@@ -192,7 +191,7 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     -------
     cells : Cells
         The cells.  Each is paired with every face that may be visible to the camera.  Lights are
-        marked as settled for the faces that they certainly do not reach.  There are no triples.
+        marked as settled for the faces that they certainly do not reach.  `triples` is empty.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))

@@ -65,13 +65,7 @@ from reference.judges.cell_analysis import CellAnalysis, Contributions
 from reference.judges.cells import MAX_WIDTH, Cells, make_initial_cells
 from reference.judges.enclosures import UNKNOWN, Enclosures, enclose_constants
 from reference.judges.faces import Faces
-from reference.judges.regions import (
-    MIN_AREA,
-    Regions,
-    Strips,
-    divide_into_regions,
-    enclose_in_strips,
-)
+from reference.judges.regions import Regions, Strips, divide_into_regions, enclose_in_strips
 from tracer import Scene, to_codes
 
 # Maximum number of pairs, triples and unsettled lights of pairs in one batch: their arrays fit into
@@ -171,16 +165,16 @@ def estimate_means(
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  A light is unsettled if it
-        may reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell.  An unsettled light may
+        reach only a part of the face.
     is_skipped : (c,) bool array
-        Cells in which to trace no sample.  Half of a skipped cell's maximum radiance serves as
-        its mean radiance.  Cells with too many edges are skipped, too.
+        Cells in which to trace no sample.  Their mean radiance is estimated as half the maximum.
+        Cells with too many edges are skipped, too.
 
     Returns
     -------
     estimates : CellEstimates
-        The means and errors of all cells, and the regions from which they were computed.
+        The means and errors of all cells, with the regions and strips used to compute them.
 
     Raises
     ------
@@ -215,44 +209,43 @@ def estimate_means(
 def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     """Compute an upper bound on the radiance in each cell, as if no light were blocked.
 
-    A light is unsettled for a face in a cell if it may reach only a part of the face.
-
     Parameters
     ----------
     cells : Cells
-        The c cells, with the radiance of each face due to settled lights.
+        The c cells, with the radiance that each face reflects from settled lights.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face.
+        The radiance that each unsettled light adds to a face in a cell.  An unsettled light may
+        reach only a part of the face.
 
     Returns
     -------
     max_radiance : (3, c) float array
-        Upper bounds in each channel: the maximum over the faces in the cell, or 0 if it has none.
+        For each channel, the maximum over the faces in the cell, or 0 if there are none.
     """
-    pair_bound, max_radiance = cells.radiance.find_bounds()[1], np.zeros((3, cells.x.size))
-    add_at_sorted_index(pair_bound, contributions.pair, contributions.radiance.max_abs)
-    for channel, channel_bound in zip(max_radiance, pair_bound, strict=True):
-        np.maximum.at(channel, cells.pair_cell, channel_bound)
+    face_bounds, max_radiance = cells.radiance.find_bounds()[1], np.zeros((3, cells.x.size))
+    add_at_sorted_index(face_bounds, contributions.pair, contributions.radiance.max_abs)
+    for channel, channel_bounds in zip(max_radiance, face_bounds, strict=True):
+        np.maximum.at(channel, cells.pair_cell, channel_bounds)
     return max_radiance
 
 
 def _enclose_edges(
     analysis: CellAnalysis, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
 ) -> Strips:
-    """Enclose each edge in a strip, and bound the jump of radiance across the edge.
+    """Enclose each edge in a strip, and bound the jump in radiance across the edge.
 
-    A strip is the part of a cell between two parallel lines.  An edge is where an edge function is
-    zero.
+    An edge is where an edge function is zero.  A strip is the part of a cell between two parallel
+    lines.
 
     Parameters
     ----------
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  It bounds the jump at the
-        light's edges.  A light is unsettled if it may reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell.  It bounds the jump where
+        an edge cuts off this light.  An unsettled light may reach only a part of the face.
     max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell.  It bounds the jump at all other edges.
+        Upper bound on the radiance in each cell.  It bounds the jump where the face changes.
     is_skipped : (c,) bool array
         Whether to ignore the edges in a cell.
 
@@ -263,23 +256,25 @@ def _enclose_edges(
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
     pair, light, edge_functions = analysis.collect_edge_functions()
-    # A key identifies the pair and the light of a contribution.
+    # Each combination of a light and a pair (a cell and a face in it) has its own key.
     keys = contributions.pair * light_count + contributions.light
-    contribution, cell = find_in_sorted(keys, pair * light_count + light), cells.pair_cell[pair]
+    contribution_index = find_in_sorted(keys, pair * light_count + light)
     # Index -1 selects the appended 0, for lights without a contribution.
-    light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution]
+    light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution_index]
+    cell = cells.pair_cell[pair]
+    # Index -1 stands for no light: the visible face changes at the edge.
     jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
     edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
     return enclose_in_strips(cell[edge_index], edge_functions[edge_index], jump[edge_index])
 
 
 def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the error of each region whose sample may be on the wrong side of an edge.
+    """Bound the errors of regions whose samples may be on the wrong side of an edge.
 
-    Each region is sampled at its centroid.  A strip is the part of a cell between two parallel
-    lines that enclose an edge.  Its jump is the maximum change of radiance across the edge.
-    A sample in the strip may be on the wrong side of the edge.  Then the radiance of the whole
-    region may be wrong by the jump.
+    A strip is the part of a cell between two parallel lines that enclose an edge.  Its jump is the
+    maximum change in radiance across the edge.  If the centroid of a region lies in a strip, the
+    sample there may be on the wrong side of the edge.  Then the radiance of the whole region may be
+    wrong by as much as the jump.
 
     Parameters
     ----------
@@ -293,7 +288,7 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
     Returns
     -------
     sample_error : (n,) float array
-        For each region, the sum of the jumps of all strips that contain its centroid.  Infinite if
+        For each region, the sum of the jumps of all strips that contain its centroid; infinity if
         the region is too small for an accurate centroid.
     """
     _, x, y, *_ = regions.moments
@@ -304,7 +299,7 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
     strip, x, y = strips.take(strip_index), x[region_index], y[region_index]
     is_in_strip = np.abs(strip.a * x + strip.b * y + strip.c) <= strip.half_width
     sample_error = sum_by_index(region_index, is_in_strip * strip.jump, regions.area.size)
-    sample_error[regions.area < MIN_AREA] = np.inf
+    sample_error[regions.is_tiny] = np.inf
     return sample_error
 
 
@@ -313,15 +308,15 @@ def _enclose_region_radiance(
 ) -> Enclosures:
     """Enclose the radiance of each region by tracing one sample at its centroid.
 
-    The sample shows which face is visible in the region, and which lights reach it.  A light is
-    unsettled for a face in a cell if it may reach only a part of the face.
+    The sample shows which face is visible in the region, and which lights reach this face.
 
     Parameters
     ----------
     analysis : CellAnalysis
-        The cells, with the radiance of each face due to settled lights.
+        The cells, with the radiance that each face reflects from settled lights.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face.
+        The radiance that each unsettled light adds to a face in a cell.  An unsettled light may
+        reach only a part of the face.
     regions : Regions
         The n regions of the cells.
 
@@ -329,7 +324,7 @@ def _enclose_region_radiance(
     -------
     radiance : Enclosures
         Enclosures (8, 3, n) of the radiance that the visible face reflects from all settled lights,
-        and from the unsettled lights that reach the centroid.  Zeros for the background.
+        and from the unsettled lights that reach the centroid.  The background has radiance 0.
 
     Raises
     ------
@@ -342,18 +337,18 @@ def _enclose_region_radiance(
     radiance[..., pair < 0] = 0
     light_count = analysis.cells.is_settled.shape[1]
     region, light = np.nonzero(is_lit.T)
-    # A key identifies the pair and the light of a contribution.
+    # Each combination of a light and a pair (a cell and a face in it) has its own key.
     keys = contributions.pair * light_count + contributions.light
-    contribution = find_in_sorted(keys, pair[region] * light_count + light)
-    add_at_sorted_index(radiance, region, contributions.radiance[contribution].coef)
+    contribution_index = find_in_sorted(keys, pair[region] * light_count + light)
+    add_at_sorted_index(radiance, region, contributions.radiance[contribution_index].coef)
     return Enclosures(radiance)
 
 
 def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Trace samples in cells, and find the visible faces and the lights that reach them.
+    """Find the face that is visible at each sample, and the unsettled lights that reach it.
 
     A pair consists of a cell and a face in it.  A light is unsettled for a pair if it may reach
-    only a part of the face.  Other lights are not tested.
+    only a part of the face.
 
     Parameters
     ----------
@@ -378,16 +373,16 @@ def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> 
     """
     cells, faces, half_width = analysis.cells, analysis.faces, analysis.cells.width / 2
     x, y = cells.x[cell] + half_width * x, cells.y[cell] + half_width * y
-    hits, sample, face = faces.trace_samples(x, y)
-    pair_keys = cells.pair_cell * faces.object_index.size + cells.pair_face
+    hits, sample_index, face = faces.trace_samples(x, y)
+    face_count = faces.object_index.size
+    pair_keys = cells.pair_cell * face_count + cells.pair_face
     sorted_pair, pair = pair_keys.argsort(), np.full(cell.size, -1)
-    position = find_in_sorted(pair_keys[sorted_pair], cell[sample] * faces.object_index.size + face)
-    if (position < 0).any():
-        message = "a sample contradicts its cell: the certificate or the tracer is wrong"
-        raise RuntimeError(message)
-    pair[sample] = visible_pair = sorted_pair[position]
+    key_index = find_in_sorted(pair_keys[sorted_pair], cell[sample_index] * face_count + face)
+    if (key_index < 0).any():
+        raise RuntimeError("a sample contradicts its cell: the certificate or the tracer is wrong")
+    pair[sample_index] = visible_pair = sorted_pair[key_index]
     is_lit = np.zeros((cells.is_settled.shape[1], cell.size), dtype=np.bool_)
-    is_lit[:, sample] = faces.is_lit(hits, ~cells.is_settled[visible_pair].T)
+    is_lit[:, sample_index] = faces.is_lit(hits, ~cells.is_settled[visible_pair].T)
     return pair, is_lit
 
 
@@ -472,10 +467,12 @@ class _Picture:
     def add_cells(self, cells: Cells, cell_index: Ints, radiance: Enclosures) -> None:
         """Add the mean radiance of cells, and its error, to the pixels that they cover.
 
+        A cell that is smaller than a pixel is weighted by its area in pixels.
+
         Parameters
         ----------
         cells : Cells
-            Cells of any width.
+            The cells.
         cell_index : (n,) int array
             Indices of the cells to add.
         radiance : Enclosures
@@ -487,7 +484,7 @@ class _Picture:
         row_offset, column_offset = np.indices((pixels_across, pixels_across))
         pixels = row + row_offset, column + column_offset
         # X and Y run from -1 to 1 in a cell.  Compute the means of 1, X, Y, X^2, X Y and Y^2 over
-        # each pixel of a wide cell, or over all of a narrow one.
+        # each pixel of a cell, or over the whole cell if it is smaller than a pixel.
         x, y = ((2 * position + 1) / pixels_across - 1 for position in (column_offset, row_offset))
         variance = 1 / (3 * pixels_across * pixels_across)
         term_means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
@@ -499,12 +496,12 @@ class _Picture:
         """Add the cells that are accurate enough to the picture, and return the others.
 
         A cell is accurate enough if it shows a single face, and each light reaches all of this face
-        or none of it.  A cell of at most one pixel is also added if `is_final` accepts it.
+        or none of it.  `find_final_cells` may select other cells of at most one pixel.
 
         Parameters
         ----------
         cells : Cells
-            Cells that have not been added yet, not even in part.
+            Cells of which no part has been added yet.
 
         Returns
         -------
@@ -530,20 +527,20 @@ class _Picture:
         self.add_cells(cells, cells.pair_cell[finished_pair], cells.radiance[finished_pair])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
-            is_final = self.is_final(cells, estimates.error, is_pending)
+            is_final = self.find_final_cells(cells, estimates.error, is_pending)
             finished_cell = np.flatnonzero(is_pending & is_final)
             mean_radiance = enclose_constants(estimates.mean, estimates.error)
             self.add_cells(cells, finished_cell, mean_radiance[finished_cell])
             is_pending[finished_cell] = False
         return cells.select_cells(is_pending)
 
-    def is_final(self, cells: Cells, cell_error: Floats, is_pending: Bools) -> Bools:
+    def find_final_cells(self, cells: Cells, cell_error: Floats, is_pending: Bools) -> Bools:
         """Decide which cells to add to the picture without further division.
 
-        A pixel's remaining error is its permitted error minus that of its finished cells.  All its
-        pending cells are added if together they cause at most this error.  Otherwise, a cell is
-        added if it causes at most an equal share.  The smallest cells are always added, and so are
-        the cells of a pixel with at least `_MAX_PENDING_CELLS` cells.
+        The remaining error of a pixel is its permitted error minus the error of its finished cells.
+        If the pending cells of the pixel together cause at most this error, all of them are added.
+        Otherwise, a cell is added if its error is at most the average that the pixel can afford.
+        The smallest cells are always added, and so are all cells of a pixel with too many cells.
 
         Parameters
         ----------
@@ -575,8 +572,7 @@ def certify(
 ) -> Certificate:
     """Render a scene, and prove bounds on the mean radiance of every pixel.
 
-    The picture is divided into cells, and the cells into quarters, until the bounds are narrow
-    enough.  The bounds are computed by second-order affine arithmetic.
+    The picture is divided into smaller and smaller cells until the bounds are narrow enough.
 
     Parameters
     ----------
@@ -612,11 +608,12 @@ def certify(
         if len(groups) > 1:
             stack += groups
             continue
-        pending = picture.add_accurate_cells(cells.split_into_quarters(scene.width, scene.height))
-        finished_area += cells.area - pending.area
+        quarters = cells.split_into_quarters(scene.width, scene.height)
+        pending_cells = picture.add_accurate_cells(quarters)
+        finished_area += cells.area - pending_cells.area
         progress(finished_area / total_area)
-        if pending.x.size:
-            stack.append(pending)
+        if pending_cells.x.size:
+            stack.append(pending_cells)
     visible_part = slice(scene.height), slice(scene.width)
     # Radiance is never negative, but rounding errors can make a sum of enclosures negative.
     image = picture.image[(slice(None), *visible_part)].transpose(1, 2, 0).copy().clip(0)

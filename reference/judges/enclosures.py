@@ -185,8 +185,8 @@ class Enclosures:
         coef[X_SQUARED] += a[X] * b[X]
         coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
         coef[Y_SQUARED] += a[Y] * b[Y]
-        # The error bound covers all other products of two terms with X, Y or Z.  `a_spread` and
-        # `a_max` are the largest absolute values of the terms with X, Y or Z, and of all terms.
+        # The error bound covers all other products of two terms with X, Y or Z.  The polynomial `a`
+        # differs from its constant by at most `a_spread`, and from 0 by at most `a_max`.
         a, b = np.abs(a), np.abs(b)
         a_spread, b_spread = a[X:ERROR].sum(axis=0), b[X:ERROR].sum(axis=0)
         a_max, b_max = a[CONSTANT] + a_spread, b[CONSTANT] + b_spread
@@ -196,26 +196,26 @@ class Enclosures:
         return Enclosures(coef)
 
     def power(
-        self, exponent: Floats | float, minimum: float = 0.0, maximum: float = np.inf
+        self, exponent: Floats | float, min_z: float = 0.0, max_z: float = np.inf
     ) -> Enclosures:
         """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
 
-        The powers are enclosed by the Taylor polynomial of degree 2, or by a line parallel to the
-        chord of f.  The line is used only if its error is smaller, and the polynomial's is large.
+        The function f is enclosed by its Taylor polynomial of degree 2.  If the remainder is
+        large, a line parallel to the chord of f is used instead if its error is smaller.
 
         Parameters
         ----------
         exponent : float, or (n,) float array
             The exponents, of either sign.
-        minimum, maximum : float
-            Bounds that are known to hold for all z.  The minimum is at least 0.
+        min_z, max_z : float
+            Bounds that are known to hold for all z.  Both are at least 0.
 
         Returns
         -------
         power : Enclosures
             Enclosures (8, n) of the powers.
         """
-        low, high = (np.clip(end, minimum, maximum) for end in self.find_bounds())
+        low, high = (np.clip(end, min_z, max_z) for end in self.find_bounds())
         center, half_width = 0.5 * (low + high), 0.5 * (high - low)
         f_low, f_high, f_center = (_raise_to_power(z, exponent) for z in (low, high, center))
         # The Taylor polynomial is expanded around the centre.  The absolute value of the third
@@ -242,11 +242,10 @@ class Enclosures:
     def _enclose_power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Enclosures:
-        """Enclose the powers f(z) = z^exponent of the enclosed quantities z by a line.
+        """Enclose the powers z^exponent of the enclosed quantities z by linear functions of z.
 
-        The graph of f lies between its chord and the parallel tangent.  The line is parallel to
-        them, and two thirds of the way from the chord to the tangent.  If f is a parabola, the line
-        has the same mean as f.
+        The graph of f(z) = z^exponent lies between its chord and the parallel tangent.  The graph
+        of the linear function is two thirds of the way from the chord to the tangent.
 
         Parameters
         ----------
@@ -263,7 +262,6 @@ class Enclosures:
             Enclosures (8, n) of the powers.
         """
         slope = np.where(high > low, (f_high - f_low) / (high - low), 0)
-        # The tangent touches the graph at z = `tangent_z`.
         tangent_z = (slope / exponent) ** (1 / (exponent - 1))
         tangent_z = np.where(np.isfinite(tangent_z), tangent_z, 0.5 * (low + high)).clip(low, high)
         # The heights of both lines at z = 0.
@@ -275,7 +273,7 @@ class Enclosures:
         return line
 
     def fall_back_to_unit_interval(self) -> Enclosures:
-        """Replace enclosures that are much wider than the interval [0, 1] by [0, 1] itself.
+        """Replace every wide enclosure with the interval [0, 1].
 
         Use this only for quantities that certainly lie in [0, 1], such as the cosines of acute
         angles.
@@ -283,8 +281,8 @@ class Enclosures:
         Returns
         -------
         enclosures : Enclosures
-            If the absolute values of an enclosure's coefficients add up to 2 or more, or to NaN, it
-            becomes the constant 0.5 with an error bound of 0.5.  All others are unchanged.
+            The constant 0.5 with an error bound of 0.5, where the absolute values of all eight
+            coefficients add up to 2 or more, or to NaN.  Other enclosures are unchanged.
         """
         is_too_wide = ~(self.max_abs < 2)
         coef = np.where(is_too_wide, 0, self.coef)
@@ -292,7 +290,7 @@ class Enclosures:
         return Enclosures(coef)
 
     def split_into_quarters(self) -> Enclosures:
-        """Enclose the same quantities in the four quarters of each cell.
+        """Convert each enclosure to the coordinates of the four quarters of its cell.
 
         In each quarter, X and Y run from -1 to 1.  The term with Z, an unknown number from -1 to 1,
         is dropped, and the absolute value of its coefficient is added to the error bound.
@@ -318,7 +316,7 @@ class Enclosures:
 
 
 def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
-    """Compute z^exponent for non-negative z (n,), with one exponent or one for each z."""
+    """Compute z^exponent for non-negative z (n,).  The exponent is a number, or an array (n,)."""
     # A square root is faster than a power.
     if isinstance(exponent, float) and exponent == -0.5:
         return np.asarray(1 / np.sqrt(z))

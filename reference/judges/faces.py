@@ -154,7 +154,7 @@ class Faces:
         self.is_unlit = is_unlit | (self.is_planar & (self.height_half_space[3, :-1] <= 0))
 
     def _set_face_attributes(self, low: Floats, high: Floats) -> None:
-        """Set the attributes that describe faces: spheres, and sides of boxes.
+        """Set the attributes that describe faces (spheres and sides of boxes).
 
         They are `face_equation`, `linear_coef`, `root_coef`, `height_half_space`,
         `rim_half_spaces`, `plane_id`, `object_index`, `is_planar`, `bounding_box`, `may_be_visible`
@@ -167,8 +167,8 @@ class Faces:
         """
         scene, axes, sphere_count = self.prepared_scene, self.frame.axes, self.sphere_count
         center, radius, power = self.center, self.radius, self.eye_power
-        # The positions of the planes of the boxes' sides, and their offsets from the eye.  The last
-        # three axes of every array for boxes are: coordinate (x, y, z), side (low, high), box.
+        # Positions of the sides' planes, and their offsets from the eye.  The last three axes of
+        # every array for boxes are: coordinate (x, y, z), side (low, high), box.
         offset = np.stack([low, high], axis=1)
         side_position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
         faces_eye = offset * [[-1], [1]] * np.where(scene.is_eye_inside[sphere_count:], 1, -1) > 0
@@ -210,7 +210,7 @@ class Faces:
         self.sheet_face[self.object_index[sheet_face]] = sheet_face
 
     def _compute_height_half_spaces(self) -> Floats:
-        """Compute half-spaces that give the heights of lights above spheres.
+        """Express the heights of the lights, and of the eye, above spheres as half-spaces.
 
         A camera ray with direction d meets a sphere at t d.  The height of a light above the
         sphere's tangent plane at this point, divided by t, is n.d + b / t.
@@ -218,8 +218,8 @@ class Faces:
         Returns
         -------
         half_spaces : (5, m + 1, spheres) float array
-            For each light, then for the eye: the components of n, then b, then the sum of the
-            absolute values of the terms of b.
+            The three components of n, then b, then the sum of the absolute values of the terms of
+            b.  The second axis holds the m lights, then the eye.
         """
         # Let c be the centre, r the radius, p the power of the eye, and q the light.  At the point
         # t d, t^2 d^2 = 2 t c.d - p, and the normal is g (t d - c) / r, where g is 1 if the eye is
@@ -231,11 +231,12 @@ class Faces:
         return np.array([*(g * (q - c)), g * b, b_size]) / r
 
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
-        """Compute the attributes `shadow_volume` and `has_shadow_edge` for each box and light.
+        """Set `shadow_volume` and `has_shadow_edge`: the shadow of each box for each light.
 
         The shadow volume of a box is the intersection of at most nine half-spaces n.x + b >= 0.  Up
         to three of them lie behind the sides that face the light.  The planes of the other six
-        contain the light and touch the silhouette of the box.
+        contain the light and touch the silhouette of the box.  Edges of the shadow lie in these
+        six planes, or in the plane of a side that contains the light.
 
         Parameters
         ----------
@@ -261,12 +262,11 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 
     def find_occluders(
-        self, center: Floats, half_size: Floats, face: Ints, is_wanted: Bools
+        self, center: Floats, half_size: Floats, face: Ints, is_requested: Bools
     ) -> Ints:
         """List the objects that may shade parts of faces from lights.
 
-        A face is a sphere or a side of a box.  The search uses the tracer's light grid, which lists
-        objects by their direction from each light.
+        A face is a sphere or a side of a box.
 
         Parameters
         ----------
@@ -274,7 +274,7 @@ class Faces:
             Centres and half sizes of the parts' bounding boxes, along the scene's axes.
         face : (k,) int array
             The face to which each part belongs.
-        is_wanted : (m, k) bool array
+        is_requested : (m, k) bool array
             Whether to list the objects between each light and each part.
 
         Returns
@@ -285,14 +285,14 @@ class Faces:
         """
         grid, triple_keys = self.prepared_lights.grid, [np.zeros(0, np.intp)]
         may_block = ~self.prepared_scene.is_eye_inside & ~self.prepared_scene.is_duplicate
-        shape = (*is_wanted.T.shape, self.object_count)
-        if grid is not None and is_wanted.any():
-            triples = grid.query(center, half_size[:, None], self.object_index[face], is_wanted)
+        key_shape = (*is_requested.T.shape, self.object_count)
+        if grid is not None and is_requested.any():
+            triples = grid.query(center, half_size[:, None], self.object_index[face], is_requested)
             for light, part_index, occluder in triples:
-                key = np.ravel_multi_index((part_index, light, occluder), shape)
-                triple_keys.append(key[may_block[occluder]])
+                keys = np.ravel_multi_index((part_index, light, occluder), key_shape)
+                triple_keys.append(keys[may_block[occluder]])
         # The grid may find an object in several octants, so remove duplicates.
-        return np.array(np.unravel_index(np.unique(np.concatenate(triple_keys)), shape))
+        return np.array(np.unravel_index(np.unique(np.concatenate(triple_keys)), key_shape))
 
     def trace_samples(self, x: Floats, y: Floats) -> tuple[Hits, Ints, Ints]:
         """Trace camera rays to find the faces visible at given positions in the picture.
@@ -306,7 +306,7 @@ class Faces:
         -------
         hits : Hits
             The nearest intersections of the h rays that meet an object.
-        sample : (h,) int array
+        sample_index : (h,) int array
             For each hit, the index of its position in `x` and `y`.
         face : (h,) int array
             For each hit, the index of its face (a sphere, or a side of a box).
@@ -320,7 +320,7 @@ class Faces:
             side = 2 * group.face_axis + is_high_side
             run_face = group.run_object + group.shape.is_planar * box_count * side
             face[group.interval] = group.repeat_runs(run_face)
-        # A ray through the rim of a sheet may hit a side without area: use the sheet's face.
+        # A ray through the rim of a flat box may hit a side without area: use its visible face.
         sheet_face = self.sheet_face[self.object_index[face]]
         return hits, position_index[hits.sample_index], np.where(sheet_face >= 0, sheet_face, face)
 
@@ -337,8 +337,8 @@ class Faces:
         Returns
         -------
         is_lit : (m, h) bool array
-            Whether the light is tested and reaches the hit: it is in front of the surface, and no
-            object lies in between.
+            Whether a tested light reaches the hit: the light is in front of the surface, and no
+            object lies between the light and the hit.
         """
         may_reach = is_tested & (compute_light_geometry(hits, self.prepared_lights).n_dot_l > 0)
         return may_reach & ~find_shadows(hits, self.prepared_lights, may_reach)

@@ -339,9 +339,8 @@ class _PlainTracer:
             Vectors from the eye to the positions on the camera's window.
         """
         to_precision, camera = self.to_precision, self.scene.camera
-        width, height = self.scene.width, self.scene.height
+        width, height, normal = self.scene.width, self.scene.height, to_precision(camera.normal)
         view_direction = _normalise(to_precision(camera.view_dir))
-        normal = to_precision(camera.normal)
         back = _normalise(-normal if _dot(normal, view_direction) > 0 else normal)
         right = _normalise(np.cross(to_precision(camera.view_up), back))
         up = np.cross(back, right)
@@ -424,9 +423,9 @@ class _PlainTracer:
             For each ray, the visible surface, the lights that reach this surface, and the radiance.
         """
         direction = self.compute_ray_directions(x, y)
-        closest_t, surface_index = self.find_closest_hits(direction)
-        ray_index = np.flatnonzero(surface_index >= 0)
-        hit_surface, direction = surface_index[ray_index], direction.take(ray_index, 1)
+        closest_t, surface = self.find_closest_hits(direction)
+        ray_index = np.flatnonzero(surface >= 0)
+        hit_surface, direction = surface[ray_index], direction.take(ray_index, 1)
         points = self.eye + closest_t[ray_index] * direction
         normals = np.zeros_like(points)
         for i in np.unique(hit_surface).tolist():
@@ -444,7 +443,7 @@ class _PlainTracer:
                 unit_vectors = (vector.take(hit_index, 1) for vector in (normals, to_light, to_eye))
                 reflected = self.compute_reflected_radiance(i, *unit_vectors)
                 radiance[ray_index[hit_index]] += reflected * light.intensity
-        return TracedRays(radiance, surface_index, is_lit)
+        return TracedRays(radiance, surface, is_lit)
 
     def find_closest_hits(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
         """Find the closest intersection of each camera ray with any surface.
@@ -458,20 +457,18 @@ class _PlainTracer:
         -------
         closest_t : (n,) array
             The smallest t at which each ray, eye + t direction, meets a surface, or infinity.
-        surface_index : (n,) int array
+        surface : (n,) int array
             Index of the surface that the ray meets there, or -1.
         """
         ray_count, direction_length = direction.shape[1], _norm(direction)
-        closest_t = self.to_precision(np.full(ray_count, np.inf))
-        surface_index = np.full(ray_count, -1)
+        closest_t, surface = self.to_precision(np.full(ray_count, np.inf)), np.full(ray_count, -1)
         for i in range(len(self.shapes))[:: -1 if self.prefers_last else 1]:
             near, far = self.intersect(i, self.eye, direction, is_closed=True)
             t = far if self.is_eye_inside[i] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
             is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
-            closest_t = np.where(is_closer, t, closest_t)
-            surface_index = np.where(is_closer, i, surface_index)
-        return closest_t, surface_index
+            closest_t, surface = np.where(is_closer, t, closest_t), np.where(is_closer, i, surface)
+        return closest_t, surface
 
     def project_onto_surface(
         self, surface_index: int, points: Array, direction: Array

@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reference.judges.arrays import Floats, Index, Ints, sum_by_index
+from reference.judges.arrays import Bools, Floats, Index, Ints, sum_by_index
 from reference.judges.enclosures import CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED, Enclosures, X, Y
 
-MIN_AREA = 1e-12
-"""Minimum area of a region, as a fraction of its cell.  Smaller areas are mostly rounding error."""
+# Minimum area of a region, as a fraction of its cell.  Smaller areas are mostly rounding error.
+_MIN_AREA = 1e-12
 
 
 class Strips(NamedTuple):
@@ -111,8 +111,8 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     """
     coef = functions.coef
     constant, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
-    # The value and the gradient (a, b) at a point (x, y), which should be near the zero.  Any point
-    # would do, but a closer one gives a narrower strip.
+    # Compute the value and the gradient (a, b) at a point (x, y).  The closer the point is to a
+    # zero, the narrower is the strip.
     x, y = _take_newton_step(coef)
     value = constant + coef[X] * x + coef[Y] * y
     value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
@@ -126,7 +126,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     f_tt = 2 * (coef_xx * q * q - coef_xy * p * q + coef_yy * p * p)
     f_tn = 2 * (coef_yy - coef_xx) * p * q + coef_xy * (p * p - q * q)
     f_nn = 2 * (coef_xx * p * p + coef_xy * p * q + coef_yy * q * q)
-    half_extent = np.abs(p) + np.abs(q)  # of the cell, along t and n
+    half_extent = np.abs(p) + np.abs(q)  # half the extent of the cell, along t and along n
     max_t, max_n = half_extent + np.abs(p * y - q * x), half_extent + np.abs(p * x + q * y)
     # The second to fourth terms are slope n (1 + e) with |e| <= max_e.
     max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
@@ -139,15 +139,16 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     half_width = np.where(max_e < 1, deviation + max_change, np.inf)
     # The coefficients of the centre line are scaled so that |a| + |b| = 1.
     scale = np.where((a < 0) | ((a == 0) & (b < 0)), -1, 1) / (np.abs(a) + np.abs(b))
-    line = np.array([a, b, value - a * x - b * y]) * scale
+    center_line = np.array([a, b, value - a * x - b * y]) * scale
     # If there is no gradient, the strip is the whole cell.
     is_flat = ~np.isfinite(scale)
-    line[:, is_flat] = [[1], [0], [0]]
+    center_line[:, is_flat] = [[1], [0], [0]]
     half_width = np.where(is_flat, np.inf, half_width * np.abs(scale))
-    kept_index = np.flatnonzero(~(np.abs(line[2]) - half_width >= 1))  # others miss the cell
-    order = kept_index[np.argsort(cell[kept_index], kind="stable")]
-    a, b, c = line[:, order]
-    return Strips(cell[order], a, b, c, half_width[order], jump[order])
+    # The other strips miss the cell.
+    kept_index = np.flatnonzero(~(np.abs(center_line[2]) - half_width >= 1))
+    kept_index = kept_index[np.argsort(cell[kept_index], kind="stable")]
+    a, b, c = center_line[:, kept_index]
+    return Strips(cell[kept_index], a, b, c, half_width[kept_index], jump[kept_index])
 
 
 class Regions(NamedTuple):
@@ -172,6 +173,11 @@ class Regions(NamedTuple):
     side_bits: Ints
     area: Floats
     moments: Floats
+
+    @property
+    def is_tiny(self) -> Bools:
+        """Mask (n,) of the regions whose area is too small for accurate moments."""
+        return np.asarray(self.area < _MIN_AREA)
 
 
 def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
@@ -224,7 +230,7 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
     area, moments = _compute_moments(corners)
     keys, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
     region_area = sum_by_index(region, area, keys.size)
-    weight = area / np.maximum(region_area, MIN_AREA)[region]
+    weight = area / np.maximum(region_area, _MIN_AREA)[region]
     region_moments = np.array([sum_by_index(region, row, keys.size) for row in weight * moments])
     region_moments[0] = 1
     cell, side_bits = keys >> bit_count, keys & ((1 << bit_count) - 1)
