@@ -139,8 +139,7 @@ class UnattenuatedPoint(mi.Emitter):
         light_sample = mi.DirectionSample3f()
         light_sample.p = self.position
         light_sample.time = hit.time
-        light_sample.delta = True
-        light_sample.pdf = 1
+        light_sample.delta, light_sample.pdf = True, 1
         light_sample.uv = mi.Point2f(0)
         to_light = self.position - hit.p
         # Divide by the largest component, so that the squares cannot overflow for distant lights.

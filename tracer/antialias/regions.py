@@ -184,10 +184,10 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
         split_index = find((positive_count == 1) | (positive_count == 2))
         # Rotate the corners of each crossed triangle so that a is alone on its side of the line.
         is_a_positive, parent_index = positive_count[split_index] == 1, column_index[split_index]
-        lone_corner = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
-        order = (lone_corner + np.arange(3)[:, None]) % 3
-        a, b, c = corners[order, parent_index]
-        a_value, b_value, c_value = values[order, split_index]
+        lone_index = np.argmax(is_positive[:, split_index] == is_a_positive, axis=0)
+        corner_index = (lone_index + np.arange(3)[:, None]) % 3
+        a, b, c = corners[corner_index, parent_index]
+        a_value, b_value, c_value = values[corner_index, split_index]
         # The line crosses the sides ab and ac at these points.
         on_ab = a + a_value / (a_value - b_value) * (b - a)
         on_ac = a + a_value / (a_value - c_value) * (c - a)

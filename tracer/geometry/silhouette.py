@@ -33,9 +33,9 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
     x, y, z = normals = np.zeros((3, 6, low.shape[1]))
     for axis, is_mirrored in np.ndindex(3, 2):
         u, v = (axis + 1) % 3, (axis + 2) % 3
-        # Seen along the axis, the box is a rectangle.  Its first and last corners, in
-        # counterclockwise order around the apex, are silhouette edges.  The first corner is
-        # computed as the last corner of the mirror image.
+        # Seen along the axis, the box is a rectangle with the axes u and v.  Its first and last
+        # corners, in counterclockwise order around the apex, are silhouette edges.  The first
+        # corner is computed as the last corner of the mirror image.
         side_u, side_v = box_side[u], -box_side[v] if is_mirrored else box_side[v]
         corner_u = np.where((side_v < 0) | ((side_v == 0) & (side_u < 0)), high[u], low[u])
         is_high_v = (side_u > 0) | ((side_u == 0) & (side_v < 0))

@@ -120,12 +120,12 @@ def suggest_syntax_fix(
                 return remedy.format(line=line - match[0].count(b"\n"), character=description)
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
-    innermost = f"<{shorten(elements[-1].tag)}> of line {elements[-1].line}"
+    innermost_tag = f"<{shorten(elements[-1].tag)}> of line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
         end_tag = re.split(rb"[\s>]", suffix)[0].decode(errors="ignore")
         if all(end_tag != element.tag for element in elements):
-            return f"only {innermost} can be closed here: no <{shorten(end_tag)}> is open"
-    return _MESSAGE_REMEDIES.get(message, f"close {innermost}")
+            return f"only {innermost_tag} can be closed here: no <{shorten(end_tag)}> is open"
+    return _MESSAGE_REMEDIES.get(message, f"close {innermost_tag}")
 
 
 def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | None]:

@@ -477,10 +477,10 @@ class Surfaces(Sequence[Sphere | Box]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Sphere | Box, ...]: ...
     def __getitem__(self, index: int | slice) -> Sphere | Box | tuple[Sphere | Box, ...]:
-        selected = self.array_index[index].tolist()
+        array_index = self.array_index[index].tolist()
         if isinstance(index, slice):
-            return tuple(map(self._make_surface, selected))
-        return self._make_surface(selected)
+            return tuple(map(self._make_surface, array_index))
+        return self._make_surface(array_index)
 
     def __iter__(self) -> Iterator[Sphere | Box]:
         return iter(self[:])

@@ -108,8 +108,8 @@ class _Reader:
         The elements that occur only once in a file, by tag: "scene" (the root), "camera" and
         "image".
     intended_tags : set of (str or None)
-        Tags that the author of the file probably meant by unknown children of the scene.  An
-        element with such a tag is not reported as missing.
+        Tags that the author of the file probably meant in place of unknown tags.  An element with
+        such a tag is not reported as missing.
     empty_scene : Scene
         A scene without content, which stores the size of the picture.
     cameras, lights : Table

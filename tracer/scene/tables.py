@@ -74,7 +74,7 @@ class Column:
         Value of the field if the element is absent; `dataclasses.MISSING` if the element is
         required.
     default_row : list of float
-        The numbers of an absent element: those of the default, or NaN if it has no numbers.
+        The numbers of an absent element: those of the default, or NaN if there are none.
     numbers : array of double
         The numbers of all rows, one row after the other; NaN for unknown and invalid numbers.
     lines : array of int
@@ -151,10 +151,11 @@ class Table:
 
     def __init__(self, dataclass: type[schema.Validated]) -> None:
         self.dataclass = dataclass
-        tagged = [field for field in fields(cast(Any, dataclass)) if field.metadata]
-        numeric = [f for f in tagged if isinstance(f.metadata["validator"], NumberValidator)]
-        self.field_of_tag = {tag: field.name for field in tagged for tag in field.metadata["tags"]}
-        self.columns = {field.name: Column(field) for field in numeric}
+        self.field_of_tag, self.columns = dict[str, str](), dict[str, Column]()
+        for field in fields(cast(Any, dataclass)):
+            self.field_of_tag |= dict.fromkeys(field.metadata.get("tags", ()), field.name)
+            if isinstance(field.metadata.get("validator"), NumberValidator):
+                self.columns[field.name] = Column(field)
         self.lines, self.object_indices = array("i"), array("i")
         self.shader_indices, self.shader_lines = array("i"), array("i")
 
