@@ -249,15 +249,15 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
     # Values of f, scaled so that powers of the derivatives are finite in any unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
     # Near the centre, f(p) = c + g . p + p . H p / 2, with the gradient g = (a, b) and a matrix H.
-    # The second derivatives across and along the edge are h_across and h_along; gradient2 is g . g.
+    # The second derivatives across and along the edge are h_across and h_along.
     a, b = right - left, lower - upper
     h_xx, h_yy = 4 * (right + left - 2 * center), 4 * (lower + upper - 2 * center)
     h_xy = 4 * (corner - right - lower + center)
-    gradient2 = a * a + b * b
+    squared_gradient = a * a + b * b
     # Find the zero p = step * g of f that is nearest to the centre, and move it into the cell.
-    h_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / gradient2
-    root = np.sqrt(np.abs(gradient2 * (gradient2 - 2 * center * h_across)))
-    step = -2 * center / (gradient2 + root)
+    h_across = (a * a * h_xx + 2 * a * b * h_xy + b * b * h_yy) / squared_gradient
+    root = np.sqrt(np.abs(squared_gradient * (squared_gradient - 2 * center * h_across)))
+    step = -2 * center / (squared_gradient + root)
     max_step = 0.5 / np.maximum(np.abs(a), np.abs(b))
     step = np.clip(step, -max_step, max_step)
     x, y = step * a, step * b
@@ -265,15 +265,15 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
     c = center + a * x + b * y + 0.5 * (x * (h_xx * x + 2 * h_xy * y) + y * h_yy * y)
     a, b = a + h_xx * x + h_xy * y, b + h_xy * x + h_yy * y
     c -= a * x + b * y
-    gradient2 = a * a + b * b
+    squared_gradient = a * a + b * b
     # Along the line, f differs from the plane by h_along / 24 on average, over a length of 1.
-    h_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / gradient2
+    h_along = (b * b * h_xx - 2 * a * b * h_xy + a * a * h_yy) / squared_gradient
     max_change = 0.5 * (np.abs(a) + np.abs(b))
     sign = np.where((a < 0) | ((a == 0) & (b < 0)), -1.0, 1.0)
     lines = Lines(cell_index, *scale((a, b, c + h_along / 24), sign / max_change))
     # Over a length of 1, the edge turns by |h_along| / |g| radians.  If the gradient changes much
     # across the edge, the cell may contain both sides of a small object.
-    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(gradient2)
+    turn = np.maximum(np.abs(h_along), np.abs(h_across)) / np.sqrt(squared_gradient)
     has_line, crosses_cell = turn <= _MAX_TURN, np.abs(lines.c) < 1
     # A curved edge may cross a cell that its tangent misses.  The negated tests are True for NaN.
     may_cross = np.where(has_line, crosses_cell, ~(np.abs(center) > 1))

@@ -100,7 +100,7 @@ def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
 def _compute_face_radii(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
     """Compute the radius of the part of a planar face that is visible in each of n cells.
 
-    A cell is a pixel, or a square part of a pixel.  The face is hit by the ray through its centre.
+    A cell is a pixel, or a square part of a pixel.  The ray through its centre hits the face.
 
     Parameters
     ----------
@@ -177,8 +177,8 @@ def evaluate_silhouettes(
 ) -> Iterator[EdgeValues]:
     """Evaluate the edge functions of silhouettes that may cross cells.
 
-    A cell is a pixel, or a square part of a pixel.  A silhouette is seen from the eye or from a
-    light, which is called the apex.  Its edge function is smooth, and zero at the silhouette.
+    A cell is a pixel, or a square part of a pixel.  A silhouette is seen from its apex, which is
+    the eye or a light.  Its edge function is a smooth function that is zero at the silhouette.
 
     Parameters
     ----------
@@ -187,7 +187,8 @@ def evaluate_silhouettes(
     apex_position : (m, 3) float array
         Positions of the apexes, in scene axes.
     candidates : (3, n) int array
-        The silhouettes: row 0 contains apex indices, row 1 cell indices, and row 2 object indices.
+        Row 0 contains apex indices, row 1 cell indices, and row 2 indices of the objects whose
+        silhouettes may cross the cells.
     ray : tuple of three (6, n) float arrays
         Directions from the apex to the visible surface at six points of each cell, in camera axes
         (see `compute_rays`).  An array with a single row applies to all six points.
@@ -390,10 +391,9 @@ class CellSurfaces(NamedTuple):
             for face_position, normal_sign in zip(face_positions, (-1, 1), strict=True):
                 face_offset = face_position[axis, box_index] - frame.eye[axis]
                 is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * face_offset < 0)
-                is_visible = group.repeat_runs(is_visible & is_other_face)
                 plane_offset = group.repeat_runs(face_offset)
                 may_meet = np.abs(hit_offset - plane_offset) < self.footprint_radius[group.interval]
-                may_meet &= is_visible
+                may_meet &= group.repeat_runs(is_visible & is_other_face)
                 yield from self._intersect_planes(axis, hit_index, plane_offset, may_meet)
 
     def _intersect_planes(

@@ -127,7 +127,7 @@ def _choose_lattices(cells: Cells) -> tuple[Lattice | None, bool, Lattice | None
 def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side: int) -> Floats:
     """Compute the mean radiance of each pixel in a rectangle of the picture.
 
-    The aim is a root-mean-square error no larger than that of a uniform grid in each pixel.
+    The aim is an RMS error no larger than that of a uniform grid of samples in each pixel.
 
     Parameters
     ----------
@@ -145,9 +145,8 @@ def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side:
     """
     # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
     first_row, first_column = rows.start - 1, columns.start - 1
-    samples = PIXEL_CENTERS.place(
-        slice(first_row, rows.stop + 1), slice(first_column, columns.stop + 1)
-    )
+    bordered_columns = slice(first_column, columns.stop + 1)
+    samples = PIXEL_CENTERS.place(slice(first_row, rows.stop + 1), bordered_columns)
     height, width = samples.y.size, samples.x.size
     pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
     pair_pixel = (pair_row - first_row) * width + pair_column - first_column
@@ -285,9 +284,9 @@ def _divide_and_average(
 ) -> Floats:
     """Divide cells into quarters, and average the mean radiance of the quarters of each cell.
 
-    A cell is a pixel, or a square part of a pixel.  The search for edges may raise false alarms: no
-    quarter contains a straight edge, but each may contain something else.  Then the cell is sampled
-    on a lattice, too.  If the samples show that it is smooth, their mean is used.
+    A cell is a pixel, or a square part of a pixel.  If no quarter contains a straight edge, but all
+    may contain something else, the cell may still be smooth.  So it is also sampled on a lattice.
+    If the samples confirm that it is smooth, their mean is used.
 
     Parameters
     ----------

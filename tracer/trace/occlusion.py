@@ -151,7 +151,7 @@ def _find_occluders(
     lights : Lights
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Most other hits are skipped.
+        Whether the surface at the hit faces the light.  Other pairs may be skipped.
     margin : (n,) float array, optional
         If given, also find objects that may block the light at any surface point within this
         distance of the hit.
@@ -164,8 +164,8 @@ def _find_occluders(
         Row 0 contains light indices, row 1 hit indices, and row 2 indices of objects that may block
         the segment from the hit to the light.
     shaded_pairs : (2, j) int array
-        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  If
-        `margin` is given, all surface points within this distance of the hits are, too.
+        Row 0 contains light indices, and row 1 indices of hits that are certainly in shadow.  The
+        same holds for all surface points within `margin` of these hits.
     """
     if lights.grid is None or not faces_light.any():
         return

@@ -438,9 +438,9 @@ def _split_by_octant(
 def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     """Bound the directions and the lengths of the vectors in each of m sets.
 
-    Here x, y and z are the absolute values of a vector's components, and x + y + z is its length.
-    Maxima are negated, so that all bounds are lower bounds.  They are widened by more than their
-    rounding errors.
+    Here x, y and z are the absolute values of a vector's components, and x + y + z measures its
+    length.  Maxima are negated, so that all bounds are lower bounds.  They are widened by more than
+    their rounding errors.
 
     Parameters
     ----------
@@ -522,8 +522,7 @@ def _build_lists(
     """Build lists of the entries whose bounding rectangles overlap each cell.
 
     An entry is a part of an object, and a patch is a square array of cells.  Each cell has four
-    lists.  The cell's position in the entry's rectangle decides which of them contains the entry:
-    see `_LIST_BY_FLAGS`.
+    lists: see `_LIST_BY_FLAGS`.
 
     Parameters
     ----------
