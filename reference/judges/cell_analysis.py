@@ -255,10 +255,10 @@ class CellAnalysis:
         """
         # The ray with direction d meets the face at t d, where 1 / t is the sum of the linear term
         # and the root term.  There, n.x + b >= 0 becomes n.d + b / t >= 0, after division by t.
-        *normal, b, b_size = half_space
+        *normal, b, b_abs_sum = half_space
         smooth_part = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
         smooth_part += self._linear_term[pair] * b
-        smooth_part.coef[ERROR] += ROUNDING * b_size * self._max_inverse_distance[pair]
+        smooth_part.coef[ERROR] += ROUNDING * b_abs_sum * self._max_inverse_distance[pair]
         return _RayFunctions(pair, smooth_part, b)
 
     def _enclose_functions(self, functions: _RayFunctions) -> Enclosures:
@@ -290,7 +290,7 @@ class CellAnalysis:
         A claim is a statement about a pair (a cell and a face in it), such as "the face covers the
         cell".  The claim is true wherever the functions of all its conditions are positive.  If the
         claim may be true in only a part of the cell, it is undecided.  Then each of its functions
-        that may change sign in the cell is listed as a possible edge.
+        that may change sign in the cell is added to `_edges`, the list of possible edges.
 
         Parameters
         ----------
@@ -450,12 +450,12 @@ class CellAnalysis:
         covering_pair = np.flatnonzero(covers_cell)
         min_inverse_distance = inverse_distance[covering_pair].find_bounds()[0]
         order = np.lexsort((-file_index[covering_pair], min_inverse_distance, cell[covering_pair]))
-        cell_occluder = np.full(self.cells.x.size, -1)
+        occluder_by_cell = np.full(self.cells.x.size, -1)
         # If a cell has several covering pairs, the last one remains.
-        cell_occluder[cell[covering_pair[order]]] = covering_pair[order]
-        pair_occluder = cell_occluder[cell]
-        pair = np.flatnonzero((pair_occluder >= 0) & (pair_occluder != np.arange(cell.size)))
-        occluder, plane_id = pair_occluder[pair], faces.plane_id[:, face]
+        occluder_by_cell[cell[covering_pair[order]]] = covering_pair[order]
+        occluder_by_pair = occluder_by_cell[cell]
+        pair = np.flatnonzero((occluder_by_pair >= 0) & (occluder_by_pair != np.arange(cell.size)))
+        occluder, plane_id = occluder_by_pair[pair], faces.plane_id[:, face]
         is_in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
         difference = inverse_distance[pair].subtract_independent(inverse_distance[occluder])
         is_behind, is_hidden = difference.find_bounds()[1] < 0, np.zeros(cell.size, np.bool_)
@@ -554,8 +554,9 @@ class CellAnalysis:
         Yields
         ------
         condition : _Condition
-            First one condition, then the other, for all triples whose occluder is a sphere.
-            A triple is a possible shadow: a pair (a cell and a face in it), a light, an occluder.
+            Functions of the camera ray that are positive where the condition holds, one for each
+            triple whose occluder is a sphere.  A triple is a possible shadow: a pair (a cell and
+            a face in it), a light, an occluder.
         """
         triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
         faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
@@ -589,8 +590,8 @@ class CellAnalysis:
         # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
         products = to_center * center
-        b, b_size = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
-        plane_functions = self._express_half_space(pair, np.array([*to_center, b, b_size]))
+        b, b_abs_sum = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
+        plane_functions = self._express_half_space(pair, np.array([*to_center, b, b_abs_sum]))
         yield _Condition(triple_index, plane_functions, has_edge=False)
 
     def _make_box_shadow_conditions(self, casts_no_shadow: Bools) -> Iterator[_Condition]:
@@ -624,7 +625,7 @@ class CellAnalysis:
             yield _Condition(index, functions, has_edge[light[index], box[index]])
 
     def _find_intersections(self) -> None:
-        """Find possible edges where two faces may intersect in a cell.
+        """Find possible edges where two faces intersect in a cell, and add them to `_edges`.
 
         The intersection of two faces lies in a plane.  The possible edge is where camera rays meet
         one of the faces in this plane.
@@ -641,8 +642,8 @@ class CellAnalysis:
         face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
         objects_differ = faces.object_index[face] != faces.object_index[other_face]
         planes_differ = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
-        index = np.flatnonzero(objects_differ & planes_differ)
-        pair, face, other_face = pair[index], face[index], other_face[index]
+        kept_index = np.flatnonzero(objects_differ & planes_differ)
+        pair, face, other_face = pair[kept_index], face[kept_index], other_face[kept_index]
         # If the other face is a sphere, both are.  The difference of their equations is linear.
         plane, is_sphere = faces.face_equation[:, other_face], ~faces.is_planar[other_face]
         sphere_equation = faces.face_equation[:, face[is_sphere]]

@@ -436,8 +436,8 @@ class _Picture:
         groups : list of Cells
             One or two groups.  All cells of a pixel are in the same group.
         """
-        unsettled_count = np.count_nonzero(~cells.is_settled)
-        item_count = cells.pair_cell.size + cells.triples.shape[1] + unsettled_count
+        unsettled_light_count = np.count_nonzero(~cells.is_settled)
+        item_count = cells.pair_cell.size + cells.triples.shape[1] + unsettled_light_count
         if item_count <= _MAX_ITEMS_PER_BATCH:
             return [cells]
         pixel = self.find_pixels(cells)

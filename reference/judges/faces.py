@@ -145,9 +145,9 @@ class Faces:
         self._set_shadow_volumes(low, high)
         # `side` is positive for a light outside an object, negative inside, 0 on a side of a box.
         # In `lights.side`, a light on a side counts as outside.
-        side, (x, y, z) = lights.side.copy(), lights.position.T[:, :, None]
+        side, (light_x, light_y, light_z) = lights.side.copy(), lights.position.T[:, :, None]
         box_index = boxes.objects.list_indices()
-        side[:, box_index] *= boxes.measure_distance(box_index, (x, y, z)) != 0
+        side[:, box_index] *= boxes.measure_distance(box_index, (light_x, light_y, light_z)) != 0
         is_separated = np.any(np.where(is_eye_inside, side > 0, side < 0), axis=1, keepdims=True)
         # In a box, the eye sees inner sides, which a light on or outside the box cannot reach.
         is_unlit = is_separated | (is_eye_inside & (lights.side >= 0))[:, self.object_index]
@@ -227,8 +227,8 @@ class Faces:
         c, r, p = self.center[:, None], self.radius, self.eye_power
         q = np.append(self.light_position, np.zeros((1, 3)), axis=0).T[:, :, None]
         g, products = np.where(p > 0, 1.0, -1.0), c * q
-        b, b_size = p - products.sum(axis=0), np.abs(p) + np.abs(products).sum(axis=0)
-        return np.array([*(g * (q - c)), g * b, b_size]) / r
+        b, b_abs_sum = p - products.sum(axis=0), np.abs(p) + np.abs(products).sum(axis=0)
+        return np.array([*(g * (q - c)), g * b, b_abs_sum]) / r
 
     def _set_shadow_volumes(self, low: Floats, high: Floats) -> None:
         """Set `shadow_volume` and `has_shadow_edge`: the shadow of each box for each light.
@@ -254,10 +254,10 @@ class Faces:
         # Each plane touches the box, so b is minus the minimum of n.x over the corners.  The
         # corners are relative to the eye, not the light, so nothing cancels for distant lights.
         products = np.array([normal * low[:, None], normal * high[:, None]])
-        b, b_size = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
+        b, b_abs_sum = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
         b[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
         camera_normal = self.frame.vector_to_camera((normal[0], normal[1], normal[2]))
-        self.shadow_volume = np.array([*camera_normal, b, b_size])
+        self.shadow_volume = np.array([*camera_normal, b, b_abs_sum])
         is_cone_edge = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 

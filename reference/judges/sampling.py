@@ -29,8 +29,7 @@ def compute_rms_error(image: NDArray[np.float64], reference_image: NDArray[np.fl
 def render_supersampled(scene: Scene, grid_side: int) -> NDArray[np.float64]:
     """Render a scene with a uniform grid of samples in each pixel.
 
-    The samples are the pixels of a picture that is `grid_side` times as wide and high.  They
-    take 24 * grid_side**2 bytes of memory per pixel of the result.
+    The samples are the pixels of a picture that is `grid_side` times as wide and high.
 
     Parameters
     ----------
