@@ -1,7 +1,7 @@
 """Convert a scene to a file for Mitsuba 3, in one of two flavours.
 
 In the *exact* flavour, this project's own plugins compute the same picture as the tracer.  In the
-*stock* flavour, Mitsuba's built-in plugins compute a similar picture.
+*stock* flavour, Mitsuba's built-in plugins approximate that picture.
 """
 
 from __future__ import annotations
@@ -396,7 +396,7 @@ divided by {:g}, and the intensities of the lights are multiplied by it.
 
 @_IGNORE_OVERFLOW
 def convert_stock(scene: Scene, samples: int = 64) -> Document:
-    """Convert a scene to a similar Mitsuba scene that needs only Mitsuba's built-in plugins.
+    """Approximate a scene by a Mitsuba scene that needs only Mitsuba's built-in plugins.
 
     This is the "stock" flavour.  The pixels become square, the lights fall off with distance, and
     the highlights have a different shape.

@@ -54,8 +54,8 @@ def render_mitsuba(
     variant : str, optional
         Name of the Mitsuba variant; by default, the fastest that works on this machine.
     flavour : str
-        "exact" to reproduce the tracer's picture with this project's plugins, or "stock" for a
-        similar picture, with square pixels, rendered by Mitsuba's built-in plugins.
+        "exact" to reproduce the tracer's picture with this project's plugins, or "stock" to
+        approximate it with Mitsuba's built-in plugins, in square pixels.
 
     Returns
     -------

@@ -131,7 +131,7 @@ def _evaluate_lines(
     line_start : (cells + 1,) int array
         The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
     line_number : int
-        Number of the line to evaluate in each cell, from 0.
+        Which line to evaluate in each cell: its position among the cell's lines, from 0.
     cell_index : (n,) int array
         Index of the cell (a pixel or a square part of a pixel) of each column of `position`.
     position : (m, n) complex array
@@ -240,8 +240,8 @@ def _compute_weights(
         return np.bincount(value_region_index, values, region_count).astype(float, copy=False)
 
     # Let S be the covariance matrix of the points in a region, and w the region's area divided by
-    # their number.  With the weights w (1 + t . (point - mean)), the weighted mean of the points is
-    # mean + S t.  It is the centroid for t = S^-1 (centroid - mean).
+    # the number of points.  With the weights w (1 + t . (point - mean)), the weighted mean of the
+    # points is mean + S t.  It is the region's centroid if t = S^-1 (centroid - mean).
     point_count = np.maximum(np.bincount(region_index, minlength=region_count), 1)
     mean_x = sum_by_region(region_index, position.real) / point_count
     mean_y = sum_by_region(region_index, position.imag) / point_count

@@ -66,9 +66,9 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
     """Estimate the mean radiance of pixels without edges from samples at their centres.
 
     Over a pixel, the mean of a smooth function is about the value at the centre plus 1/24 of the
-    sum of the second derivatives along x and y.  They are approximated by differences between
-    neighbouring pixels with the same id.  Samples with the same id hit the same face of the same
-    object, under the same lights.
+    sum of the second derivatives along x and y.  These derivatives are approximated by differences
+    between neighbouring pixels with the same id.  Samples with the same id hit the same face of the
+    same object, under the same lights.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
         has_same_id = pixel_id[neighbor_step:] == pixel_id[:-neighbor_step]
         difference = (radiance[:, neighbor_step:] - radiance[:, :-neighbor_step]) * has_same_id
         axis_correction = (difference[:, neighbor_step:] - difference[:, :-neighbor_step]) / 24
-        has_id_before, has_id_after = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
+        matches_previous, matches_next = has_same_id[:-neighbor_step], has_same_id[neighbor_step:]
         # If only one neighbour has the same id, its difference from the pixel estimates the error.
         max_correction = np.abs(axis_correction).max(axis=0)
-        axis_error = np.where(has_id_before | has_id_after, max_correction, np.nan)
+        axis_error = np.where(matches_previous | matches_next, max_correction, np.nan)
         error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
-        correction[:, inner_pixels] += axis_correction * (has_id_before & has_id_after)
+        correction[:, inner_pixels] += axis_correction * (matches_previous & matches_next)
     return SmoothMeans(radiance + correction, error)
 
 

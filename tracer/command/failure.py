@@ -75,7 +75,7 @@ def errors_as_failure(
     Raises
     ------
     Failure
-        If the block raises an error of these classes.  A Failure that it raises is passed on.
+        If the block raises an error of one of the classes to convert, or a Failure.
     BrokenPipeError
         If the block raises it.  It is not converted, because a command must end silently when the
         reader of its output has gone away.

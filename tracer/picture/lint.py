@@ -127,8 +127,8 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
 def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     """Yield warnings about lights that have no effect, at most one for each cause.
 
-    The causes are an intensity of 0, and a surface that encloses the light but not the eye.  The
-    latter is not checked in scenes with more than `_MAX_PAIRS` pairs of a light and a surface.
+    The causes are an intensity of 0, and a surface that encloses the light but not the eye.  Such
+    surfaces are searched for only if there are at most `_MAX_PAIRS` pairs of a light and a surface.
 
     Parameters
     ----------
@@ -326,10 +326,10 @@ def _check_color_ranges(scene: Scene) -> Iterator[str]:
         ("intensity", light.intensity, "light", index) for index, light in enumerate(scene.lights)
     ]
     # A shader's colours are reported for the first surface in the file that uses the shader.
-    shader_of_surface = surfaces.shader_index[surfaces.array_index]
-    _, first_indices = np.unique(shader_of_surface, return_index=True)
+    shader_index_of_surface = surfaces.shader_index[surfaces.array_index]
+    _, first_indices = np.unique(shader_index_of_surface, return_index=True)
     for surface_index in first_indices.tolist():
-        shader = surfaces.shaders[shader_of_surface[surface_index]]
+        shader = surfaces.shaders[shader_index_of_surface[surface_index]]
         colors.append(("diffuseColor", shader.diffuse, "surface", surface_index))
         if isinstance(shader, Phong):
             colors.append(("specularColor", shader.specular, "surface", surface_index))

@@ -231,7 +231,7 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
         values = np.clip(flat_radiance[batch], min_radiance, 1.0)
-        # A cell is a range of float64 values with the same leading bits, which are its number.  It
+        # A cell is a range of float64 values with the same leading bits, which are its index.  It
         # contains at most two codes: the code of its smallest value, and the next one.
         lower_codes = cell_codes.take((values.view(np.int64) >> _CELL_BITS) - first_cell)
         np.add(lower_codes, values >= next_thresholds.take(lower_codes), out=flat_codes[batch])
@@ -284,14 +284,14 @@ def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
     """Compute tables for looking up the 8-bit code of a radiance.
 
     A cell is a range of float64 values that differ only in the last `_CELL_BITS` bits.  The other
-    bits are the number of the cell.
+    bits are the index of the cell.
 
     Returns
     -------
     min_radiance : float
         The smallest value in the first cell, a power of two.  All values up to it have code 0.
     first_cell : int
-        Number of the first cell.
+        Index of the first cell.
     cell_codes : (cells,) uint8 array
         For each cell from `min_radiance` to 1, the code of its smallest value.
     next_thresholds : (_MAX_CODE + 1,) float array

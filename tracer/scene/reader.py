@@ -186,7 +186,7 @@ class _Reader:
         ------
         FatalError
             If the file is not well-formed XML, exceeds a limit, or has more than `MAX_ERRORS`
-            errors.  Errors found before this one are in the list.
+            errors.  Errors found earlier are in the list.
         """
         try:
             Parser(self.read_element, self.report_at).parse(file)

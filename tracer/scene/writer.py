@@ -98,8 +98,8 @@ def _format_scene(scene: Scene) -> Iterator[str]:
         shader = surfaces.shaders[shader_index]
         start_tag = f'<shader name="shader{shader_index}" type="{type(shader).__name__}">'
         yield f"  {start_tag}{_format_numbers(shader)} </shader>\n"
-    shader_of_surface = surfaces.shader_index[surfaces.array_index]
-    for shader_index, surface in zip(shader_of_surface, surfaces, strict=True):
+    shader_index_of_surface = surfaces.shader_index[surfaces.array_index]
+    for shader_index, surface in zip(shader_index_of_surface, surfaces, strict=True):
         yield f'  <surface type="{type(surface).__name__}">\n'
         yield f'    <shader ref="shader{shader_index}"/>\n'
         yield f"   {_format_numbers(surface)}\n  </surface>\n"
