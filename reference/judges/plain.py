@@ -346,8 +346,8 @@ class _PlainTracer:
         up = np.cross(back, right)
         shift_right = to_precision(2 * x - width) / (2 * width) * to_precision(camera.view_width)
         shift_up = to_precision(height - 2 * y) / (2 * height) * to_precision(camera.view_height)
-        eye_to_window = view_direction[:, None] * to_precision(camera.proj_distance)
-        direction = eye_to_window + np.outer(right, shift_right) + np.outer(up, shift_up)
+        eye_to_window_center = view_direction[:, None] * to_precision(camera.proj_distance)
+        direction = eye_to_window_center + np.outer(right, shift_right) + np.outer(up, shift_up)
         # With exact zeros, a ray can be exactly parallel to the sides of a box.
         return self.snap_to_zero(direction, np.abs(direction).max(axis=0))
 
