@@ -212,7 +212,7 @@ def draw_classes() -> None:
     cells = Cells(1.0, 4, 1e-3, *samples.get_positions(sample_index), pixel_index, object_index)
     classification = classify_cells(prepared_scene, cells, samples, sample_index)
     class_index = np.zeros(sample_index.size, dtype=np.intp)
-    class_index[classification.lines.cell] = 1
+    class_index[classification.lines.cell_index] = 1
     class_index[classification.is_unresolved] = 2
     _, (image_axes, class_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
     _show_picture(image_axes, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")

@@ -205,7 +205,7 @@ def test_every_pixel_that_a_terminator_crosses_is_found(slope, monkeypatch):
     is_crossed = (n_dot_l > 1e-6).any(axis=0) & (n_dot_l < -1e-6).any(axis=0)
     is_crossed &= np.isfinite(n_dot_l).all(axis=0)
     assert is_crossed.sum() > 3
-    assert {*np.flatnonzero(is_crossed & ~classifications[0].is_unresolved)} <= {*lines.cell}
+    assert {*np.flatnonzero(is_crossed & ~classifications[0].is_unresolved)} <= {*lines.cell_index}
 
 
 @pytest.mark.parametrize(("name", "improvement"), [("one-sphere", 9), ("four-spheres", 14)])

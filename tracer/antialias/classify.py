@@ -41,7 +41,7 @@ from tracer.trace.samples import Samples
 from tracer.trace.visibility import find_nearest_and_hidden_hits
 from tracer.world.prepared_scene import Lights, PreparedScene
 
-# Shadow edges are searched for if the footprint of a cell is at most this fraction of its distance
+# Shadow edges are searched for if a footprint's radius is at most this fraction of its distance
 # from the light.  Tuned on the project's scenes: half as much increases errors by up to 1.4 times,
 # twice as much by up to 1.2 times, and the time is the same.
 _MAX_FOOTPRINT = 0.1
@@ -203,7 +203,7 @@ def classify_cells(
     center_id[hit_cell_index] = shading.ids
     lines = Lines.concatenate(all_lines).sort_and_deduplicate()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
-        is_crowded |= np.bincount(lines.cell, minlength=cell_count) > MAX_LINES
+        is_crowded |= np.bincount(lines.cell_index, minlength=cell_count) > MAX_LINES
     lines = lines.limit_per_cell(MAX_LINES)
     center_samples = CenterSamples(radiance, center_id)
     return Classification(cells, center_samples, lines, is_unresolved, is_crowded)
@@ -238,7 +238,7 @@ def _shade_and_find_edges(
     crowded_index : (j,) int array
         Indices of cells in which finding all edges would take longer than dense sampling.
     """
-    hits, hit_cell_index, footprint_radius = surfaces.hits, surfaces.cell, surfaces.footprint_radius
+    hits, _, hit_cell_index, footprint_radius, _ = surfaces
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are always divided, so their shadow edges are not needed.

@@ -60,14 +60,14 @@ class Lines(NamedTuple):
 
     Attributes
     ----------
-    cell : (n,) int array
+    cell_index : (n,) int array
         Index of the cell that each line crosses.
     a, b, c : (n,) float arrays
         Coefficients, scaled so that the maximum of |a x + b y| in the cell is 1, and that a > 0 (or
         b > 0 if a = 0).
     """
 
-    cell: Ints
+    cell_index: Ints
     a: Floats
     b: Floats
     c: Floats
@@ -113,7 +113,7 @@ class Lines(NamedTuple):
         lines : Lines
             The sorted lines without duplicates.
         """
-        sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell)))
+        sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell_index)))
         return sorted_lines.take(find(mark_run_starts(*sorted_lines)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
@@ -131,7 +131,7 @@ class Lines(NamedTuple):
         lines : Lines
             The first `max_lines` lines of each cell, in the same order.
         """
-        position_in_cell = np.arange(self.cell.size) - self.cell.searchsorted(self.cell)
+        position_in_cell = np.arange(self.a.size) - self.cell_index.searchsorted(self.cell_index)
         return self.take(find(position_in_cell < max_lines))
 
 

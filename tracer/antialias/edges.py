@@ -245,7 +245,7 @@ class CellSurfaces(NamedTuple):
         The hits, at most one in each cell.
     inverse_depth : InverseDepth
         The surface at each hit, as a function on the picture.
-    cell : (n,) int array
+    cell_index : (n,) int array
         Index of the cell of each hit.
     footprint_radius : (n,) float array
         Radius, around each hit, of the part of the surface that is visible in the cell.
@@ -255,7 +255,7 @@ class CellSurfaces(NamedTuple):
 
     hits: Hits
     inverse_depth: InverseDepth
-    cell: Ints
+    cell_index: Ints
     footprint_radius: Floats
     cell_width: float
 
@@ -313,7 +313,7 @@ class CellSurfaces(NamedTuple):
         for hidden_index in split_indices(find(is_close)):
             ray, inverse_t = self.trace_rays(visible_index[hidden_index])
             hidden_inverse_t = hidden_surfaces.take(hidden_index).compute_inverse_t(ray)
-            yield self.cell[visible_index[hidden_index]], inverse_t - hidden_inverse_t
+            yield self.cell_index[visible_index[hidden_index]], inverse_t - hidden_inverse_t
         yield from self._intersect_box_faces(hidden_hits, visible_index, is_close)
 
     def _intersect_box_faces(
@@ -425,7 +425,8 @@ class CellSurfaces(NamedTuple):
         for batch in split_indices(find(may_meet)):
             ray, inverse_t = self.trace_rays(hit_index[batch])
             axis_component = self.hits.scene.frame.project_onto_axis(ray, axis)
-            yield self.cell[hit_index[batch]], inverse_t - axis_component / plane_offset[batch]
+            plane_inverse_t = axis_component / plane_offset[batch]
+            yield self.cell_index[hit_index[batch]], inverse_t - plane_inverse_t
 
     def evaluate_shadow_edges(
         self, light_position: Floats, shadow_edges: Ints
@@ -458,7 +459,7 @@ class CellSurfaces(NamedTuple):
             # matters, so it is divided by t.
             scaled_light = scale(take(light_from_eye, light_index), inverse_t)
             light_ray = map_xyz(np.subtract, ray, scaled_light)
-            candidates = np.array([light_index, self.cell[hit_index], occluder_index])
+            candidates = np.array([light_index, self.cell_index[hit_index], occluder_index])
             yield from evaluate_silhouettes(scene, light_position, candidates, light_ray)
 
     def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
@@ -494,4 +495,4 @@ class CellSurfaces(NamedTuple):
             scaled_light = scale(take(light_from_eye, light_index), inverse_t)
             to_light = map_xyz(np.subtract, scaled_light, ray)
             length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-            yield self.cell[hit_index], dot(normal, to_light) / length_product
+            yield self.cell_index[hit_index], dot(normal, to_light) / length_product

@@ -194,7 +194,7 @@ def _compute_cell_means(
     cells, cell_mean = classification.cells, estimate.radiance.copy()
     first_lattice, includes_unresolved, second_lattice = _choose_lattices(cells)
     has_lines = np.zeros(cells.center_x.size, dtype=np.bool_)
-    has_lines[classification.lines.cell] = True
+    has_lines[classification.lines.cell_index] = True
     # If the error is unknown (NaN), both are False.
     is_accurate, is_inaccurate = estimate.error <= cells.tolerance, estimate.error > cells.tolerance
     is_pending = is_refinable & (has_lines | classification.is_unresolved | ~is_accurate)
@@ -265,8 +265,8 @@ def _sample_cells(
     for batch in split_indices(np.arange(cell_count), _choose_batch_size(scene, lattice.size)):
         index_in_batch = np.full(cells.center_x.size, -1)  # of each cell; -1 outside the batch
         index_in_batch[cell_index[batch]] = np.arange(batch.size)
-        batch_lines = lines.take(find(index_in_batch[lines.cell] >= 0))
-        batch_lines = batch_lines._replace(cell=index_in_batch[batch_lines.cell])
+        batch_lines = lines.take(find(index_in_batch[lines.cell_index] >= 0))
+        batch_lines = batch_lines._replace(cell_index=index_in_batch[batch_lines.cell_index])
         points = place_weighted_points(batch_lines, batch.size, lattice.list_points())
         x, y = cells.to_picture(cell_index[batch][points.cell_index], points.position)
         samples, order = Scattered.from_positions(x, y)
@@ -312,7 +312,7 @@ def _divide_and_average(
     quarter_samples = classified_quarters.center_samples
     estimate = estimate_quarter_means(parent_samples, error[cell_index], quarter_samples, tolerance)
     is_all_unresolved = classified_quarters.is_unresolved.reshape(cell_count, 4).all(axis=1)
-    line_count = np.bincount(classified_quarters.lines.cell // 4, minlength=cell_count)
+    line_count = np.bincount(classified_quarters.lines.cell_index // 4, minlength=cell_count)
     tested_index = find(is_all_unresolved & (line_count == 0))
     tested_cell = cell_index[tested_index]
     lattice = Lattice.choose(classification.cells.samples_per_side, min_ratio=1)

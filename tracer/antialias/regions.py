@@ -77,7 +77,7 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
         The m points of the first cell, then those of the second cell, and so on.  For regions with
         too few points, the centroids of triangles that cover these regions are added at the end.
     """
-    line_start = lines.cell.searchsorted(np.arange(cell_count + 1))
+    line_start = lines.cell_index.searchsorted(np.arange(cell_count + 1))
     cell_index, max_lines = np.arange(cell_count), int(np.diff(line_start).max(initial=0))
     # The index of a region has one bit for each line of its cell: 1 on the line's positive side.
     position: Points2D = np.repeat(points[:, None], cell_count, axis=1)

@@ -321,8 +321,7 @@ def _encode_position(row: Ints, x: Floats) -> Floats:
         little, or if both are farther from the left edge than `_MAX_SORTED_X`.
     """
     # The product is exact, so rounding never reverses the order of two positions.
-    sort_key: Floats = row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X)
-    return sort_key
+    return np.asarray(row * (4 * _MAX_SORTED_X) + x.clip(-_MAX_SORTED_X, _MAX_SORTED_X))
 
 
 # Positions in the picture through which rays are traced.

@@ -268,7 +268,7 @@ def build_light_grid(
     position_error : (n,) float array
         Bound on the rounding errors of points on each object.
     is_visible : (n,) bool array
-        Whether the camera may see the object.  Shadows on other objects need not be found.
+        Whether the camera may see the object.  Shadows on all other objects are ignored.
     is_occluder : (n,) bool array
         Whether the object may cast a shadow on other objects.
 
@@ -307,9 +307,9 @@ def build_light_grid(
     del vector_min, vector_max, parts, octant_index, box_index, bounds, object_index, patch_index
     rectangles = _map_to_patch(rectangles, entry_patch, patch_origin, patch_size)
     patch_count = patch_origin.shape[1]
-    per_side = _choose_cells_per_side(rectangles, object_count, light_count, patch_count)
-    lists = _build_lists(rectangles, entry_patch, per_side, patch_count)
-    return LightGrid(near_position, *patches, per_side, *lists, entry_bounds, entry_object)
+    cells_per_side = _choose_cells_per_side(rectangles, object_count, light_count, patch_count)
+    lists = _build_lists(rectangles, entry_patch, cells_per_side, patch_count)
+    return LightGrid(near_position, *patches, cells_per_side, *lists, entry_bounds, entry_object)
 
 
 def _choose_patches(
