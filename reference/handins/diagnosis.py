@@ -35,7 +35,7 @@ _MIN_LIGHT_SHARE = 0.1
 # Light computed from the rounded codes of a picture is off by at most this many levels.
 _PICTURE_LEVELS = 3
 # Functions that turn a picture back, by the keyword of the mistake that turned it.
-_TURN_BACK: dict[str, Callable[[Codes], Codes]] = {
+_TURN_BACK_FUNCTIONS: dict[str, Callable[[Codes], Codes]] = {
     "transposed": lambda codes: codes.swapaxes(0, 1),
     "turned-90": lambda codes: np.rot90(codes, -1),
     "turned-270": np.rot90,
@@ -196,7 +196,7 @@ class Reference:
             return _make_verdict(*symptom).prepend_text(size_sentence)
         if (width, height) == reference_size:
             upright_codes = {keyword: turn_back(picture.codes)
-                             for keyword, turn_back in _TURN_BACK.items()}  # fmt: skip
+                             for keyword, turn_back in _TURN_BACK_FUNCTIONS.items()}  # fmt: skip
             differences = {keyword: compare_levels(codes, self.codes, axis=2).sum()
                            for keyword, codes in upright_codes.items()}  # fmt: skip
             keyword = min(differences, key=differences.__getitem__)
@@ -334,12 +334,12 @@ def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Arr
     wrong_surface_index = surface_index[is_wrong]
     differences = submission.codes[:, is_wrong].astype(np.int16)
     differences -= submission.renderer.reference_codes[:, is_wrong]
-    surfaces, counts = np.unique(wrong_surface_index, return_counts=True)
+    indices, counts = np.unique(wrong_surface_index, return_counts=True)
     order, phrases = np.argsort(-counts, kind="stable"), []
-    for surface, count in zip(surfaces[order[:_MAX_NAMED]], counts[order], strict=False):
-        name = str(SurfaceRef.from_index(scene, int(surface))) if surface >= 0 else "the background"
-        note = _describe_brightness(differences[:, wrong_surface_index == surface])
-        phrases.append(f"{count:,} of {(surface_index == surface).sum():,} on {name}{note}")
+    for index, count in zip(indices[order[:_MAX_NAMED]], counts[order], strict=False):
+        name = str(SurfaceRef.from_index(scene, int(index))) if index >= 0 else "the background"
+        note = _describe_brightness(differences[:, wrong_surface_index == index])
+        phrases.append(f"{count:,} of {(surface_index == index).sum():,} on {name}{note}")
     if other_count := counts[order[_MAX_NAMED:]].sum():
         phrases.append(f"{other_count:,} on others")
     return ", ".join(phrases)

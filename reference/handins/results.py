@@ -157,14 +157,14 @@ def summarize_counts(results: Sequence[Result]) -> str:
         A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  It also counts
         any pictures that cannot be compared, and any scenes that nobody has handed in.
     """
-    counts = Counter("nobody" if not result.picture and not result.student else result.verdict
+    counts = Counter("unused" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip
     verbs = {"agrees": "agree", "differs": "differ", "unread": "cannot be compared"}
     clauses = [f"{counts[verdict]} {verb}" for verdict, verb in verbs.items() if counts[verdict]]
     summary = f"{sum(counts[verdict] for verdict in verbs)} pictures: {', '.join(clauses)}"
     summary += f"; {counts['missing']} are missing" if counts["missing"] else ""
-    nobody_note = f"; scenes that nobody has handed in: {counts['nobody']}"
-    return summary + (nobody_note if counts["nobody"] else "")
+    unused_note = f"; scenes that nobody has handed in: {counts['unused']}"
+    return summary + (unused_note if counts["unused"] else "")
 
 
 def format_text(results: Sequence[Result], *, is_class: bool) -> str:

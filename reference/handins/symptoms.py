@@ -28,10 +28,10 @@ _MAX_ROUNDED_SHARE, _SAMPLE_OFFSET, _SHADOW_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3
 _MIN_SPECKLES, _MAX_OTHERS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
 # JPEG: the qualities to try, the minimum share of the wrong pixels that it must explain, and the
 # maximum size of the pictures in pixels.
-_QUALITIES, _MIN_SAME, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
+_QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
 # Maximum number of places at which to look for the reference picture in a larger picture, and
 # maximum share of its pixels that may differ by more than one level there.
-_MAX_PLACES, _MAX_DIFFERENT = 100, 0.005
+_MAX_PLACES, _MAX_WRONG_SHARE = 100, 0.005
 
 
 def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
@@ -175,7 +175,7 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
         image.save(jpeg_file, "JPEG", quality=quality, subsampling=subsampling)
         agrees = compare_levels(np.asarray(Image.open(jpeg_file)), submitted_codes, axis=2) <= 1
         # Most pixels must agree, including most of those that were wrong without compression.
-        if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME:
+        if min(agrees[is_wrong].mean(), agrees.mean()) >= _MIN_SAME_SHARE:
             return True
     return False
 
@@ -188,7 +188,7 @@ def _are_similar(first_codes: Codes, second_codes: Codes) -> bool:
     first_codes, second_codes : (h, w, 3) uint8 arrays
         8-bit codes of two pictures of equal size.
     """
-    return bool((compare_levels(first_codes, second_codes, axis=2) > 1).mean() <= _MAX_DIFFERENT)
+    return bool((compare_levels(first_codes, second_codes, axis=2) > 1).mean() <= _MAX_WRONG_SHARE)
 
 
 def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:

@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 # Minimum number of jobs for which starting processes is worth it.
 _MIN_JOBS = 8
-# Number of workers that a job may kill before it is abandoned.
+# Number of workers that a job may kill before it is lost.
 _MAX_DEATHS = 2
 
 
@@ -28,7 +28,7 @@ def map_in_workers(
 ) -> Iterator[Result]:
     """Compute the results of jobs in two worker processes.
 
-    If a worker dies, its job is started once more; after a second death, the job is abandoned.
+    If a worker dies, its job is started once more; after a second death, the job is lost.
     If there are few jobs, or if no process can be started, the calling process computes the
     results.  At the end, all child processes that `multiprocessing` has started are killed.
 
@@ -39,7 +39,7 @@ def map_in_workers(
     jobs : sequence
         The arguments of `compute`.
     make_lost_result : callable
-        Makes the result of an abandoned job.
+        Makes the result of a lost job.
 
     Yields
     ------
