@@ -71,18 +71,19 @@ class Boxes:
             All n boxes, with the planes through their silhouette edges, and bounding rectangles.
         """
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
-        low, high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
-        is_eye_inside = np.all((low <= 0) & (high >= 0), axis=0)
-        normals = frame.vector_to_camera(find_edge_planes(low, high))
+        eye_to_low, eye_to_high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
+        is_eye_inside = np.all((eye_to_low <= 0) & (eye_to_high >= 0), axis=0)
+        normals = frame.vector_to_camera(find_edge_planes(eye_to_low, eye_to_high))
         # If the eye is on a face, the plane of that face bounds the rays that enter the box.
-        is_eye_on_face = is_eye_inside & (np.concatenate([low, high]) == 0)
+        is_eye_on_face = is_eye_inside & (np.concatenate([eye_to_low, eye_to_high]) == 0)
         for component, axis in zip(normals, frame.axes, strict=True):
             np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
         coordinate_bound: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
         objects, curvature = get_box_range(surfaces), np.zeros(is_eye_inside.size)
         planes = normals[0], normals[1], normals[2] * frame.depth
-        camera_data = planes, _find_screen_bounds(frame, low, high), is_eye_inside
-        return cls(frame, objects, min_pt, max_pt, *camera_data, curvature, coordinate_bound)
+        bounds = _find_screen_bounds(frame, eye_to_low, eye_to_high)
+        camera_data = planes, bounds, is_eye_inside, curvature
+        return cls(frame, objects, min_pt, max_pt, *camera_data, coordinate_bound)
 
     def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
         """Return two opposite corners of each of the n boxes, in scene axes.

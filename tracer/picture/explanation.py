@@ -194,8 +194,8 @@ class Explanation:
             are computed.
         """
         other_names = [str(ref) for ref in light.occluders if ref != self.surface]
-        surface_names = other_names or ["the surface itself"] * len(light.occluders)
-        outcome = f"blocked by {', '.join(surface_names)}" if surface_names else "reaches the point"
+        blockers = other_names or ["the surface itself"] * len(light.occluders)
+        outcome = f"blocked by {', '.join(blockers)}" if blockers else "reaches the point"
         n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
         light_name = name_element("light", light_index, light.line)
         yield f"{light_name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
