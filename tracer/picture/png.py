@@ -227,13 +227,13 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    min_radiance, first_cell, cell_codes, next_thresholds = _compute_code_tables()
+    min_radiance, first_cell_index, cell_codes, next_thresholds = _compute_code_tables()
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
         values = np.clip(flat_radiance[batch], min_radiance, 1.0)
         # A cell is a range of float64 values with the same leading bits, which are its index.  It
         # contains at most two codes: the code of its smallest value, and the next one.
-        lower_codes = cell_codes.take((values.view(np.int64) >> _CELL_BITS) - first_cell)
+        lower_codes = cell_codes.take((values.view(np.int64) >> _CELL_BITS) - first_cell_index)
         np.add(lower_codes, values >= next_thresholds.take(lower_codes), out=flat_codes[batch])
     return codes
 
@@ -290,7 +290,7 @@ def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
     -------
     min_radiance : float
         The smallest value in the first cell, a power of two.  All values up to it have code 0.
-    first_cell : int
+    first_cell_index : int
         Index of the first cell.
     cell_codes : (cells,) uint8 array
         For each cell from `min_radiance` to 1, the code of its smallest value.
@@ -300,10 +300,12 @@ def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
     codes = range(1, _MAX_CODE + 1)
     next_thresholds = np.array([_compute_threshold(code) for code in codes] + [np.inf])
     min_radiance = 2.0 ** (math.frexp(next_thresholds[0])[1] - 1)
-    first_cell, last_cell = (np.array([min_radiance, 1.0]).view(np.int64) >> _CELL_BITS).tolist()
-    cell_starts: Floats = (np.arange(first_cell, last_cell + 1) << _CELL_BITS).view(np.float64)
+    limits = np.array([min_radiance, 1.0])
+    first_cell_index, last_cell_index = (limits.view(np.int64) >> _CELL_BITS).tolist()
+    cell_index = np.arange(first_cell_index, last_cell_index + 1)
+    cell_starts: Floats = (cell_index << _CELL_BITS).view(np.float64)
     cell_codes = next_thresholds.searchsorted(cell_starts, side="right").astype(np.uint8)
-    return min_radiance, first_cell, cell_codes, next_thresholds
+    return min_radiance, first_cell_index, cell_codes, next_thresholds
 
 
 def _compute_threshold(code: int) -> float:
