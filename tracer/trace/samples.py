@@ -289,8 +289,7 @@ class Scattered(NamedTuple):
         object_index : (spans,) int array
             Index of each span's object among all objects of the scene.
         row, first_sample : (spans,) int arrays
-            Index of each span's sample.  Both arrays are the same, because `y` has one element for
-            each sample.
+            Index of each span's sample, which is also its index in `y`; the arrays are the same.
         sample_count : None
             None, because each span has one sample.
         """

@@ -98,7 +98,7 @@ class _Intersections(NamedTuple):
         Ray parameter of the intersection: its distance from the eye, divided by the length of the
         ray's direction vector.  Infinity if the ray misses the object.
     hit_data : (n,) array
-        Second result of `Spheres.intersect` or `Boxes.intersect`.
+        Second result of `Spheres.intersect` or `Boxes.intersect`; for boxes, the face that is hit.
     """
 
     shape: Shape
