@@ -158,8 +158,8 @@ def _choose_stock_normalisation(scene: Scene) -> Normalisation:
     """
     normalisation = choose_normalisation(scene)
     visible_size = _SCENE_SIZE / normalisation.scale
-    is_near = np.abs(normalisation.center).max() <= _MAX_KEPT_DISTANCE * visible_size
-    if is_near and _MIN_KEPT_SIZE <= visible_size <= _MAX_KEPT_SIZE:
+    is_near_origin = np.abs(normalisation.center).max() <= _MAX_KEPT_DISTANCE * visible_size
+    if is_near_origin and _MIN_KEPT_SIZE <= visible_size <= _MAX_KEPT_SIZE:
         normalisation = Normalisation(np.zeros(3), 1.0)
     largest_radius = normalisation.scale * float(scene.surfaces.radius.max(initial=0))
     if largest_radius > _MAX_RADIUS:

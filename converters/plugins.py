@@ -71,9 +71,9 @@ class Window(mi.Sensor):
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
         # Intersect the box by the slab method.  The inverse of 0 must be finite, because infinity
         # times 0 is NaN.
-        inverse = dr.rcp(dr.select(direction == 0, 1e-300, direction))
-        to_low, to_high = (self.low - self.eye) * inverse, (self.high - self.eye) * inverse
-        start_distance = dr.maximum(dr.max(dr.minimum(to_low, to_high)), 0)
+        inverse_direction = dr.rcp(dr.select(direction == 0, 1e-300, direction))
+        low_t, high_t = ((plane - self.eye) * inverse_direction for plane in (self.low, self.high))
+        start_distance = dr.maximum(dr.max(dr.minimum(low_t, high_t)), 0)
         ray = mi.Ray3f(mi.Point3f(self.eye + start_distance * direction), mi.Vector3f(direction))
         return ray, mi.Spectrum(1)
 
@@ -277,9 +277,9 @@ class EveryLight(mi.SamplingIntegrator):
             is_frontlit = is_hit & dr.any(reflectance > 0)
             # Start the shadow ray slightly in front of the light, which may lie on a surface.  If
             # the light is outside the bounding box of the scene, start just outside the box.
-            inverse = dr.rcp(dr.select(dr.abs(to_light) > 1e-20, to_light, 1e-20))
-            to_low, to_high = (box.min - hit.p) * inverse, (box.max - hit.p) * inverse
-            exit_distance = dr.min(dr.maximum(to_low, to_high))
+            inverse_direction = dr.rcp(dr.select(dr.abs(to_light) > 1e-20, to_light, 1e-20))
+            low_t, high_t = ((plane - hit.p) * inverse_direction for plane in (box.min, box.max))
+            exit_distance = dr.min(dr.maximum(low_t, high_t))
             margin = 1e-3 * dr.max(box.max - box.min)
             ray_length = dr.minimum(light_sample.dist - self.tolerance, exit_distance + margin)
             shadow_ray = mi.Ray3f(hit.p + ray_length * to_light, -to_light)

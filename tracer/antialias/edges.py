@@ -207,7 +207,7 @@ def evaluate_silhouettes(
     if sphere_columns.size:
         sphere_index = spheres.objects.to_local(object_index[sphere_columns])
         sphere_ray = map_xyz(lambda component: component[:, sphere_columns], ray)
-        sphere_apex = take(frame.points_to_camera(apex_position), apex_index[sphere_columns])
+        sphere_apex = take(frame.point_to_camera(apex_position), apex_index[sphere_columns])
         center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), sphere_apex)
         values = compute_miss_angles(sphere_ray, center, spheres.radius[sphere_index])
         yield cell_index[sphere_columns], values
@@ -451,7 +451,7 @@ class CellSurfaces(NamedTuple):
             Edge function, which is 0 at the edge, at six points of each cell (see `compute_rays`).
         """
         scene = self.hits.scene
-        light_from_eye = scene.frame.points_to_camera(light_position)
+        light_from_eye = scene.frame.point_to_camera(light_position)
         for batch in split_indices(np.arange(shadow_edges.shape[1])):
             light_index, hit_index, occluder_index = shadow_edges[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
@@ -481,7 +481,7 @@ class CellSurfaces(NamedTuple):
             between the normal and the direction to the light.
         """
         scene, hit_object = self.hits.scene, self.hits.hit_object
-        light_from_eye = scene.frame.points_to_camera(geometry.lights.near_position)
+        light_from_eye = scene.frame.point_to_camera(geometry.lights.near_position)
         # The normal turns by at most this angle within the footprint, in radians.
         max_turn = self.footprint_radius * scene.curvature[hit_object]
         may_cross = geometry.n_dot_l**2 < max_turn * max_turn * geometry.squared_distance

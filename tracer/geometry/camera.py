@@ -55,7 +55,7 @@ class CameraFrame(NamedTuple):
     width: int
     height: int
 
-    def points_to_camera(self, points: Floats) -> Triple:
+    def point_to_camera(self, points: Floats) -> Triple:
         """Convert positions in the scene to vectors from the eye, in camera axes.
 
         Parameters

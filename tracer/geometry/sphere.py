@@ -100,7 +100,7 @@ class Spheres:
             All n spheres, with their bounding rectangles, and their positions relative to the eye.
         """
         center, radius = surfaces.center.T.copy(), surfaces.radius
-        from_eye = frame.points_to_camera(surfaces.center)
+        from_eye = frame.point_to_camera(surfaces.center)
         distance = np.sqrt(dot(from_eye, from_eye))
         eye_height = distance - radius
         # If the eye lies on a sphere, rounding errors must not move it off the sphere.

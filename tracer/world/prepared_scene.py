@@ -229,7 +229,7 @@ class PreparedScene:
         is_visible = self.bounds.is_in_picture(self.frame)
         return Lights(
             position=positions,
-            from_eye=np.column_stack(self.frame.points_to_camera(positions)),
+            from_eye=np.column_stack(self.frame.point_to_camera(positions)),
             intensity=np.array([light.intensity for light in lights]).reshape(-1, 3),
             side=np.concatenate(sides, axis=1),
             grid=build_light_grid(
