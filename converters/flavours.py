@@ -169,7 +169,7 @@ def _choose_stock_normalisation(scene: Scene) -> Normalisation:
 
 
 def _make_film(scene: Scene) -> Element:
-    """Create the Mitsuba film for the picture of a scene, in linear radiance.
+    """Create the Mitsuba film that stores the picture of a scene as linear radiance.
 
     Parameters
     ----------

@@ -143,7 +143,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     """Remove converted scenes from a list of paths, and print a line for each of them.
 
-    This is not an error, because the shell pattern *.xml matches converted scenes, too.
+    Converted scenes are not an error, because the shell pattern *.xml matches them, too.
 
     Parameters
     ----------

@@ -137,8 +137,8 @@ class Boxes:
         """Compute where rays from the eye hit boxes, and which faces they hit.
 
         The method is that of slabs (Kay and Kajiya, Ray tracing complex scenes, 1986).  A slab is
-        the space between the planes of two opposite faces.  A ray that lies in the plane of a face
-        hits the box.
+        the space between the planes of two opposite faces.  A ray that lies in one of these planes
+        counts as inside the slab.
 
         A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of one
         row that are tested with the same box form a span.
@@ -357,7 +357,7 @@ class Boxes:
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
-            Radius of each capsule.
+            Radius of each capsule: the maximum distance of its points from its axis.
 
         Returns
         -------

@@ -211,8 +211,8 @@ class CameraFrame(NamedTuple):
     def assign_layer(self, depth: Floats, packet_width: float) -> Ints:
         """Assign each of n points to a depth layer.
 
-        Neighbouring hits are grouped into packets.  Neighbours in the picture may be far apart in
-        the scene, so a packet contains only hits in the same layer.  The thickness of a layer is
+        Hits that are neighbours in the picture form packets.  Such hits may be far apart in the
+        scene, so a packet contains only hits in the same layer.  The thickness of a layer is
         `_LAYER_ASPECT` times the width of a packet at that depth.
 
         Parameters

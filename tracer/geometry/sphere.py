@@ -161,7 +161,7 @@ class Spheres:
     def _cut_discs(
         self, sphere_index: Ints, radius: Floats, ray_down: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Compute the discs that planes of rays cut from n spheres.
+        """Compute the disc that a plane of rays cuts from each of n spheres.
 
         A ray has the direction (ray_right, ray_down, depth), in camera axes.  All rays with the
         same `ray_down` lie in one plane through the eye.  A point in this plane has a rightward
@@ -400,7 +400,7 @@ class Spheres:
         start, end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
-            Radius of each capsule.
+            Radius of each capsule: the maximum distance of its points from its axis.
 
         Returns
         -------

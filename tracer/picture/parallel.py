@@ -165,8 +165,8 @@ class Distribution(Generic[_Item, _Result]):
     def _process_next_item(self) -> None:
         """Process the next item or, if none is left, an item that the executor has not finished.
 
-        If a worker may have begun this item, wait for the executor first.  If the executor then
-        finishes any item in time (see `_wait_for_executor`), do not process the item.
+        Before repeating an item that a worker may have begun, wait for the executor.  If the
+        executor finishes any item in time (see `_wait_for_executor`), repeat nothing.
         """
         if self._next_index < len(self.items):
             self._next_index += 1
