@@ -205,7 +205,7 @@ class BlinnPhong(mi.BSDF):
             and where `active` is False.
         """
         half_vector = dr.normalize(hit.wi + to_light)
-        # Compute the cosine n.h from its sine: in float32, a cosine close to 1 would round to 1.
+        # Compute the cosine n.h from the sine: in float32, a cosine close to 1 would round to 1.
         squared_cosine = 1 - mi.Float64(dr.square(half_vector.x) + dr.square(half_vector.y))
         highlight = mi.Float(dr.power(dr.maximum(squared_cosine, 0), 0.5 * self.exponent))
         shading = self.diffuse * dr.abs(to_light.z) + self.specular * highlight

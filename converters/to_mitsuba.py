@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
-    """Set Mitsuba's variant, and print its name and why it was chosen.
+    """Set Mitsuba's variant, and print its name and the reason for choosing it.
 
     Parameters
     ----------

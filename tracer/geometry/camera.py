@@ -139,7 +139,7 @@ class CameraFrame(NamedTuple):
         return dot(vector, (right, down, ahead))
 
     def to_ray_right(self, x: Floats) -> Floats:
-        """Compute the rightward component of the rays through positions in the picture.
+        """Compute the rightward component of the ray through each position in the picture.
 
         Every ray has the direction (ray_right, ray_down, depth), in camera axes.
 
@@ -156,7 +156,7 @@ class CameraFrame(NamedTuple):
         return self.center_right + (x - self.width / 2) * self.pixel_width
 
     def to_ray_down(self, y: Floats) -> Floats:
-        """Compute the downward component of the rays through positions in the picture.
+        """Compute the downward component of the ray through each position in the picture.
 
         Every ray has the direction (ray_right, ray_down, depth), in camera axes.
 

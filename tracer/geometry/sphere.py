@@ -457,8 +457,8 @@ def _find_slope_range(
     low_slope, high_slope : (n,) float arrays
         Smallest and largest slope of rays that point ahead and meet the disc; NaN without a disc.
     """
-    # Both tangents make the same angle with the direction of the centre.  It is set to infinity if
-    # the origin is inside the disc, and to pi / 2 if the origin is within rounding error of it.
+    # Both tangents make the same angle with the direction of the centre.  This angle is set to
+    # infinity if the origin is inside the disc, and to pi / 2 if it is almost on the disc's edge.
     center_distance2 = center_right * center_right + center_ahead * center_ahead
     min_power = np.maximum(power - MIN_POWER * center_distance2, 0)
     half_angle = np.arctan2(np.sqrt(disc_radius2), np.sqrt(min_power))

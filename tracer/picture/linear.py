@@ -37,7 +37,7 @@ def encode_raw(radiance: Floats, *, is_leftmost: bool = True) -> bytes:
 def write_npy(file: IO[bytes], width: int, height: int, tiles: Iterable[bytes]) -> None:
     """Write the linear radiance of a picture to a .npy file.
 
-    `numpy.load` returns it as a float64 array of shape (height, width, 3).
+    `numpy.load` returns the radiance as a float64 array of shape (height, width, 3).
 
     Parameters
     ----------

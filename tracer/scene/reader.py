@@ -202,7 +202,7 @@ class _Reader:
     def read_element(self, element: Element) -> None:
         """Read the next part of the file: first the root element, then its children one by one.
 
-        Each child except <image> becomes a row in a table.  Errors are added to the list `errors`.
+        A valid child other than <image> becomes a row in a table.  Errors are added to `errors`.
 
         Parameters
         ----------
