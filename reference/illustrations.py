@@ -64,7 +64,8 @@ def _load_prepared_scene(name: str, width: int) -> tuple[Scene, PreparedScene, R
     """
     scene = load_scene(SCENES / f"{name}.xml")
     scene = replace(scene, width=width, height=round(width * scene.height / scene.width))
-    return scene, PreparedScene(scene), PIXEL_CENTERS.place(slice(0, scene.height), slice(0, width))
+    samples = PIXEL_CENTERS.place_in_pixels(slice(0, scene.height), slice(0, width))
+    return scene, PreparedScene(scene), samples
 
 
 def _show_picture(axes: Axes, colors: Floats, title: str) -> None:
@@ -206,7 +207,7 @@ def draw_classes() -> None:
     """Draw `classes.png`: pixels coloured by class, overlaid with straight edges and samples."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
-    samples, sample_index = PIXEL_CENTERS.place(rows, columns), np.arange(20 * 28)
+    samples, sample_index = PIXEL_CENTERS.place_in_pixels(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
     cells = Cells(1.0, 4, 1e-3, *samples.get_positions(sample_index), pixel_index, object_index)

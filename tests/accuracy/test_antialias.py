@@ -303,7 +303,7 @@ def test_ids_are_equal_where_object_face_and_lights_are():
     camera = Camera(view_point=(5, 4, 3), view_dir=(-5, -4, -3), view_width=1, view_height=0.75)
     ball = Sphere(center=(1, 0, 2), radius=0.7)
     scene = scene_of(ball, slab, cube, camera=camera, size=(16, 12), lights=lights)
-    samples = PIXEL_CENTERS.place(slice(0, scene.height), slice(0, scene.width))
+    samples = PIXEL_CENTERS.place_in_pixels(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
         _, sample_id = compute_radiance_and_ids(PreparedScene(scene), samples)
     id_of = {}

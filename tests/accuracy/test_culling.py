@@ -187,7 +187,7 @@ def test_samples_are_traced_in_batches_if_many_objects_lie_behind_each_other(mon
 def test_runs_consist_of_neighbours():
     # A row of the floor consists of several runs if balls hide parts of it.
     scene = crowd(200, width=80, height=45)
-    samples = PIXEL_CENTERS.place(slice(0, 45), slice(0, 80))
+    samples = PIXEL_CENTERS.place_in_pixels(slice(0, 45), slice(0, 80))
     for group in radiance_module.find_nearest_hits(PreparedScene(scene), samples).groups:
         ends = np.append(0, group.run_length.cumsum())
         assert (group.run_length > 1).any()

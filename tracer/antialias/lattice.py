@@ -85,7 +85,7 @@ class Lattice(NamedTuple):
         """Number of points of the lattice in a pixel."""
         return self.column_count * self.row_count
 
-    def place(self, pixel_rows: slice, pixel_columns: slice) -> Rows:
+    def place_in_pixels(self, pixel_rows: slice, pixel_columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
 
         Every second row of pixels contains the mirror image of the lattice.
@@ -116,7 +116,7 @@ class Lattice(NamedTuple):
             Points x + iy relative to the centre of the pixel, with x and y between -1/2 and 1/2.
             The y-axis points down.
         """
-        x, y = self.place(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
+        x, y = self.place_in_pixels(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
 
     def average(self, radiance: Floats, width: int) -> Floats:

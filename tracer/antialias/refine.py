@@ -146,7 +146,7 @@ def average_pixels(scene: PreparedScene, rows: slice, columns: slice, grid_side:
     # Add a border of one pixel: `estimate_pixel_means` needs the neighbours of each pixel.
     first_row, first_column = rows.start - 1, columns.start - 1
     bordered_columns = slice(first_column, columns.stop + 1)
-    samples = PIXEL_CENTERS.place(slice(first_row, rows.stop + 1), bordered_columns)
+    samples = PIXEL_CENTERS.place_in_pixels(slice(first_row, rows.stop + 1), bordered_columns)
     height, width = samples.y.size, samples.x.size
     pair_row, pair_column, pair_object = find_silhouette_pixels(scene, rows, columns)
     pair_pixel = (pair_row - first_row) * width + pair_column - first_column

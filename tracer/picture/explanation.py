@@ -249,7 +249,8 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     prepared_scene = PreparedScene(scene)
-    frame, samples = prepared_scene.frame, PIXEL_CENTERS.place(slice(y, y + 1), slice(x, x + 1))
+    frame, rows, columns = prepared_scene.frame, slice(y, y + 1), slice(x, x + 1)
+    samples = PIXEL_CENTERS.place_in_pixels(rows, columns)
     hits = find_nearest_hits(prepared_scene, samples)
     radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
     scene_hit = FirstHits.from_hits(hits)

@@ -226,7 +226,8 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
     if column_count > 0:
         rows_per_batch = max(1, scene.choose_batch_size(BATCH_SIZE) // column_count)
         for top in range(rows.start, rows.stop, rows_per_batch):
-            samples = PIXEL_CENTERS.place(slice(top, min(top + rows_per_batch, rows.stop)), columns)
+            batch_rows = slice(top, min(top + rows_per_batch, rows.stop))
+            samples = PIXEL_CENTERS.place_in_pixels(batch_rows, columns)
             index_batches.append(np.unique(find_nearest_hits(scene, samples).run_object))
     return np.unique(np.concatenate(index_batches))
 

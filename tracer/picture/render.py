@@ -415,7 +415,7 @@ class RenderJob:
                 scene, visible_rows, visible_columns, self._samples_per_side
             )
             return radiance
-        samples = self._lattice.place(visible_rows, columns)
+        samples = self._lattice.place_in_pixels(visible_rows, columns)
         if self._lattice.size > 1:
             sample_radiance = compute_radiance(scene, samples)
             visible_radiance[:] = self._lattice.average(sample_radiance, column_count)
