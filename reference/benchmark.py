@@ -30,7 +30,7 @@ import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
 from converters.flavours import convert_exact, convert_stock
 from converters.variant import SCALAR, mi, use_variant
 from reference import povray
-from reference.command import HERE, SCENES, build_path, list_scene_files, make_parser
+from reference.command import REFERENCE_FOLDER, SCENES, build_path, list_scene_files, make_parser
 from reference.measured.measurements import (
     Task,
     Timing,
@@ -38,7 +38,7 @@ from reference.measured.measurements import (
     make_command_task,
     time_alternately,
 )
-from reference.measured.workloads import build_field, resize_picture
+from reference.measured.workloads import build_field, copy_with_picture_size
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import count_processors
 
@@ -157,7 +157,7 @@ def benchmark_whole_process(quick: bool) -> str:
     rows: list[tuple[object, ...]] = []
     cases = [*product((_SMALL_SIZE, _LARGE_SIZE), _SELECTED_SCENES)]
     for size, scene_name in cases[:1] if quick else cases:
-        scene = resize_picture(load_scene(SCENES / f"{scene_name}.xml"), *size)
+        scene = copy_with_picture_size(load_scene(SCENES / f"{scene_name}.xml"), *size)
         save_scene(scene, scene_file := build_path("tracer.xml"))
         (exact_file := build_path("exact.xml")).write_text(str(convert_exact(scene)))
         (stock_file := build_path("stock.xml")).write_text(str(convert_stock(scene, 1)))
@@ -207,7 +207,7 @@ def benchmark_rendering(quick: bool) -> str:
         scenes = {path.stem: load_scene(path) for path in list_scene_files()}
         scenes |= {f"field-{count}": build_field(count) for count in (1000, 10_000)}
         for name in _SELECTED_SCENES if quick else scenes:
-            scene = resize_picture(scenes[name], *size)
+            scene = copy_with_picture_size(scenes[name], *size)
             exact_xml, stock_xml = str(convert_exact(scene)), str(convert_stock(scene, 1))
             tracer_timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_xml)
             second_tracer_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_xml)
@@ -313,7 +313,7 @@ def prepare_animation_commands(
         it is installed, has one command per frame; each other renderer has a single command.  A
         command is a list of a program and its arguments.
     """
-    scene = resize_picture(load_scene(SCENES / "sticks-perspective.xml"), *size)
+    scene = copy_with_picture_size(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
     scene_files, povray_commands = list[str](), list[list[str]]()
     mitsuba_paths = {"exact": list[str](), "stock": list[str]()}
@@ -398,5 +398,5 @@ def main() -> None:
     for benchmark in BENCHMARKS:
         sections.append(benchmark(arguments.quick))
         print(sections[-1], end="\n\n", flush=True)
-    page_path = build_path("benchmark.md") if arguments.quick else HERE / "benchmark.md"
+    page_path = build_path("benchmark.md") if arguments.quick else REFERENCE_FOLDER / "benchmark.md"
     page_path.write_text("\n\n".join(sections) + "\n", encoding="utf-8")

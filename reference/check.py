@@ -115,7 +115,7 @@ class CheckResult:
         Time of the tracer's second rendering, because the first takes longer.
     mitsuba : Rendering
         Mitsuba's picture, with Mitsuba's variant and the rendering time.
-    is_edge : (h, w) bool array
+    differs_at_edge : (h, w) bool array
         Pixels that differ, but may do so because an edge is close to their centre.
     is_tie : (h, w) bool array
         Pixels that differ, but are right in both pictures, because two surfaces coincide.
@@ -134,7 +134,7 @@ class CheckResult:
     tracer_image: Floats
     tracer_seconds: float
     mitsuba: Rendering
-    is_edge: Bools
+    differs_at_edge: Bools
     is_tie: Bools
     is_disputed: Bools
     is_examined: Bools
@@ -144,7 +144,7 @@ class CheckResult:
     @property
     def is_excluded(self) -> Bools:
         """Mask (h, w) of the pixels excluded from the metrics: edge pixels and ties."""
-        return self.is_edge | self.is_tie
+        return self.differs_at_edge | self.is_tie
 
     @property
     def verdict(self) -> Verdict:
@@ -183,8 +183,8 @@ class CheckResult:
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.metrics}",
-            f"  excluded: edge pixels that differ: {self.is_edge.sum()}"
-            f" ({self.is_edge.mean():.3%}), ties: {self.is_tie.sum()}",
+            f"  excluded: edge pixels that differ: {self.differs_at_edge.sum()}"
+            f" ({self.differs_at_edge.mean():.3%}), ties: {self.is_tie.sum()}",
             f"  Mitsuba ({self.mitsuba.variant}) {self.mitsuba.seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
@@ -353,8 +353,8 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     """Render the diffuse light of a scene that has one light, using Mitsuba's stock plugins.
 
     Lights in Mitsuba fall off with the square of the distance; lights in the scene format do not.
-    To undo the fall-off, each pixel's radiance is multiplied by the squared distance between the
-    light and the point seen in the pixel.
+    So each pixel's radiance is multiplied by the squared distance from the light to the point that
+    the pixel shows.
 
     Parameters
     ----------
@@ -375,22 +375,23 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     """
     light = diffuse_scene.lights[0]
     white_light = replace(light, intensity=(1.0, 1.0, 1.0))
-    document = convert_stock(replace(diffuse_scene, lights=(white_light,)), 1)
-    plugins = {element.get("type"): element for element in document.root.iter()}
+    mitsuba_document = convert_stock(replace(diffuse_scene, lights=(white_light,)), 1)
+    plugins = {element.get("type"): element for element in mitsuba_document.root.iter()}
     integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
-    document.root.remove(integrator)
-    document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
+    mitsuba_document.root.remove(integrator)
+    mitsuba_document.root.append(make_plugin("integrator", "aov", integrator, aovs="p:position"))
     sampler.set("type", "stratified")
     ET.SubElement(sampler, "boolean", name="jitter", value="false")
-    channels = load_into_mitsuba(str(document), variant)().image
+    channels = load_into_mitsuba(str(mitsuba_document), variant)().image
     radiance, hit_position = channels[..., :3], channels[..., -3:]
     point_element, rgb_element = next(emitter.iter("point")), next(emitter.iter("rgb"))
     vector_from_light = hit_position - [float(point_element.get(axis, "")) for axis in "xyz"]
     squared_distance: Floats = (vector_from_light**2).sum(axis=2, keepdims=True)
-    # Mitsuba's radiance at distance 1, for a reflectance of 1 and light at normal incidence.
+    # The radiance of a white surface that faces the light at distance 1.  The converted scene has
+    # reflectances divided by `choose_reflectance_divisor(...)`, and Mitsuba divides them by pi.
     divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
-    unit_radiance = float(rgb_element.get("value", "").split()[0]) / divisor
-    return radiance * squared_distance / unit_radiance * light.intensity
+    radiance_at_distance_1 = float(rgb_element.get("value", "").split()[0]) / divisor
+    return radiance * squared_distance / radiance_at_distance_1 * light.intensity
 
 
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
@@ -434,17 +435,17 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
     scale = max(1.0, min(float(tracer_image.max()), float(mitsuba_image.max())))
     difference = np.abs(tracer_image - mitsuba_image).max(axis=2) / scale
     # If the pictures differ too much as a whole, compare the pixels with a smaller tolerance.
-    for tolerance in (limits.difference, MAX_MEDIAN):
-        is_different, scaled_tolerance = difference > tolerance, tolerance * scale
-        is_edge = is_different.copy()
+    for unscaled_tolerance in (limits.difference, MAX_MEDIAN):
+        is_different, tolerance = difference > unscaled_tolerance, unscaled_tolerance * scale
+        differs_at_edge = is_different.copy()
         if is_different.any():
-            is_edge &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, scaled_tolerance)
-        if is_edge.mean() > MAX_EDGE_SHARE:  # too many to be due to rounding, so exclude none
-            is_edge[:] = False
+            differs_at_edge &= find_pixels_near_edges(scene, mitsuba_image, limits.shift, tolerance)
+        if differs_at_edge.mean() > MAX_EDGE_SHARE:  # too many for rounding errors: exclude none
+            differs_at_edge[:] = False
         is_tie, is_examined, is_wrong = _judge_differing_pixels(
-            scene, tracer_image, mitsuba_image, is_different & ~is_edge, scaled_tolerance
+            scene, tracer_image, mitsuba_image, is_different & ~differs_at_edge, tolerance
         )
-        is_excluded = is_edge | is_tie
+        is_excluded = differs_at_edge | is_tie
         # Replace excluded pixels in the tracer's picture by Mitsuba's, never the reverse.
         compared_image = np.where(is_excluded[:, :, None], mitsuba_image, tracer_image)
         mask = None if is_excluded.all() else is_excluded
@@ -456,7 +457,7 @@ def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXAC
         tracer_image=tracer_image,
         tracer_seconds=tracer_seconds,
         mitsuba=rendering,
-        is_edge=is_edge,
+        differs_at_edge=differs_at_edge,
         is_tie=is_tie,
         is_disputed=is_different & ~is_excluded,
         is_examined=is_examined,

@@ -18,7 +18,7 @@ from time import perf_counter
 from distributed import Client, LocalCluster
 
 from reference.benchmark import format_section, prepare_animation_commands, run_commands
-from reference.command import HERE, build_path, make_parser
+from reference.command import REFERENCE_FOLDER, build_path, make_parser
 from reference.measured.measurements import describe_origin
 
 _FRAME_COUNT = 1_000_000
@@ -115,6 +115,6 @@ def main() -> None:
     )  # fmt: skip
     origin = f"Written by `python -m reference.cluster`, measured on {describe_origin()}."
     page = "\n\n".join(["# A million frames on a cluster", origin, cost_table, limit_table]) + "\n"
-    page_path = build_path("cluster.md") if arguments.quick else HERE / "cluster.md"
+    page_path = build_path("cluster.md") if arguments.quick else REFERENCE_FOLDER / "cluster.md"
     page_path.write_text(page, encoding="utf-8")
     print(page, end="")

@@ -8,9 +8,9 @@ from pathlib import Path
 from tracer.command.arguments import OUTPUT_REMEDY, CommandParser, resolve_path
 from tracer.command.process import MISUSED
 
-HERE = Path(__file__).resolve().parent
-SCENES = HERE.parent / "scenes"
-BUILD = HERE.parent / "build"
+REFERENCE_FOLDER = Path(__file__).resolve().parent
+SCENES = REFERENCE_FOLDER.parent / "scenes"
+BUILD = REFERENCE_FOLDER.parent / "build"
 """Folder for generated files; not under version control."""
 FAILED_STATUS = 3
 """Exit status of `compare` and `certify` if a file cannot be read, processed or written."""

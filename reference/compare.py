@@ -36,13 +36,7 @@ from reference.figures import compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page
 from reference.handins.diagnosis import AGREEING, Reference, find_worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
-from reference.handins.results import (
-    Result,
-    format_csv,
-    format_json,
-    format_text,
-    sort_causes,
-)
+from reference.handins.results import Result, format_csv, format_json, format_text, sort_causes
 from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
 from reference.pictures import read_picture

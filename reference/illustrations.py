@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 
-from reference.command import HERE, SCENES, make_parser
+from reference.command import REFERENCE_FOLDER, SCENES, make_parser
 from reference.judges.certificate import _Picture, certify
 from reference.measured.charts import plt
 from tracer import Scene, load_scene, render, to_codes
@@ -33,7 +33,7 @@ from tracer.trace.visibility import find_nearest_hits
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import PreparedScene
 
-_FOLDER = HERE / "study"
+_FOLDER = REFERENCE_FOLDER / "study"
 
 # Resolution of the pictures, and width of a picture in inches.
 _DOTS_PER_INCH, _WIDTH = 100, 9.0
@@ -203,7 +203,7 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
             yield np.add(ends[:2], (cells.center_x[cell_index], cells.center_y[cell_index]))
 
 
-def draw_classes() -> None:
+def draw_pixel_classes() -> None:
     """Draw `classes.png`: pixels coloured by class, overlaid with straight edges and samples."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
@@ -260,5 +260,5 @@ def _save_figure(name: str) -> None:
 def main() -> None:
     """Draw all illustrations again."""
     make_parser("reference.illustrations").parse_args()
-    for draw in (draw_spans, draw_packets, draw_light_grid, draw_classes, draw_certificate):
+    for draw in (draw_spans, draw_packets, draw_light_grid, draw_pixel_classes, draw_certificate):
         draw()

@@ -12,19 +12,19 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from PIL import Image
 
-from reference.command import HERE
+from reference.command import REFERENCE_FOLDER
 from reference.pictures import Codes
 from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import errors_as_failure
 from tracer.files import open_atomically
 
-TEMPLATE = HERE / "page.html"
+TEMPLATE = REFERENCE_FOLDER / "page.html"
 
 # Maximum side of a thumbnail in pixels.
 _MAX_THUMBNAIL = 96
 
 # Default values of the optional template variables.
-_DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "notes": (), "is_folded": False}
+_DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "notes": (), "hide_good_pairs": False}
 
 Pair: TypeAlias = dict[str, Any]
 """Template values for a pair of pictures and their difference, from `prepare_pair`."""
@@ -111,7 +111,7 @@ def render_page(**content: Any) -> str:
         - `faults` : sequence of paragraphs on failed comparisons, optional
         - `charts` : sequence of (title, SVG bytes) tuples, optional
         - `notes` : sequence of paragraphs below the table, optional
-        - `is_folded` : bool, whether to hide pairs with a good verdict at first, optional
+        - `hide_good_pairs` : bool, whether to hide pairs with a good verdict at first, optional
 
     Returns
     -------

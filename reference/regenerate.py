@@ -27,10 +27,10 @@ from PIL import Image, ImageDraw, ImageFont
 from converters.camera import Floats
 from converters.rendering import render_mitsuba, write_exr
 from converters.variant import ensure_variant, mi, use_variant
-from reference.command import HERE, SCENES, list_scene_files, make_parser
+from reference.command import REFERENCE_FOLDER, SCENES, list_scene_files, make_parser
 from tracer import Scene, load_scene, render, to_codes
 
-FOLDER = HERE / "mitsuba"
+MITSUBA_FOLDER = REFERENCE_FOLDER / "mitsuba"
 WIDTH = 160
 """Width of Mitsuba's pictures in pixels."""
 
@@ -74,7 +74,7 @@ def read_stored_picture(name: str) -> Floats:
         Linear RGB radiance; the width is `WIDTH`.
     """
     ensure_variant()
-    return np.array(mi.Bitmap(str(FOLDER / f"{name}.exr")), dtype=np.float64)
+    return np.array(mi.Bitmap(str(MITSUBA_FOLDER / f"{name}.exr")), dtype=np.float64)
 
 
 def render_sheet(paths: Iterable[Path]) -> Image.Image:
@@ -113,13 +113,13 @@ def _render_image(scene: Scene, height: int) -> Image.Image:
 def main() -> None:
     """Render all stored pictures again, and record in `manifest.json` how they were rendered."""
     make_parser("reference.regenerate").parse_args()
-    render_sheet(list_scene_files()).save(HERE / "sheet.png", optimize=True)
+    render_sheet(list_scene_files()).save(REFERENCE_FOLDER / "sheet.png", optimize=True)
     large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
-    large_picture.save(HERE / "sunflower.png", optimize=True)
+    large_picture.save(REFERENCE_FOLDER / "sunflower.png", optimize=True)
     for path in list_scene_files():
         image = render_mitsuba(load_small_scene(path))
         rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
-        write_exr(FOLDER / f"{path.stem}.exr", rounded_image)
+        write_exr(MITSUBA_FOLDER / f"{path.stem}.exr", rounded_image)
     manifest = {
         "command": "python -m reference.regenerate",
         "mitsuba": version("mitsuba"),
@@ -131,4 +131,4 @@ def main() -> None:
         "width": WIDTH,
         "scenes": {path.stem: {"sha256": hash_scene_file(path)} for path in list_scene_files()},
     }
-    (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")
+    (MITSUBA_FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n", "utf-8")

@@ -27,7 +27,13 @@ import numpy as np
 
 from converters.to_mitsuba import set_up_mitsuba
 from reference.check import EXACT, CheckResult, check_file, choose_exit_status
-from reference.command import BUILD, HERE, forbid_overwriting_inputs, list_scene_files, make_parser
+from reference.command import (
+    BUILD,
+    REFERENCE_FOLDER,
+    forbid_overwriting_inputs,
+    list_scene_files,
+    make_parser,
+)
 from reference.figures import amplify_difference, get_largest_difference
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
@@ -41,8 +47,8 @@ from tracer.messages import make_printable
 # Name of the page in a folder.
 _PAGE_NAME = "report.html"
 CHARTS = {
-    "Accuracy against time": HERE / "speed_accuracy.svg",
-    "Where methods fail": HERE / "stability.svg",
+    "Accuracy against time": REFERENCE_FOLDER / "speed_accuracy.svg",
+    "Where methods fail": REFERENCE_FOLDER / "stability.svg",
 }
 # 8-bit code of excluded pixels, in all channels, in the picture of the difference.
 _EXCLUDED_CODE = 76
@@ -146,9 +152,7 @@ def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
         to_codes(result.mitsuba.image),
         difference_codes,
         gain,
-        name=result.name,
-        is_good=is_good,
-        verdict=result.verdict,
+        name=result.name, is_good=is_good, verdict=result.verdict,
         left_name="tracer", right_name="Mitsuba",
         comment=comment,
         faults=[] if is_good else remarks,
@@ -157,7 +161,8 @@ def _prepare_scene_pair(result: CheckResult, comment: str) -> Pair:
             ("SSIM", f"{metrics.ssim:.6f}"), ("largest difference", f"{metrics.max:.2e}"),
             ("99.9th percentile", f"{metrics.percentile:.2e}"), ("RMSE", f"{metrics.rmse:.2e}"),
             ("median", f"{metrics.median:.2e}"), ("pixels over 1e-3", metrics.differing_count),
-            ("edge pixels excluded", result.is_edge.sum()), ("ties excluded", result.is_tie.sum()),
+            ("edge pixels excluded", result.differs_at_edge.sum()),
+            ("ties excluded", result.is_tie.sum()),
             ("tracer's time", _format_time(result.tracer_seconds)),
             (f"Mitsuba's ({result.mitsuba.variant})", _format_time(result.mitsuba.seconds)),
         ),

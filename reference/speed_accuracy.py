@@ -34,7 +34,7 @@ from reference.judges.certificate import certify
 from reference.judges.sampling import compute_rms_error, render_supersampled
 from reference.measured.charts import CHART_WIDTH, plt, run_chart_command
 from reference.measured.measurements import time_alternately
-from reference.measured.workloads import crowd, resize_picture
+from reference.measured.workloads import copy_with_picture_size, crowd
 from tracer import Scene, load_scene, render
 from tracer.command.progress import track
 
@@ -221,7 +221,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
         ("1,000 small objects", crowd(1000), 320, 180),
     ]
     return {
-        f"{name}, {width}×{height}": resize_picture(scene, width, height)
+        f"{name}, {width}×{height}": copy_with_picture_size(scene, width, height)
         for name, scene, width, height in (panels[1:2] if quick else panels)
     }
 

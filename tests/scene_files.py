@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 from reference.command import SCENES, list_scene_files
-from reference.measured.workloads import resize_picture
+from reference.measured.workloads import copy_with_picture_size
 from tracer import Scene, load_scene
 
 HARD_SCENES = Path(__file__).with_name("scenes")
@@ -125,4 +125,4 @@ def small_scene(name: str, width: int = 48, height: int = 27) -> Scene:
     scene : Scene
         The scene.  Its window has the height in the file, and a width that makes pixels square.
     """
-    return resize_picture(load_scene(SCENES / f"{name}.xml"), width, height)
+    return copy_with_picture_size(load_scene(SCENES / f"{name}.xml"), width, height)

@@ -108,5 +108,5 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
         pairs=[pair | {"name": os.path.relpath(path, folder)} for path, pair in pairs.items()],
         legend=_LEGEND,
         notes=[*list_mistake_counts(results), *notes],
-        is_folded=True,
+        hide_good_pairs=True,
     )

@@ -49,7 +49,7 @@ def list_hand_ins(folder: Path) -> list[Path]:
     written by an earlier run (`NAME.compare.png`) are skipped.
     """
     return sorted(path for path in folder.rglob("*")
-                  if _has_suffix(path, _PICTURES + _ARCHIVES)
+                  if _is_input(path, _PICTURES + _ARCHIVES)
                   and not any(map(_is_hidden, path.relative_to(folder).parts)))  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def _is_hidden(name: str) -> bool:
     return name.startswith(".") or name == "__MACOSX"
 
 
-def _has_suffix(path: Path, suffixes: tuple[str, ...]) -> bool:
+def _is_input(path: Path, suffixes: tuple[str, ...]) -> bool:
     """Test whether a path is a file with one of the given suffixes, in upper or lower case.
 
     The result is false for comparisons written by an earlier run (`NAME.compare.png`).
@@ -132,7 +132,7 @@ def _list_references(reference_path: Path) -> dict[str, Path]:
     if not reference_path.is_dir():
         return {_get_base_name(reference_path): reference_path}
     scenes = sorted(reference_path.glob("*.xml"))
-    pictures = [path for path in sorted(reference_path.iterdir()) if _has_suffix(path, _PICTURES)]
+    pictures = [path for path in sorted(reference_path.iterdir()) if _is_input(path, _PICTURES)]
     computed_files = {path for path in pictures + scenes for scene in scenes
                       if path != scene and path.name.startswith(f"{scene.stem}.")}  # fmt: skip
     return {_get_base_name(path): path for path in pictures + scenes if path not in computed_files}
@@ -165,7 +165,7 @@ def _match_hand_in(
     """
     subfolder = picture.relative_to(class_path).parent
     student = str(subfolder) if subfolder.parts else ""
-    if _has_suffix(picture, _ARCHIVES):
+    if _is_input(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
     name = _COPY.sub("", _get_base_name(picture))
     scenes = [scene for scene in path_by_scene

@@ -33,7 +33,7 @@ from tracer import Scene
 _MAX_UNEXPLAINED_SHARE, _MAX_UNEXPLAINED = 0.03, 10
 # One cause is far better than another if the other leaves this many times as many pixels
 # unexplained.
-_MIN_RATIO = 5
+_LARGE_RATIO = 5
 # Number of pixels at which the pictures with different mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
 # Maximum number of pixels in the first round, and of causes after it.  Each further round
@@ -623,8 +623,8 @@ class Submission:
         single_count: float = self._count_unexplained(causes[0]) if causes else np.inf
         if single_count > _MAX_UNEXPLAINED:
             pairs = self._add_rounding(self._select_best_pairs())
-            good_pairs = self._select_good_causes(list(filter(self._needs_each_mistake, pairs)))
-            if good_pairs and _MIN_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
+            good_pairs = self._select_good_causes(list(filter(self._needs_both_mistakes, pairs)))
+            if good_pairs and _LARGE_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
                 causes = good_pairs
         # A pair is preferred only if it leaves less than half as many pixels unexplained.
         best_cause = min(causes[:1] or single_causes + pairs, default=(), key=lambda cause: (
@@ -670,7 +670,7 @@ class Submission:
                       if (cause := renderer.join_causes(first, second))}  # fmt: skip
         return self._rank_causes([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
 
-    def _needs_each_mistake(self, cause: Cause) -> bool:
+    def _needs_both_mistakes(self, cause: Cause) -> bool:
         """Test whether both mistakes of a pair are needed to explain the submitted picture.
 
         With only one of the mistakes, far more pixels must remain unexplained.  A picture with a
@@ -685,7 +685,7 @@ class Submission:
         pair_unexplained = self._count_unexplained(cause)
         if pair_unexplained > self._max_unexplained:
             return False  # the pair will not be reported
-        min_unexplained = pair_unexplained + max(_MIN_RATIO * pair_unexplained, 1)
+        min_unexplained = pair_unexplained + max(_LARGE_RATIO * pair_unexplained, 1)
         for keyword in set(remove_variants(cause)).difference(mistakes.ROUNDINGS):
             remaining_cause = tuple(other for other in cause if other != keyword)
             if self._count_unexplained(remaining_cause) < min_unexplained:
@@ -719,9 +719,9 @@ class Submission:
         causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        relative_limit = _MIN_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        relative_limit = _LARGE_RATIO * max(1, min(map(self._count_unexplained, causes)))
         causes = [cause for cause in causes if self._count_unexplained(cause) < relative_limit]
-        max_inexact = _MIN_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
+        max_inexact = _LARGE_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting
         causes = [cause for cause in causes if not any(map(needs_fitting, cause))] or causes
@@ -752,7 +752,7 @@ class Submission:
         chosen_causes = list[Cause]()
         for cause, cause_candidates in zip(causes, candidates, strict=True):
             best_cause = min(cause_candidates, key=self._count_inexact)
-            max_inexact = _MIN_RATIO * max(self._count_inexact(best_cause), _MAX_UNEXPLAINED)
+            max_inexact = _LARGE_RATIO * max(self._count_inexact(best_cause), _MAX_UNEXPLAINED)
             chosen_causes.append(best_cause if max_inexact < self._count_inexact(cause) else cause)
         return chosen_causes
 

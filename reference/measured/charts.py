@@ -12,7 +12,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 from cycler import cycler
 
-from reference.command import HERE, build_path, make_parser
+from reference.command import REFERENCE_FOLDER, build_path, make_parser
 from reference.measured.measurements import describe_origin, read_csv, write_csv
 
 __all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
@@ -71,7 +71,7 @@ def run_chart_command(
     redraw_help = "draw the stored table again, without measuring"
     command_parser.add_argument("--redraw", action="store_true", help=redraw_help)
     arguments = command_parser.parse_args()
-    table_path = build_path(f"{name}.csv") if arguments.quick else HERE / f"{name}.csv"
+    table_path = build_path(f"{name}.csv") if arguments.quick else REFERENCE_FOLDER / f"{name}.csv"
     if not arguments.redraw:
         # Everything is measured before the stored table is replaced.
         origin, rows = describe_origin(), [*measure(arguments.quick)]

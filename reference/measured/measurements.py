@@ -16,7 +16,7 @@ from statistics import median
 from time import perf_counter, sleep
 from typing import NamedTuple, TypeAlias, TypeVar
 
-from reference.command import HERE
+from reference.command import REFERENCE_FOLDER
 from tracer.picture.parallel import count_processors
 
 Task: TypeAlias = Callable[[], object]
@@ -185,7 +185,7 @@ def _describe_commit() -> str:
 
     A "+" after the hash means that Python files have changed since the commit.
     """
-    git_command = f"git -C {shlex.quote(str(HERE))}"
+    git_command = f"git -C {shlex.quote(str(REFERENCE_FOLDER))}"
     exit_status, short_hash = subprocess.getstatusoutput(f"{git_command} rev-parse --short=7 HEAD")
     changed_files = subprocess.getoutput(f"{git_command} status --porcelain -- ':/*.py'")
     return "no commit" if exit_status else f"commit {short_hash}{'+' * bool(changed_files)}"

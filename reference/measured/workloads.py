@@ -96,7 +96,7 @@ def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:
     return [PointLight(position=position, intensity=_LIGHT_INTENSITY) for position in positions]
 
 
-def resize_picture(scene: Scene, width: int, height: int) -> Scene:
+def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
     """Return a copy of a scene with another picture size and square pixels.
 
     The height of the camera's window stays the same.  The width of the window is adapted, so the

@@ -22,7 +22,7 @@ from scene_files import NAMES, scene_parameters, small_scene
 
 from reference.command import SCENES, list_scene_files
 from reference.judges import plain
-from reference.measured.workloads import resize_picture
+from reference.measured.workloads import copy_with_picture_size
 from tracer import Box, Camera, PointLight, Scene, Sphere, first_hits, load_scene, render
 from tracer.arrays import Bools, Floats
 
@@ -189,7 +189,7 @@ LARGE_SCENES = {path.stem for path in list_scene_files() if len(load_scene(path)
 def test_own_scenes(name):
     # Some cameras are nearly orthographic: their distance is 1,700 times the size of the scene.
     scene = load_scene(SCENES / f"{name}.xml")
-    scene = resize_picture(scene, *((16, 9) if len(scene.surfaces) > 20 else (48, 27)))
+    scene = copy_with_picture_size(scene, *((16, 9) if len(scene.surfaces) > 20 else (48, 27)))
     exact_image = plain.render(scene, arithmetic="decimal")
     assert exact_image.max() > 0.1
     np.testing.assert_allclose(render(scene), exact_image, rtol=0, atol=1e-11)

@@ -175,7 +175,7 @@ def test_tolerance_of_the_distance_to_an_edge(distance, verdict):
     """The edge crosses few pixels, which may be excluded."""
     result = compare_to(build_plate(distance, 0.38), render(build_plate(-0.01, 0.38)))
     assert result.verdict == verdict
-    assert (result.is_edge if verdict == "agrees" else result.is_disputed)[:, 17].sum() == 6
+    assert (result.differs_at_edge if verdict == "agrees" else result.is_disputed)[:, 17].sum() == 6
 
 
 @pytest.mark.parametrize(("distance", "verdict"), [(1e-8, "agrees"), (1e-4, "DIFFERS")])
@@ -206,7 +206,7 @@ def test_edges_that_differ_are_excluded_up_to_a_share():
     assert 0 < edges.sum() <= 0.015 * edges.size
     result = compare_to(scene, np.where(edges[:, :, None], shifted, image), STOCK)
     assert (result.verdict, result.is_examined.any()) == ("agrees", False)
-    assert np.array_equal(result.is_edge, edges)
+    assert np.array_equal(result.differs_at_edge, edges)
     assert result.metrics.max < 1e-4
     # A value that the tracer computes on neither side of an edge is not excluded.
     assert compare_to(scene, image + 2 * edges[:, :, None], STOCK).verdict == "undecided"
@@ -215,7 +215,7 @@ def test_edges_that_differ_are_excluded_up_to_a_share():
     edges = np.abs(shifted - image).max(axis=2) > 1e-2
     assert 0.02 < edges.mean() < 0.03
     result = compare_to(scene, np.where(edges[:, :, None], shifted, image), Limits(1e-3, 0.18))
-    assert (result.verdict, result.is_edge.sum()) == ("undecided", 0)
+    assert (result.verdict, result.differs_at_edge.sum()) == ("undecided", 0)
 
 
 def test_edges_on_which_both_agree_are_not_excluded():

@@ -116,7 +116,7 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
         yield f"{reason}: the picture is black; {remedy}"
     elif not range_warnings and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
-        brightest_light = _name_light(scene, intensities.index(max(intensities)))
+        brightest_light = _format_light_name(scene, intensities.index(max(intensities)))
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
         yield (
             f"{percentage} of the pixels that are not black are brighter than 1, and clipped at 1 "
@@ -144,7 +144,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     """
     dark_indices = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
     for light_index in islice(dark_indices, 1):
-        name = _name_light(scene, light_index)
+        name = _format_light_name(scene, light_index)
         yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
         return
@@ -160,8 +160,8 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     )
     is_enclosed &= ~prepared_scene.is_eye_inside
     for light_index in np.flatnonzero(is_enclosed.any(axis=1))[:1].tolist():
-        light_name = _name_light(scene, light_index)
-        surface_name = _name_surface(scene, np.flatnonzero(is_enclosed[light_index]))
+        light_name = _format_light_name(scene, light_index)
+        surface_name = _format_surface_name(scene, np.flatnonzero(is_enclosed[light_index]))
         yield f"{light_name} is inside {surface_name}: it has no effect; move it out"
 
 
@@ -191,7 +191,7 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
         if prepared_scene.bounds.is_in_picture(prepared_scene.frame).any():
             return "no object is at a pixel's centre", f"try --samples 16, or {camera_remedy}"
         return "no object is in view", camera_remedy
-    shader_remedy = f"see the shader of {_name_surface(scene, visible_index)}"
+    shader_remedy = f"see the shader of {_format_surface_name(scene, visible_index)}"
     # Which channels (red, green, blue) does each object reflect, and each light emit?
     has_reflectance = (prepared_scene.diffuse > 0) | (prepared_scene.specular > 0)
     reflects_channel = has_reflectance[:, visible_index]
@@ -203,7 +203,7 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
     remedy = "see the lights' positions and intensities"
     enclosing_index = visible_index[prepared_scene.is_eye_inside[visible_index]]
     if enclosing_index.size:
-        surface_name = _name_surface(scene, enclosing_index)
+        surface_name = _format_surface_name(scene, enclosing_index)
         remedy = f"viewPoint is inside {surface_name}: move it out, or a light in"
     return "no light reaches anything in view", remedy
 
@@ -297,12 +297,12 @@ def name_element(kind: str, index: int, line: int | None) -> str:
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 
-def _name_light(scene: Scene, index: int) -> str:
+def _format_light_name(scene: Scene, index: int) -> str:
     """Return the name of ``scene.lights[index]``, such as "light 0 (line 12)"."""
     return name_element("light", index, scene.lights[index].line)
 
 
-def _name_surface(scene: Scene, object_indices: Ints) -> str:
+def _format_surface_name(scene: Scene, object_indices: Ints) -> str:
     """Return the name of the surface that comes first in the file among the given objects.
 
     Parameters
