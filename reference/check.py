@@ -183,8 +183,8 @@ class CheckResult:
         lines = [
             f"{self.name}: {self.verdict}",
             f"  {self.metrics}",
-            f"  excluded: edge pixels that differ: {self.differs_at_edge.sum()}"
-            f" ({self.differs_at_edge.mean():.3%}), ties: {self.is_tie.sum()}",
+            f"  excluded from the metrics: {self.differs_at_edge.sum()} edge pixels"
+            f" ({self.differs_at_edge.mean():.3%}) and {self.is_tie.sum()} ties",
             f"  Mitsuba ({self.mitsuba.variant}) {self.mitsuba.seconds:.3f} s,"
             f" tracer {self.tracer_seconds:.3f} s",
         ]
@@ -219,7 +219,7 @@ def describe_exceeded_tolerances(metrics: Metrics) -> list[str]:
 
 
 def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, tolerance: float) -> Bools:
-    """Find pixels that may differ from the tracer's because an edge is close to their centre.
+    """Find the pixels whose difference from the tracer's picture a nearby edge can explain.
 
     The tracer renders the scene four times, each time with all samples shifted diagonally.  If a
     pixel's radiance lies in the range of these four pictures, a nearby edge can explain it.
@@ -238,7 +238,7 @@ def find_pixels_near_edges(scene: Scene, picture: Floats, shift: float, toleranc
     Returns
     -------
     is_near_edge : (h, w) bool array
-        Pixels whose radiance a nearby edge can explain.
+        Pixels whose radiance lies in this range.
     """
     shifts = (-shift, shift)
     shifted_pictures = [render(scene, offset=(dx, dy)) for dx in shifts for dy in shifts]

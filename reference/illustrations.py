@@ -204,7 +204,10 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
 
 
 def draw_pixel_classes() -> None:
-    """Draw `classes.png`: pixels coloured by class, overlaid with straight edges and samples."""
+    """Draw `classes.png`: which pixels are smooth, crossed by straight edges, or unresolved.
+
+    The edges and the samples are drawn on top of the pixels.
+    """
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, sample_index = PIXEL_CENTERS.place_in_pixels(rows, columns), np.arange(20 * 28)

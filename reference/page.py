@@ -126,7 +126,10 @@ def render_page(**content: Any) -> str:
     id_by_png: dict[bytes, str] = {}
 
     def format_image_attributes(png: bytes) -> Markup:
-        """Format the id and data of a new image, or a reference to the id of an earlier one."""
+        """Return the HTML attributes of an image, given the bytes of a PNG file.
+
+        At the first use of the image, these are an id and the data.  Later, they refer to this id.
+        """
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"

@@ -424,7 +424,7 @@ def _draw_panel(
 
 
 def main() -> None:
-    """Measure the errors, store them in a table, and draw the chart."""
+    """Measure the errors of all rendering methods, store them in a table, and draw the chart."""
     columns = ("panel", "position", "method", "error")
     note = (
         "Above: pictures by the usual methods; below them: the same scenes by this tracer.  Each"

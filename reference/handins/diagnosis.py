@@ -105,7 +105,7 @@ class Diagnosis:
         causes = ({},) if self.kind in AGREEING else self.causes
         return replace(self, causes=tuple({keyword: sentence} | cause for cause in causes))
 
-    def sort_causes(self, cause_counts: Counter[str]) -> Diagnosis:
+    def sort_by_frequency(self, cause_counts: Counter[str]) -> Diagnosis:
         """Return a copy with the causes sorted by frequency, the most frequent first.
 
         Parameters
@@ -360,7 +360,7 @@ def _describe_light_errors(scene: Scene, submission: Submission, is_wrong: Array
     Returns
     -------
     str
-        One sentence for each such light, preceded by a space; empty if there are none.
+        One sentence for each of these lights, preceded by a space; empty if there are none.
     """
     faults = "should shine but does not", "should be blocked but shines"
     sentences = ""

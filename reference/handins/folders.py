@@ -59,16 +59,16 @@ def _is_hidden(name: str) -> bool:
 
 
 def _is_input(path: Path, suffixes: tuple[str, ...]) -> bool:
-    """Test whether a path is a file with one of the given suffixes, in upper or lower case.
+    """Test whether a path leads to an input file with one of the given suffixes.
 
-    The result is false for comparisons written by an earlier run (`NAME.compare.png`).
+    Comparison pictures that an earlier run wrote (`NAME.compare.png`) do not count as input files.
 
     Parameters
     ----------
     path : Path
         The path.
     suffixes : tuple of str
-        Suffixes in lower case, such as ".png".
+        Suffixes in lower case, such as ".png".  In the path, they may be in upper case.
     """
     name = path.name.lower()
     return name.endswith(suffixes) and not name.endswith(".compare.png") and path.is_file()

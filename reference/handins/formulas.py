@@ -420,7 +420,7 @@ def interpolate_light(picture: Array, x: Array, y: Array) -> Array:
 
 
 def guess_hits(reference_picture: Array, x: Array, y: Array, submitted_codes: Array) -> Array:
-    """Guess which pixels of a submitted picture show a surface, if its scene is unknown.
+    """Guess which pixels of a submitted picture show a surface when the scene is unknown.
 
     A pixel counts as background if it is black in the reference picture, but not in the submitted
     picture.

@@ -91,21 +91,21 @@ def parse_formulas(assignments: str) -> Formulas:
     return {name: compile_formula(expression) for name, expression in names_and_expressions}
 
 
-def make_sample_formulas(x: float, y: float) -> Formulas:
+def make_sample_formulas(dx: float, dy: float) -> Formulas:
     """Make the formulas that place one sample at a given position in each pixel.
 
     Parameters
     ----------
-    x, y : float
-        Position of the sample in its pixel: 0 at the left and upper edges, 1 at the right and lower
-        edges.
+    dx, dy : float
+        Distances of the sample from the left and upper edges of its pixel, relative to the pixel's
+        width and height.
 
     Returns
     -------
     dict of str to callable
-        The formulas "x" and "y" for the sample's position in the picture.
+        The formulas "x" and "y", which compute the sample's position in the picture.
     """
-    return parse_formulas(f"x = (column + {x}) / width - 0.5; y = 0.5 - (row + {y}) / height")
+    return parse_formulas(f"x = (column + {dx}) / width - 0.5; y = 0.5 - (row + {dy}) / height")
 
 
 # Formulas that replace those of a scene if only the reference picture is known.

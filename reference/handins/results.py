@@ -119,9 +119,10 @@ def sort_causes(results: Sequence[Result]) -> list[Result]:
     cause_counts: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
         if result.diagnosis and not result.agrees:
+            # `kind` contains the keywords of all possible causes, separated by "|".
             cause_counts[result.student].update(result.diagnosis.kind.split("|"))
     return [
-        result._replace(diagnosis=result.diagnosis.sort_causes(cause_counts[result.student]))
+        result._replace(diagnosis=result.diagnosis.sort_by_frequency(cause_counts[result.student]))
         if result.diagnosis else result for result in results
     ]  # fmt: skip
 

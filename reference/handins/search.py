@@ -32,7 +32,7 @@ from tracer import Scene
 # this number of pixels.
 _MAX_UNEXPLAINED_SHARE, _MAX_UNEXPLAINED = 0.03, 10
 # One cause is far better than another if the other leaves this many times as many pixels
-# unexplained.
+# unexplained, or inexact.
 _LARGE_RATIO = 5
 # Number of pixels at which the pictures with different mistakes are compared with each other.
 _GROUPING_PIXELS = 2400
@@ -671,16 +671,19 @@ class Submission:
         return self._rank_causes([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
 
     def _needs_both_mistakes(self, cause: Cause) -> bool:
-        """Test whether both mistakes of a pair are needed to explain the submitted picture.
-
-        With only one of the mistakes, far more pixels must remain unexplained.  A picture with a
-        camera mistake must also show several surfaces, because few surfaces may match by chance.
+        """Test whether two mistakes explain the submitted picture together, but neither does alone.
 
         Parameters
         ----------
         cause : tuple of str
             Keywords of two mistakes, perhaps followed by those of a rounding mistake and of a
             variant (another way to write a correct tracer).
+
+        Returns
+        -------
+        bool
+            True if either mistake alone leaves far more pixels unexplained than both together.
+            False if a camera mistake leaves few surfaces in the picture, which may match by chance.
         """
         pair_unexplained = self._count_unexplained(cause)
         if pair_unexplained > self._max_unexplained:
@@ -693,17 +696,17 @@ class Submission:
         renderer, formulas = self.renderer, self.renderer.get_formulas(cause)
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
-        shown_surfaces = renderer.evaluate([formulas], renderer.sample, name="shown_surface")[0]
-        shown_count, reference_count = (len(np.unique(surfaces[surfaces >= 0])) for surfaces in (
-            shown_surfaces, renderer.surface_index[renderer.sample]))  # fmt: skip
+        shown_index = renderer.evaluate([formulas], renderer.sample, name="shown_surface")[0]
+        shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in (
+            shown_index, renderer.surface_index[renderer.sample]))  # fmt: skip
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
     def _select_good_causes(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that are good enough to report.
 
-        Such a cause leaves few pixels unexplained, and no other cause explains the picture far
-        better.  Causes that depend on a number estimated from the submitted picture, such as a
-        gamma, are selected only if there are no others.
+        A cause is good enough if it leaves few pixels unexplained and no other cause is far better.
+        Causes that depend on a number estimated from the submitted picture, such as a gamma, are
+        selected only if no other causes are good enough.
 
         Parameters
         ----------
@@ -719,8 +722,8 @@ class Submission:
         causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
         if not causes:
             return []
-        relative_limit = _LARGE_RATIO * max(1, min(map(self._count_unexplained, causes)))
-        causes = [cause for cause in causes if self._count_unexplained(cause) < relative_limit]
+        unexplained_limit = _LARGE_RATIO * max(1, min(map(self._count_unexplained, causes)))
+        causes = [cause for cause in causes if self._count_unexplained(cause) < unexplained_limit]
         max_inexact = _LARGE_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting

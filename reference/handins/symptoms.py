@@ -101,18 +101,19 @@ def is_speckled(submission: Submission) -> bool:
     has_other_errors = submission.wrong_count - dark_count > _MAX_OTHERS * dark_count
     if has_other_errors or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
         return False
-    every_pixel, surface = np.arange(renderer.pixel_count), renderer.surface_index
+    every_pixel, surface_index = np.arange(renderer.pixel_count), renderer.surface_index
     is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
-    is_lit &= np.isin(surface, surface[is_dark])
+    is_lit &= np.isin(surface_index, surface_index[is_dark])
     dark_share = dark_count / is_lit.sum()
     # Reshape the arrays to pictures (h, w).
-    is_lit, is_dark, surface = (array.reshape(-1, renderer.width)
-                                for array in (is_lit, is_dark, surface))  # fmt: skip
+    is_lit, is_dark, surface_index = (array.reshape(-1, renderer.width)
+                                      for array in (is_lit, is_dark, surface_index))  # fmt: skip
     for axis in (0, 1):
         # Compare neighbours on the same surface: if the dots are random, many neighbours differ.
-        is_pair = is_lit & np.roll(is_lit, 1, axis) & (surface == np.roll(surface, 1, axis))
-        differing_count = (is_pair & (is_dark != np.roll(is_dark, 1, axis))).sum()
-        expected_count = 2 * dark_share * (1 - dark_share) * is_pair.sum()
+        is_comparable = is_lit & np.roll(is_lit, 1, axis)
+        is_comparable &= surface_index == np.roll(surface_index, 1, axis)
+        differing_count = (is_comparable & (is_dark != np.roll(is_dark, 1, axis))).sum()
+        expected_count = 2 * dark_share * (1 - dark_share) * is_comparable.sum()
         if differing_count <= _MIN_RANDOMNESS * expected_count:
             return False
     return True
@@ -218,11 +219,13 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     column_count = submitted_codes.shape[1] - width + 1
     if row_count <= 0 or column_count <= 0:
         return None
-    # Find the places for the upper left corner where 50 random pixels of both pictures agree.
+    # Find the possible positions of the reference picture's upper left corner: those at which 50
+    # randomly chosen pixels agree.
     may_be_corner = np.ones((row_count, column_count), dtype=np.bool_)
     for row, column in np.random.default_rng(1).integers((height, width), size=(50, 2)):
-        window = submitted_codes[row : row + row_count, column : column + column_count]
-        may_be_corner &= compare_levels(window, reference_codes[row, column], axis=2) <= 1
+        # The codes that the submitted picture has at this pixel, for each position of the corner.
+        codes = submitted_codes[row : row + row_count, column : column + column_count]
+        may_be_corner &= compare_levels(codes, reference_codes[row, column], axis=2) <= 1
     for row, column in np.argwhere(may_be_corner)[:_MAX_PLACES]:
         crop = submitted_codes[row : row + height, column : column + width]
         if _are_similar(crop, reference_codes):
@@ -231,7 +234,7 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
 
 
 def find_wrong_edge(is_wrong: Array) -> str:
-    """Find the outermost row or column of a picture that contains all wrong pixels.
+    """Name the outermost row or column that contains all wrong pixels of a picture.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The style of all charts, and the command that measures a table and draws its chart."""
+"""The style of all charts, and the command that takes measurements and draws their chart."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def run_chart_command(
     title: str,
     note: str,
 ) -> None:
-    """Run a chart command: measure a table, store it as a CSV file, and draw its chart.
+    """Run a chart command: take measurements, store them in a CSV file, and draw the chart.
 
     The command is `python -m reference.NAME`.  With the option `--quick`, it measures fewer points
     and writes to the build folder.  With `--redraw`, it draws the stored table without measuring.
@@ -57,7 +57,7 @@ def run_chart_command(
     Parameters
     ----------
     name : str
-        NAME of the module.  The table and the chart are written to NAME.csv and NAME.svg.
+        Name of the module, NAME above.  The table is written to NAME.csv, the chart to NAME.svg.
     columns : sequence of str
         Titles of the table's columns.
     measure : callable

@@ -97,10 +97,10 @@ def _make_lights(*positions: tuple[float, float, float]) -> list[PointLight]:
 
 
 def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
-    """Return a copy of a scene with another picture size and square pixels.
+    """Return a copy of a scene with a different picture size and square pixels.
 
-    The height of the camera's window stays the same.  The width of the window is adapted, so the
-    picture may show more or less of the scene at its left and right sides.
+    The height of the camera's window stays the same.  The window's width is adjusted to match, so
+    the picture may show more or less of the scene on the left and right.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def copy_with_picture_size(scene: Scene, width: int, height: int) -> Scene:
     Returns
     -------
     resized_scene : Scene
-        The copy with the new picture size.
+        The copy.
     """
     camera = replace(scene.camera, view_width=scene.camera.view_height / height * width)
     return replace(scene, width=width, height=height, camera=camera)

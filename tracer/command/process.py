@@ -171,8 +171,8 @@ def end_on_signals() -> None:
 
 
 def _handle_signal(_signal_number: int, _frame: object) -> NoReturn:
-    """Remove part files (incomplete output files), and end this process because of a signal."""
-    # Raise no KeyboardInterrupt: it would be lost in a finalizer or after a fork, and NumPy or a
-    # plugin might turn it into a different error.
+    """Remove part files (incomplete output files), and exit with the status for an interrupt."""
+    # Do not raise KeyboardInterrupt: it would be lost in a finalizer or after a fork, and NumPy or
+    # a plugin might turn it into a different error.
     remove_part_files()
     os._exit(INTERRUPTED)

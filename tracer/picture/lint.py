@@ -303,14 +303,14 @@ def _format_light_name(scene: Scene, index: int) -> str:
 
 
 def _format_surface_name(scene: Scene, object_indices: Ints) -> str:
-    """Return the name of the surface that comes first in the file among the given objects.
+    """Return the name, for messages, of whichever given surface comes first in the scene file.
 
     Parameters
     ----------
     scene : Scene
-        The scene that contains the objects.
+        The scene.
     object_indices : (n,) int array
-        Indices of one or more objects in the prepared scene.
+        Indices of one or more surfaces in the prepared scene, where they are called objects.
     """
     surface_index = scene.surfaces.file_index[object_indices].min().item()
     return name_element("surface", surface_index, scene.surfaces[surface_index].line)

@@ -36,8 +36,9 @@ def keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
-        # For arrays of this size, NumPy requests large pages with madvise(2).  The arrays are never
-        # written to, so they use no memory.  If allocating them fails, the picture may still fit.
+        # Create large arrays and delete them at once, because NumPy requests large pages for them.
+        # They use no memory, because nothing is written to them.  If there is no room for them,
+        # there may be enough for a picture.
         with suppress(MemoryError):
             _ = [
                 np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)

@@ -464,9 +464,9 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """Compute the index of each surface in the arrays, in the order of the file.
+        """For each surface in the order of the file, its index in arrays such as `shader_index`.
 
-        In the arrays, all spheres come before all boxes.  The result is a read-only int array.
+        In these arrays, all spheres come before all boxes.  The result is a read-only int array.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)

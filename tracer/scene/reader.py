@@ -108,8 +108,8 @@ class _Reader:
         The elements that occur only once in a file, by tag: "scene" (the root), "camera" and
         "image".
     intended_tags : set of (str or None)
-        Tags that the author of the file probably meant in place of unknown tags.  An element with
-        such a tag is not reported as missing.
+        Tags that were probably meant by unknown tags.  An element with one of the intended tags is
+        not reported as missing.
     empty_scene : Scene
         A scene without content, which stores the size of the picture.
     cameras, lights : Table
@@ -297,10 +297,10 @@ class _Reader:
                     self.read_shader_or_reference(child)
             return
         table.object_indices.append(next(self.surface_counter))
-        shader_child = self.add_row(table, element, "type").get("shader")
-        shader_index = 0 if shader_child is None else self.read_shader_or_reference(shader_child)
-        table.shader_indices.append(shader_index)
-        table.shader_lines.append(0 if shader_child is None else shader_child.line)
+        children = self.add_row(table, element, "type")
+        shader = children.get("shader")
+        table.shader_indices.append(0 if shader is None else self.read_shader_or_reference(shader))
+        table.shader_lines.append(0 if shader is None else shader.line)
 
     def read_shader(self, element: Element) -> int:
         """Add a shader to the table for its type, and report any errors in it.
@@ -425,7 +425,8 @@ class _Reader:
         children : dict of str to Element
             For each field name, the child element that gives the field's value.
         intended_names : set of (str or None)
-            What the author probably meant by unknown attributes and tags; None for unclear ones.
+            For all unknown attributes and tags, the names that were probably meant.  None stands
+            for a name that cannot be guessed.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -512,7 +513,7 @@ class _Reader:
         Returns
         -------
         intended_tag : str or None
-            The tag that the author probably meant, or None if this is unclear.
+            The tag that was probably meant; None if it cannot be guessed.
         """
         if element.tag in _SCENE_TAGS:
             remedy, intended_tag = f"close the {parent.tag} of line {parent.line} first", None
@@ -552,7 +553,8 @@ class _Reader:
         Returns
         -------
         intended_names : set of (str or None)
-            What the author probably meant by unknown attributes; None stands for unclear ones.
+            For all unknown attributes, the names that were probably meant.  None stands for a name
+            that cannot be guessed.
         """
         intended_names: set[str | None] = set()
         for name, value in element.attrib.items():
