@@ -189,8 +189,8 @@ def classify_cells(
     surfaces = CellSurfaces(hits, inverse_depth, hit_cell_index, radius, cells.width)
     silhouettes = _find_silhouettes_from_eye(scene, cells)
     edges = chain(silhouettes, surfaces.find_intersections(hidden_hits), surfaces.find_creases())
-    geometry_lines, curved_index = fit_lines(edges, tolerance)
-    is_unresolved[curved_index] = True
+    geometry_lines, curved_cell_index = fit_lines(edges, tolerance)
+    is_unresolved[curved_cell_index] = True
     shading, all_lines = Shading(hits, with_ids=True), [geometry_lines]
     for lights in scene.light_batches:
         light_lines, unresolved_index, crowded_index = _shade_and_find_edges(
@@ -251,34 +251,33 @@ def _shade_and_find_edges(
     shading.add(geometry, faces_light & ~is_blocked)
     terminators = surfaces.find_terminators(geometry)
     edges = chain(surfaces.evaluate_shadow_edges(lights.near_position, shadow_edges), terminators)
-    light_lines, curved_index = fit_lines(edges, tolerance)
+    light_lines, curved_cell_index = fit_lines(edges, tolerance)
     highlights = find_narrow_highlights(geometry, faces_light, footprint_radius)
     highlight_indices = [hit_cell_index[hit_index] for hit_index in highlights]
     unsearched_index = hit_cell_index[has_wide_footprint | is_crowded]
-    unresolved_index = np.concatenate([unsearched_index, curved_index, *highlight_indices])
+    unresolved_index = np.concatenate([unsearched_index, curved_cell_index, *highlight_indices])
     return light_lines, unresolved_index, hit_cell_index[is_crowded]
 
 
 def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """Yield the silhouettes that may cross cells, seen from the eye.
+    """For each silhouette edge that may cross a cell, yield values of its edge function.
 
-    A cell is a pixel, or a square part of a pixel.  A silhouette is given by its edge function, a
-    smooth function on the picture that is zero at the silhouette.
+    A silhouette edge is part of the outline of an object, seen from the eye.  A sphere has one
+    silhouette edge, a box has up to six.  The edge function is a function of the position in the
+    picture that is zero on the edge.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
     cells : Cells
-        The cells, and the (cell, object) pairs to search.
+        The cells (pixels, or square parts of pixels), and the (cell, object) pairs to search.
 
     Yields
     ------
-    cell_index : (k,) int array
-        Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge of
-        its outline.
-    values : (6, k) float array
-        Values of the edge function at six points of the cell, in the order of `compute_rays`.
+    edge_values : EdgeValues
+        For each edge, the index of the cell, and the edge function at six points of the cell (see
+        `compute_rays`).
     """
     frame = scene.frame
     for batch in split_indices(np.arange(cells.pair_cell_index.size)):

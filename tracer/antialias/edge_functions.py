@@ -1,23 +1,24 @@
-"""Edge functions: smooth functions on the picture that are zero at an edge (Pineda 1988).
+"""Edge functions: functions of the position in the picture that are zero on an edge (Pineda 1988).
 
 A cell is a pixel or a square part of a pixel.  An edge function is evaluated at six points of a
 cell.  Differences of these values approximate its gradient and its second derivatives.  `fit_lines`
 computes from them the straight line that represents the edge in the cell, or finds that the edge is
 too curved for a line.
 
-Each edge function is a function of the ray from the eye:
+Each edge function is computed from the ray from the eye through the position:
 
 ==========================  ======================================================================
 silhouette of a sphere      the angle between the ray and the direction to the sphere's centre,
                             minus the angular radius of the sphere
-silhouette of a box         n . ray, with the normal n of the plane through the apex and an edge
+silhouette edge of a box    n . ray, with the normal n of the plane through the viewpoint and the
+                            edge
 intersection of surfaces,   1 / t1 - 1 / t2, where the points t1 * ray and t2 * ray lie on the two
 or crease                   surfaces
 terminator                  the cosine between the normal and the direction to the light
 ==========================  ======================================================================
 
-The *apex* of a silhouette is the eye or a light.  Silhouettes from a light are the edges of
-shadows; the ray then leads from the light to the surface that is visible in the cell.
+The *viewpoint* of a silhouette is the eye or a light.  Silhouettes seen from a light are the edges
+of shadows; the ray then leads from the light to the surface that is visible in the cell.
 
 All vectors are in the axes of the camera, relative to the eye.
 
@@ -28,17 +29,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import chain
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from tracer.arrays import Floats, Ints, Triple, dot, find, map_xyz, mark_run_starts, scale, take
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
-
-# For n edges, the index (n,) of the cell that each edge may cross, and the values (6, n) of its
-# edge function at six points of the cell.  Unknown values are NaN.
-EdgeValues: TypeAlias = tuple[Ints, Floats]
 
 # The six points of a cell relative to its centre, in units of the cell's width: the centre; the
 # centres of the right, left, lower and upper sides; and the lower right corner.
@@ -50,6 +47,25 @@ _POINT_Y = np.array([[0.0], [0.0], [0.0], [0.5], [-0.5], [0.5]])
 # radiance.  Tuned on the project's scenes: with half the first number, errors of 4 samples per
 # pixel are up to 1.6 times as large; half or twice the second changes errors and times by 1 %.
 _MAX_TURN, _TURN_PER_TOLERANCE = 0.5, 500.0
+
+
+class EdgeValues(NamedTuple):
+    """Values of the edge functions of n edges, each at six points of one cell.
+
+    An edge function is a smooth function of the position in the picture that is zero on the edge.
+    A cell is a pixel, or a square part of a pixel.
+
+    Attributes
+    ----------
+    cell_index : (n,) int array
+        Index of the cell that each edge may cross.
+    values : (6, n) float array
+        Values of each edge function at the six points of the cell that `compute_rays` lists; NaN if
+        unknown.
+    """
+
+    cell_index: Ints
+    values: Floats
 
 
 class Lines(NamedTuple):
@@ -167,21 +183,22 @@ def compute_rays(
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Bound the difference between each edge function and its value at the centre of a cell.
+    """Bound the change of each edge function from the centre of a cell to its other points.
 
-    A cell is a pixel, or a square part of a pixel.  An edge function is a smooth function on the
-    picture that is zero at an edge.  A quadratic polynomial through six values approximates it.
+    An edge function is a function of the position in the picture that is zero on an edge.  In a
+    cell (a pixel, or a square part of a pixel), a quadratic polynomial approximates the function.
 
     Parameters
     ----------
     values : (6, ...) float array
-        Values of each edge function at six points of a cell, in the order of `compute_rays`.
+        Values of each edge function, and of its polynomial, at the six points of the cell that
+        `compute_rays` lists.
 
     Returns
     -------
     max_difference : (...) float array
-        Upper bound on the absolute difference between the polynomial at the centre and at any other
-        point of the cell.
+        Upper bound on the absolute difference between the values of the polynomial at the centre
+        and at any other point of the cell.
     """
     center, right, left, lower, upper, corner = values
     linear_part = np.abs(right - left) + np.abs(lower - upper)
@@ -193,15 +210,13 @@ def bound_variation(values: Floats) -> Floats:
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each edge in a cell, and find the cells with curved edges.
 
-    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
-    smooth function on the picture that is zero at the edge.
+    A cell is a pixel, or a square part of a pixel.
 
     Parameters
     ----------
-    edges : iterable of (cell_index, values)
-        Batches of edges.  `cell_index` (n,) contains the cell that each of n edges may cross.
-        `values` (6, n) contains the values of the edge function at six points of this cell, in the
-        order of `compute_rays`.  Unknown values are NaN.
+    edges : iterable of EdgeValues
+        Batches of edges.  Each edge is given by the cell that it may cross, and by six values of
+        its edge function: a function of the position in the picture that is zero on the edge.
     tolerance : float
         Tolerated error of the mean radiance of a cell.
 
@@ -210,30 +225,30 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
     lines : Lines
         A line for each edge that turns by at most `_MAX_TURN` radians in its cell, unless the line
         misses the cell.
-    curved_index : (k,) int array
+    curved_cell_index : (k,) int array
         Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
         the tolerance, or if values are unknown.
     """
-    no_edges: EdgeValues = np.zeros(0, dtype=np.intp), np.zeros((6, 0))
+    no_edges = EdgeValues(np.zeros(0, dtype=np.intp), np.zeros((6, 0)))
     fits = (_fit_line_batch(*batch, tolerance) for batch in chain([no_edges], edges))
-    batch_lines, curved_index = zip(*fits, strict=True)
-    return Lines.concatenate(batch_lines), np.concatenate(curved_index)
+    batch_lines, curved_cell_index = zip(*fits, strict=True)
+    return Lines.concatenate(batch_lines), np.concatenate(curved_cell_index)
 
 
 def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each of n edges, and find the cells with curved edges.
 
-    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function, a
-    smooth function f on the picture that is zero at the edge.  The line is parallel to the edge
-    near the centre of the cell, and lies at the edge's mean position.
+    A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f, a
+    function of the position in the picture that is zero on the edge.  The line is parallel to the
+    edge near the centre of the cell, and lies at the edge's mean position.
 
     Parameters
     ----------
     cell_index : (n,) int array
         Index of the cell that each edge may cross.
     values : (6, n) float array
-        Values of each edge function at six points of the cell, in the order of `compute_rays`.
-        Unknown values are NaN.
+        Values of each edge function at the six points of the cell that `compute_rays` lists; NaN if
+        unknown.
     tolerance : float
         Tolerated error of the mean radiance of a cell.
 
@@ -242,7 +257,7 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
     lines : Lines
         A line for each edge that turns by at most `_MAX_TURN` radians in its cell, unless the line
         misses the cell.
-    curved_index : (k,) int array
+    curved_cell_index : (k,) int array
         Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
         the tolerance, or if values are unknown.
     """
@@ -323,7 +338,8 @@ class InverseDepth(NamedTuple):
         k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             interval = group.interval
-            # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
+            # Start with tangent planes, where k is the normal divided by minus the eye's height.
+            # Spheres replace them unless the eye is on the sphere.
             k[:, interval] = [group.expand_to_hits(n / -group.eye_height) for n in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
@@ -356,9 +372,9 @@ class InverseDepth(NamedTuple):
 
         Parameters
         ----------
-        ray : tuple of three (6, n) float arrays
-            Components of rays from the eye, in camera axes.  Column i contains the six rays of
-            surface i.  An array with a single row applies to all six rays.
+        ray : tuple of three (6, n) or (1, n) float arrays
+            Components of rays from the eye, in camera axes.  Column i contains the six rays to
+            surface i.  A single row applies to all six rays.
 
         Returns
         -------

@@ -1,9 +1,9 @@
 """Find the edges that may cross cells of the picture: silhouettes, creases, shadows, terminators.
 
 A cell is a pixel or a square part of a pixel.  Each edge is described by an edge function: a smooth
-function on the picture that is zero at the edge (see `edge_functions`).  The functions of this
-module yield the values of edge functions at six points of each cell.  A later step decides from
-these values whether the edge crosses the cell.
+function of the position in the picture that is zero on the edge (see `edge_functions`).  The
+functions of this module yield the values of edge functions at six points of each cell.  A later
+step decides from these values whether the edge crosses the cell.
 
 Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
 is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
@@ -125,8 +125,8 @@ def find_silhouette_pixels(
 ) -> tuple[Ints, Ints, Ints]:
     """Find the pixels that the silhouette of each object may cross.
 
-    All objects are convex.  So an object that covers the upper and the lower side of a pixel covers
-    the whole pixel.  All other pixels that it overlaps may contain part of its silhouette.
+    Objects are convex, so one that covers the top and bottom edges of a pixel covers the whole
+    pixel.  All other pixels that it overlaps may contain part of its silhouette.
 
     Parameters
     ----------
@@ -142,102 +142,101 @@ def find_silhouette_pixels(
     object_index : (n,) int array
         Index of the object in each pair.
     """
-    border_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # borders between rows
-    top, bottom = scene.bounds.top, scene.bounds.bottom
-    # For each interval of pixels: its row, its object, and the columns where it starts and stops.
+    row_edge_y = np.arange(rows.start, rows.stop + 1, dtype=np.float64)  # top and bottom edges
+    # For each interval of pixels: its row, its object, its first column, and the column after it.
     intervals: list[tuple[Ints, Ints, Floats, Floats]] = []
-    column_limits = columns.start, columns.stop
+    bounds, column_limits = scene.bounds, (columns.start, columns.stop)
     for shape in scene.shapes:
-        spans = find_object_spans(shape, scene, border_y[:-1], column_limits, height=1.0)
+        spans = find_object_spans(shape, scene, row_edge_y[:-1], column_limits, height=1.0)
         object_index, row, left, right = spans
-        # Find the columns in which the object covers the upper and the lower side of the row.
-        covered_start, covered_stop = left, right
-        upper_y, lower_y = border_y[row], border_y[row + 1]
-        for y in (upper_y, lower_y):
-            border_left, border_right = shape.find_columns(object_index, y, 0.0)
-            covered_start = np.maximum(covered_start, border_left)
-            covered_stop = np.minimum(covered_stop, border_right)
-        covers_row = (top[object_index] < upper_y) & (bottom[object_index] > lower_y)
-        covers_row &= covered_start < covered_stop
-        start, stop = np.floor(left), np.floor(right) + 1
+        # Find the x coordinates at which the object covers the top and bottom edges of the row.
+        covered_left, covered_right = left, right
+        top_y, bottom_y = row_edge_y[row], row_edge_y[row + 1]
+        for y in (top_y, bottom_y):
+            left_on_edge, right_on_edge = shape.find_x_range(object_index, y, 0.0)
+            covered_left = np.maximum(covered_left, left_on_edge)
+            covered_right = np.minimum(covered_right, right_on_edge)
+        covers_row = (bounds.top[object_index] < top_y) & (bounds.bottom[object_index] > bottom_y)
+        covers_row &= covered_left < covered_right
+        overlap_start, overlap_stop = np.floor(left), np.floor(right) + 1
         # Shrink the covered interval to whole pixels.  It is empty in a row that is not covered.
-        covered_start, covered_stop = np.ceil(covered_start), np.floor(covered_stop)
-        covered_start = np.where(covers_row, covered_start, stop).clip(start, stop)
-        covered_stop = np.where(covers_row, covered_stop, stop).clip(covered_start, stop)
-        for interval_start, interval_stop in ((start, covered_start), (covered_stop, stop)):
-            intervals.append((row, object_index, interval_start, interval_stop))
-    interval_row, interval_object, *ends = map(np.concatenate, zip(*intervals, strict=True))
-    start_column, stop_column = (end.clip(*column_limits).astype(np.intp) for end in ends)
+        covered_start = np.where(covers_row, np.ceil(covered_left), overlap_stop)
+        covered_stop = np.where(covers_row, np.floor(covered_right), overlap_stop)
+        covered_start = covered_start.clip(overlap_start, overlap_stop)
+        covered_stop = covered_stop.clip(covered_start, overlap_stop)
+        intervals.append((row, object_index, overlap_start, covered_start))
+        intervals.append((row, object_index, covered_stop, overlap_stop))
+    interval_row, interval_object, *column_ends = map(np.concatenate, zip(*intervals, strict=True))
+    start_column, stop_column = (x.clip(*column_limits).astype(np.intp) for x in column_ends)
     interval_index, column = enumerate_ranges(stop_column - start_column, start_column)
     return interval_row[interval_index] + rows.start, column, interval_object[interval_index]
 
 
 def evaluate_silhouettes(
-    scene: PreparedScene, apex_position: Floats, candidates: Ints, ray: Triple
+    scene: PreparedScene, viewpoint: Floats, candidates: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """Evaluate the edge functions of silhouettes that may cross cells.
+    """For each silhouette edge that may cross a cell, yield values of its edge function.
 
-    A cell is a pixel, or a square part of a pixel.  A silhouette is seen from its apex, which is
-    the eye or a light.  Its edge function is a smooth function that is zero at the silhouette.
+    A silhouette edge is part of the outline of an object, seen from a viewpoint (the eye or a
+    light).  A sphere has one silhouette edge, a box has up to six.  The edge function is a function
+    of the position in the picture that is zero on the edge.
 
     Parameters
     ----------
     scene : PreparedScene
         The scene, prepared for the camera.
-    apex_position : (m, 3) float array
-        Positions of the apexes, in scene axes.
+    viewpoint : (m, 3) float array
+        Positions of the viewpoints, in scene axes.
     candidates : (3, n) int array
-        Row 0 contains apex indices, row 1 cell indices, and row 2 indices of the objects whose
-        silhouettes may cross the cells.
-    ray : tuple of three (6, n) float arrays
-        Directions from the apex to the visible surface at six points of each cell, in camera axes
-        (see `compute_rays`).  An array with a single row applies to all six points.
+        Row 0 contains viewpoint indices, row 1 indices of cells (pixels, or square parts of
+        pixels), and row 2 indices of the objects whose silhouette edges may cross the cells.
+    ray : tuple of three (6, n) or (1, n) float arrays
+        Directions from the viewpoint to the visible surface at six points of each cell (see
+        `compute_rays`), in camera axes.  A single row applies to all six points.
 
     Yields
     ------
-    cell_index : (k,) int array
-        Index of the cell of each silhouette.  A box has up to six silhouettes, one for each edge of
-        its outline.
-    values : (6, k) float array
-        Values of the edge function at the six points of the cell.
+    edge_values : EdgeValues
+        For each edge, the index of the cell, and the edge function at the six points.
     """
     frame, spheres, boxes = scene.frame, scene.spheres, scene.boxes
-    apex_index, cell_index, object_index = candidates
+    viewpoint_index, cell_index, object_index = candidates
     sphere_columns = find(spheres.objects.contains(object_index))
     if sphere_columns.size:
         sphere_index = spheres.objects.to_local(object_index[sphere_columns])
         sphere_ray = map_xyz(lambda component: component[:, sphere_columns], ray)
-        sphere_apex = take(frame.point_to_camera(apex_position), apex_index[sphere_columns])
-        center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), sphere_apex)
+        eye_to_viewpoint = take(frame.point_to_camera(viewpoint), viewpoint_index[sphere_columns])
+        center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), eye_to_viewpoint)
         values = compute_miss_angles(sphere_ray, center, spheres.radius[sphere_index])
-        yield cell_index[sphere_columns], values
+        yield EdgeValues(cell_index[sphere_columns], values)
     box_columns = find(boxes.objects.contains(object_index))
     if box_columns.size:
-        # Compute the planes once for each (apex, box) pair.
+        # Compute the planes once for each (viewpoint, box) pair.
         box_index, box_count = boxes.objects.to_local(object_index[box_columns]), boxes.objects.size
-        pair_key = apex_index[box_columns] * box_count + box_index
+        pair_key = viewpoint_index[box_columns] * box_count + box_index
         distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
-        pair_apex, pair_box = np.divmod(distinct_key, box_count)
-        apex = apex_position.T[:, pair_apex]
-        low, high = boxes.min_pt[:, pair_box] - apex, boxes.max_pt[:, pair_box] - apex
-        normals = frame.vector_to_camera(find_edge_planes(low, high))
+        pair_viewpoint_index, pair_box = np.divmod(distinct_key, box_count)
+        corners = boxes.min_pt[:, pair_box], boxes.max_pt[:, pair_box]
+        to_low, to_high = (corner - viewpoint.T[:, pair_viewpoint_index] for corner in corners)
+        normals = frame.vector_to_camera(find_edge_planes(to_low, to_high))
         box_ray = map_xyz(lambda component: component[:, box_columns], ray)
         box_normals = map_xyz(lambda component: component[:, pair_index], normals)
         values = evaluate_box_edges(box_normals, box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the outline ends where the value for a neighbouring edge becomes negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
-        # A normal of 0 stands for no edge.  But if all six are 0, the outline may be anywhere.
+        # A normal of 0 stands for no edge.  But if all six are 0, the viewpoint is in the box or on
+        # its surface, so the outline is unknown.
         may_cross &= (variation > 0) | ~(variation > 0).any(axis=0)
-        yield cell_index[box_columns[may_cross.nonzero()[1]]], values[:, may_cross]
+        yield EdgeValues(cell_index[box_columns[may_cross.nonzero()[1]]], values[:, may_cross])
 
 
 class CellSurfaces(NamedTuple):
     """The surfaces that are visible in cells (pixels, or square parts of pixels), at n hits.
 
-    A hit is where the ray through the centre of a cell meets a surface.  The methods yield the
-    edges that may cross the cells, each described by its edge function: a smooth function on the
-    picture that is zero at the edge.
+    A hit is where the ray through the centre of a cell meets a surface.  The methods find the edges
+    that may cross the cells, and yield values of their edge functions.  An edge function is a
+    function of the position in the picture that is zero on the edge.
 
     Attributes
     ----------
@@ -263,7 +262,7 @@ class CellSurfaces(NamedTuple):
         """Compute rays through six points of each cell, and intersect them with its surface.
 
         A cell is a pixel, or a square part of a pixel, with a hit at its centre.  Its surface is
-        the one on which the hit lies.  The points are those of `compute_rays`.
+        the one on which the hit lies.
 
         Parameters
         ----------
@@ -272,9 +271,9 @@ class CellSurfaces(NamedTuple):
 
         Returns
         -------
-        ray : tuple of three float arrays
-            Components of the rays from the eye, in camera axes: two arrays (6, k), and an array
-            (1, k) that applies to all six points.
+        ray : tuple of three (6, k) or (1, k) float arrays
+            Components of rays from the eye through the six points that `compute_rays` lists, in
+            camera axes.  The forward components have a single row, which applies to all six points.
         inverse_t : (6, k) float array
             1 / t for each ray, where t * ray is the vector from the eye to the surface.
         """
@@ -284,76 +283,77 @@ class CellSurfaces(NamedTuple):
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
-        """Yield the edges where a visible surface may meet the surface behind it.
+        """For each cell in which two surfaces may meet, yield values of their edge function.
 
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
+        One surface is visible at the centre of the cell (a pixel, or a square part of a pixel).
+        The other surface is behind it.  The edge function is zero where the surfaces meet.
 
         Parameters
         ----------
         hidden_hits : Hits
-            Hits behind the visible hits, on the same rays.
+            Hits behind the visible hits, on the same rays from the eye.
 
         Yields
         ------
-        cell_index : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
-            through each point meets the two surfaces at t1 * ray and t2 * ray.
+        edge_values : EdgeValues
+            For each pair of surfaces, the index of the cell, and the edge function 1 / t1 - 1 / t2
+            at six points of the cell (see `compute_rays`).  The ray through each point meets the
+            visible surface at t1 * ray, and the surface behind it at t2 * ray.
         """
         sample_index = self.hits.sample_index
-        hit_of_sample = np.empty(int(sample_index.max(initial=0)) + 1, dtype=np.intp)
-        hit_of_sample[sample_index] = np.arange(sample_index.size)
-        visible_index = hit_of_sample[hidden_hits.sample_index]
+        hit_by_sample = np.empty(int(sample_index.max(initial=0)) + 1, dtype=np.intp)
+        hit_by_sample[sample_index] = np.arange(sample_index.size)
+        visible_hit_index = hit_by_sample[hidden_hits.sample_index]
         # Surfaces that meet within the cell are at most this far apart along the ray.
         max_gap = compute_footprint_radii(hidden_hits, self.cell_width)
-        max_gap += self.footprint_radius[visible_index]
-        is_close = hidden_hits.distance - self.hits.distance[visible_index] <= max_gap
+        max_gap += self.footprint_radius[visible_hit_index]
+        is_close = hidden_hits.distance - self.hits.distance[visible_hit_index] <= max_gap
         hidden_surfaces = InverseDepth.from_hits(hidden_hits)
         for hidden_index in split_indices(find(is_close)):
-            ray, inverse_t = self.trace_rays(visible_index[hidden_index])
+            hit_index = visible_hit_index[hidden_index]
+            ray, inverse_t = self.trace_rays(hit_index)
             hidden_inverse_t = hidden_surfaces.take(hidden_index).compute_inverse_t(ray)
-            yield self.cell_index[visible_index[hidden_index]], inverse_t - hidden_inverse_t
-        yield from self._intersect_box_faces(hidden_hits, visible_index, is_close)
+            yield EdgeValues(self.cell_index[hit_index], inverse_t - hidden_inverse_t)
+        yield from self._find_face_intersections(hidden_hits, visible_hit_index, is_close)
 
-    def _intersect_box_faces(
-        self, hidden_hits: Hits, visible_index: Ints, is_close: Bools
+    def _find_face_intersections(
+        self, hidden_hits: Hits, visible_hit_index: Ints, is_close: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where a visible surface may meet the faces of a box behind it.
+        """For each surface and box face that may meet, yield values of their edge function.
 
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.  The same
-        ray has a hidden hit behind the visible hit.  If the hidden hit is on a box, the visible
-        surface may also meet other faces of the box within the cell.
+        The surface is visible at the centre of a cell (a pixel, or a square part of a pixel).  The
+        face belongs to a box behind the surface.  The ray through the centre hits the box, but not
+        necessarily this face.  The edge function is zero where the surface meets the face.
 
         Parameters
         ----------
         hidden_hits : Hits
-            The n hidden hits.  Hits on spheres are skipped.
-        visible_index : (n,) int array
-            Index of the visible hit in front of each hidden hit, on the same ray.
+            The n hits behind visible hits.  Hits on spheres are skipped.
+        visible_hit_index : (n,) int array
+            Index of the visible hit in front of each hidden hit, on the same ray from the eye.
         is_close : (n,) bool array
             Whether the two surfaces may meet near the hidden hit; ignored if the eye is in the box.
 
         Yields
         ------
-        cell_index : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
-            through each point meets the visible surface at t1 * ray and the face at t2 * ray.
+        edge_values : EdgeValues
+            For each pair of a surface and a face, the index of the cell, and the edge function
+            1 / t1 - 1 / t2 at six points of the cell (see `compute_rays`).  The ray through each
+            point meets the surface at t1 * ray, and the plane of the face at t2 * ray.
         """
-        scene, hit_object = hidden_hits.scene, hidden_hits.hit_object
+        scene, hidden_object = hidden_hits.scene, hidden_hits.hit_object
         frame, boxes = scene.frame, scene.boxes
         cell_angle = _compute_cell_angle(frame, self.cell_width)
-        is_eye_inside = scene.is_eye_inside[hit_object]
-        hidden_index = find((is_close | is_eye_inside) & boxes.objects.contains(hit_object))
-        hit_object, is_eye_inside = hit_object[hidden_index], is_eye_inside[hidden_index]
-        box_index, visible_index = boxes.objects.to_local(hit_object), visible_index[hidden_index]
+        is_eye_inside = scene.is_eye_inside[hidden_object]
+        hidden_index = find((is_close | is_eye_inside) & boxes.objects.contains(hidden_object))
+        box_index = boxes.objects.to_local(hidden_object[hidden_index])
+        is_eye_inside, hit_index = is_eye_inside[hidden_index], visible_hit_index[hidden_index]
         from_eye = take(hidden_hits.from_eye, hidden_index)
         distance = hidden_hits.distance[hidden_index]
-        footprint_radius = self.footprint_radius[visible_index]
-        visible_distance = self.hits.distance[visible_index]
+        footprint_radius = self.footprint_radius[hit_index]
+        visible_distance = self.hits.distance[hit_index]
         for axis in range(3):
+            # Coordinates of the hidden hit and of a face along the axis, relative to the eye.
             hit_offset = frame.project_onto_axis(from_eye, axis)
             low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
             is_high_face = is_eye_inside == (hit_offset > 0)
@@ -362,110 +362,116 @@ class CellSurfaces(NamedTuple):
             plane_t = plane_offset / hit_offset
             cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
             max_gap = footprint_radius + _compute_face_radii(cell_radius, cosine, cell_angle)
-            may_meet = np.abs(plane_t * distance - visible_distance) <= max_gap
-            yield from self._intersect_planes(axis, visible_index, plane_offset, may_meet)
+            may_cross_cell = np.abs(plane_t * distance - visible_distance) <= max_gap
+            yield from self._compare_with_planes(axis, hit_index, plane_offset, may_cross_cell)
 
     def find_creases(self) -> Iterator[EdgeValues]:
-        """Yield the creases (edges between two visible faces of a box) that may cross cells.
+        """For each cell that a crease may cross, yield values of the crease's edge function.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
+        A crease is an edge between two visible faces of a box.  The edge function is zero on the
+        crease.  The ray through the centre of the cell (a pixel, or a square part of a pixel) hits
+        one of the faces.
 
         Yields
         ------
-        cell_index : (k,) int array
-            Index of the cell of each crease.
-        values : (6, k) float array
-            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
-            through each point meets the planes of the two faces at t1 * ray and t2 * ray.
+        edge_values : EdgeValues
+            For each crease, the index of the cell, and the edge function 1 / t1 - 1 / t2 at six
+            points of the cell (see `compute_rays`).  The ray through each point meets the planes of
+            the two faces at t1 * ray and t2 * ray.
         """
         scene, frame = self.hits.scene, self.hits.scene.frame
         face_positions = scene.boxes.min_pt, scene.boxes.max_pt
-        # Hits are grouped by shape.  The hits of a run lie on the same face of the same object.
+        # Hits are grouped by shape, and a group is divided into runs: consecutive hits on one face.
+        # A crease lies between this face and a face that is perpendicular to another axis.  Offsets
+        # are coordinates along this axis, relative to the eye.
         for group, axis in product(self.hits.groups, range(3)):
-            is_other_face = group.face_axis != axis
-            if not group.shape.is_planar or not np.any(is_other_face):
+            is_other_axis = group.face_axis != axis
+            if not group.shape.is_planar or not np.any(is_other_axis):
                 continue
             hit_index = np.arange(group.interval.start, group.interval.stop)
             hit_offset = frame.project_onto_axis(take(self.hits.from_eye, group.interval), axis)
             box_index = scene.boxes.objects.to_local(group.run_object)
             for face_position, normal_sign in zip(face_positions, (-1, 1), strict=True):
-                face_offset = face_position[axis, box_index] - frame.eye[axis]
-                is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * face_offset < 0)
-                plane_offset = group.repeat_runs(face_offset)
-                may_meet = np.abs(hit_offset - plane_offset) < self.footprint_radius[group.interval]
-                may_meet &= group.repeat_runs(is_visible & is_other_face)
-                yield from self._intersect_planes(axis, hit_index, plane_offset, may_meet)
+                run_offset = face_position[axis, box_index] - frame.eye[axis]
+                is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * run_offset < 0)
+                face_offset = group.repeat_runs(run_offset)
+                distance = np.abs(hit_offset - face_offset)
+                may_cross_cell = distance < self.footprint_radius[group.interval]
+                may_cross_cell &= group.repeat_runs(is_visible & is_other_axis)
+                yield from self._compare_with_planes(axis, hit_index, face_offset, may_cross_cell)
 
-    def _intersect_planes(
-        self, axis: int, hit_index: Ints, plane_offset: Floats, may_meet: Bools
+    def _compare_with_planes(
+        self, axis: int, hit_index: Ints, plane_offset: Floats, may_cross_cell: Bools
     ) -> Iterator[EdgeValues]:
-        """Yield the edges where visible surfaces may meet planes perpendicular to one axis.
+        """For each surface and plane that may meet, yield values of their edge function.
 
-        A cell is a pixel, or a square part of a pixel, with a visible hit at its centre.
+        The surface is visible at the centre of a cell (a pixel, or a square part of a pixel).  The
+        plane is perpendicular to an axis of the scene.  The edge function is zero where the surface
+        meets the plane.
 
         Parameters
         ----------
         axis : int
             The axis of the scene: 0, 1 or 2.
         hit_index : (n,) int array
-            Index of the visible hit for each of n planes.
+            For each pair, the index of the hit where the surface is visible.
         plane_offset : (n,) float array
             Coordinate of each plane along the axis, relative to the eye.
-        may_meet : (n,) bool array
-            Whether the plane may meet the visible surface in the cell.  Other planes are skipped.
+        may_cross_cell : (n,) bool array
+            Whether the plane may meet the surface in the cell.  Other pairs are skipped.
 
         Yields
         ------
-        cell_index : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Edge function 1 / t1 - 1 / t2 at six points of each cell (see `compute_rays`).  The ray
-            through each point meets the visible surface at t1 * ray and the plane at t2 * ray.
+        edge_values : EdgeValues
+            For each pair, the index of the cell, and the edge function 1 / t1 - 1 / t2 at six
+            points of the cell (see `compute_rays`).  The ray through each point meets the surface
+            at t1 * ray, and the plane at t2 * ray.
         """
-        for batch in split_indices(find(may_meet)):
-            ray, inverse_t = self.trace_rays(hit_index[batch])
+        for batch in split_indices(find(may_cross_cell)):
+            ray, surface_inverse_t = self.trace_rays(hit_index[batch])
             axis_component = self.hits.scene.frame.project_onto_axis(ray, axis)
             plane_inverse_t = axis_component / plane_offset[batch]
-            yield self.cell_index[hit_index[batch]], inverse_t - plane_inverse_t
+            yield EdgeValues(self.cell_index[hit_index[batch]], surface_inverse_t - plane_inverse_t)
 
     def evaluate_shadow_edges(
-        self, light_position: Floats, shadow_edges: Ints
+        self, light_position: Floats, edge_candidates: Ints
     ) -> Iterator[EdgeValues]:
-        """Evaluate the edge functions of shadow edges that may cross cells.
+        """For each shadow edge that may cross a cell, yield values of its edge function.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.  A shadow edge is
-        the silhouette of an occluder, seen from a light.
+        A shadow edge is a silhouette edge of an occluder, seen from a light.  The edge function is
+        a function of the position in the picture that is zero on the shadow edge.
 
         Parameters
         ----------
         light_position : (m, 3) float array
             Positions of the lights, in scene axes.
-        shadow_edges : (3, n) int array
-            Row 0 contains light indices, row 1 hit indices, and row 2 indices of occluders.
+        edge_candidates : (3, n) int array
+            Row 0 contains light indices, row 1 hit indices, and row 2 indices of occluders.  The
+            shadow edge may cross the cell (a pixel, or a square part of a pixel) around the hit.
 
         Yields
         ------
-        cell_index : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Edge function, which is 0 at the edge, at six points of each cell (see `compute_rays`).
+        edge_values : EdgeValues
+            For each edge, the index of the cell, and the edge function at six points of the cell
+            (see `compute_rays`).
         """
         scene = self.hits.scene
         light_from_eye = scene.frame.point_to_camera(light_position)
-        for batch in split_indices(np.arange(shadow_edges.shape[1])):
-            light_index, hit_index, occluder_index = shadow_edges[:, batch]
+        for batch in split_indices(np.arange(edge_candidates.shape[1])):
+            light_index, hit_index, occluder_index = edge_candidates[:, batch]
             ray, inverse_t = self.trace_rays(hit_index)
             # The vector from the light to the surface is t * ray - light.  Only its direction
             # matters, so it is divided by t.
-            scaled_light = scale(take(light_from_eye, light_index), inverse_t)
-            light_ray = map_xyz(np.subtract, ray, scaled_light)
+            light_over_t = scale(take(light_from_eye, light_index), inverse_t)
+            ray_from_light = map_xyz(np.subtract, ray, light_over_t)
             candidates = np.array([light_index, self.cell_index[hit_index], occluder_index])
-            yield from evaluate_silhouettes(scene, light_position, candidates, light_ray)
+            yield from evaluate_silhouettes(scene, light_position, candidates, ray_from_light)
 
     def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
-        """Yield the terminators: the edges where spheres turn away from lights.
+        """For each terminator that may cross a cell, yield values of its edge function.
 
-        A cell is a pixel, or a square part of a pixel, with a hit at its centre.
+        A terminator is the edge where a sphere turns away from a light.  The ray through the centre
+        of the cell (a pixel, or a square part of a pixel) hits the sphere.
 
         Parameters
         ----------
@@ -474,11 +480,10 @@ class CellSurfaces(NamedTuple):
 
         Yields
         ------
-        cell_index : (k,) int array
-            Index of the cell of each edge.
-        values : (6, k) float array
-            Edge function at six points of each cell (see `compute_rays`): the cosine of the angle
-            between the normal and the direction to the light.
+        edge_values : EdgeValues
+            For each terminator, the index of the cell, and the edge function at six points of the
+            cell (see `compute_rays`): the cosine of the angle between the normal and the direction
+            to the light, which is zero on the terminator.
         """
         scene, hit_object = self.hits.scene, self.hits.hit_object
         light_from_eye = scene.frame.point_to_camera(geometry.lights.near_position)
@@ -488,11 +493,11 @@ class CellSurfaces(NamedTuple):
         for pair_index in split_indices(find(may_cross)):
             light_index, hit_index = np.divmod(pair_index, max_turn.size)
             ray, inverse_t = self.trace_rays(hit_index)
-            # The ray meets the sphere at ray / inverse_t.  Multiply all vectors by inverse_t.
+            # The ray meets the sphere at t * ray.  All vectors are divided by t.
             sphere_index = scene.spheres.objects.to_local(hit_object[hit_index])
             center = take(scene.spheres.from_eye, sphere_index)
             normal = map_xyz(np.subtract, ray, scale(center, inverse_t))
-            scaled_light = scale(take(light_from_eye, light_index), inverse_t)
-            to_light = map_xyz(np.subtract, scaled_light, ray)
+            light_over_t = scale(take(light_from_eye, light_index), inverse_t)
+            to_light = map_xyz(np.subtract, light_over_t, ray)
             length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-            yield self.cell_index[hit_index], dot(normal, to_light) / length_product
+            yield EdgeValues(self.cell_index[hit_index], dot(normal, to_light) / length_product)

@@ -1,7 +1,6 @@
-"""Silhouettes of boxes and spheres, seen from an apex: the eye or a light.
+"""Silhouettes of boxes and spheres, seen from a viewpoint: the eye or a light.
 
-An edge function of a silhouette is a smooth function of a ray from the apex, whose sign changes
-where the ray crosses the silhouette.
+An edge function is a smooth function of a ray from the viewpoint that is zero on the silhouette.
 """
 
 from __future__ import annotations
@@ -12,14 +11,14 @@ from tracer.arrays import Floats, Triple, cross, dot
 
 
 def find_edge_planes(low: Floats, high: Floats) -> Triple:
-    """Compute the planes through an apex (the eye or a light) and the silhouette edges of boxes.
+    """Compute planes through a viewpoint (the eye or a light) and the silhouette edges of boxes.
 
     The silhouette of a box contains at most two edges parallel to each axis.
 
     Parameters
     ----------
     low, high : (3, n) float arrays
-        Smallest and largest coordinates of each of n boxes, in scene axes, relative to the apex.
+        Smallest and largest coordinates of n boxes, relative to the viewpoint, in scene axes.
 
     Returns
     -------
@@ -28,13 +27,13 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
         belong to edges parallel to axis k.  A normal is 0 if there is no such edge.  All other
         normals point towards the box.
     """
-    # For each axis: 1 if the box lies above the apex, -1 if it lies below, and otherwise 0.
+    # For each axis: 1 if the box lies above the viewpoint, -1 if it lies below, and otherwise 0.
     box_side = (low > 0).astype(np.int8) - (high < 0)
     x, y, z = normals = np.zeros((3, 6, low.shape[1]))
     for axis, is_mirrored in np.ndindex(3, 2):
         u, v = (axis + 1) % 3, (axis + 2) % 3
         # Seen along the axis, the box is a rectangle with the axes u and v.  Its first and last
-        # corners, in counterclockwise order around the apex, are silhouette edges.  The first
+        # corners, in counterclockwise order around the viewpoint, are silhouette edges.  The first
         # corner is computed as the last corner of the mirror image.
         side_u, side_v = box_side[u], -box_side[v] if is_mirrored else box_side[v]
         corner_u = np.where((side_v < 0) | ((side_v == 0) & (side_u < 0)), high[u], low[u])
@@ -48,10 +47,10 @@ def find_edge_planes(low: Floats, high: Floats) -> Triple:
 
 
 def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
-    """Evaluate the edge functions of boxes for rays from an apex (the eye or a light).
+    """Evaluate the edge functions of boxes for rays from a viewpoint (the eye or a light).
 
-    An edge function belongs to one edge of a box's silhouette.  Its sign changes where the ray
-    crosses the plane through the apex and this edge.
+    An edge function belongs to one silhouette edge of a box.  It is zero where the ray lies in the
+    plane through the viewpoint and this edge.
 
     Parameters
     ----------
@@ -70,16 +69,16 @@ def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
 
 
 def compute_miss_angles(ray: Triple, center: Triple, radius: Floats) -> Floats:
-    """Compute the angles by which rays from an apex (the eye or a light) miss spheres.
+    """Compute the angles by which rays from a viewpoint (the eye or a light) miss spheres.
 
-    The angle is an edge function: its sign changes where a ray crosses the sphere's silhouette.
+    The angle is an edge function: it is zero where a ray touches the sphere's silhouette.
 
     Parameters
     ----------
     ray : tuple of three (m, n) float arrays
         Directions of m rays for each of n spheres.
     center : tuple of three (n,) float arrays
-        Vectors from the apex to the centres of the spheres, in the same axes.
+        Vectors from the viewpoint to the centres of the spheres, in the same axes.
     radius : (n,) float array
         Radii of the spheres.
 
@@ -87,7 +86,7 @@ def compute_miss_angles(ray: Triple, center: Triple, radius: Floats) -> Floats:
     -------
     angle : (m, n) float array
         Angle between the ray and the nearest tangent, in radians: negative if the ray meets the
-        sphere; NaN if the apex is inside the sphere.
+        sphere; NaN if the viewpoint is inside the sphere.
     """
     cross_product, distance = cross(center, ray), np.sqrt(dot(center, center))
     center_angle = np.arctan2(np.sqrt(dot(cross_product, cross_product)), dot(center, ray))

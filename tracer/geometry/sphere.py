@@ -127,7 +127,7 @@ class Spheres:
 
     # Intersections with rays from the eye.
 
-    def find_columns(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
+    def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
         """Compute the range of columns that each of n spheres covers in a row of the picture.
 
         Parameters

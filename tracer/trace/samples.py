@@ -73,7 +73,7 @@ def find_object_spans(
     candidate_index, row = enumerate_ranges(np.maximum(end_row - first_row, 0), first_row)
     index_in_shape = in_range_index[candidate_index]
     object_index = index_in_shape + shape.objects.start
-    left, right = shape.find_columns(object_index, row_top[row], height)
+    left, right = shape.find_x_range(object_index, row_top[row], height)
     left = np.maximum(left, bounds.left[index_in_shape])
     right = np.minimum(right, bounds.right[index_in_shape])
     kept_index = find(left <= right)
