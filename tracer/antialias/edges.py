@@ -350,7 +350,6 @@ class CellSurfaces(NamedTuple):
         is_eye_inside, hit_index = is_eye_inside[hidden_index], visible_hit_index[hidden_index]
         from_eye = take(hidden_hits.from_eye, hidden_index)
         distance = hidden_hits.distance[hidden_index]
-        footprint_radius = self.footprint_radius[hit_index]
         visible_distance = self.hits.distance[hit_index]
         for axis in range(3):
             # Coordinates of the hidden hit and of a face along the axis, relative to the eye.
@@ -361,7 +360,9 @@ class CellSurfaces(NamedTuple):
             # The ray meets the plane at plane_t times the vector from the eye to the hidden hit.
             plane_t = plane_offset / hit_offset
             cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
-            max_gap = footprint_radius + _compute_face_radii(cell_radius, cosine, cell_angle)
+            max_gap = self.footprint_radius[hit_index] + _compute_face_radii(
+                cell_radius, cosine, cell_angle
+            )
             may_cross_cell = np.abs(plane_t * distance - visible_distance) <= max_gap
             yield from self._compare_with_planes(axis, hit_index, plane_offset, may_cross_cell)
 
@@ -395,9 +396,8 @@ class CellSurfaces(NamedTuple):
                 run_offset = face_position[axis, box_index] - frame.eye[axis]
                 is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * run_offset < 0)
                 face_offset = group.repeat_runs(run_offset)
-                distance = np.abs(hit_offset - face_offset)
-                may_cross_cell = distance < self.footprint_radius[group.interval]
-                may_cross_cell &= group.repeat_runs(is_visible & is_other_axis)
+                is_near = np.abs(hit_offset - face_offset) < self.footprint_radius[group.interval]
+                may_cross_cell = is_near & group.repeat_runs(is_visible & is_other_axis)
                 yield from self._compare_with_planes(axis, hit_index, face_offset, may_cross_cell)
 
     def _compare_with_planes(

@@ -76,8 +76,8 @@ class Boxes:
         normals = frame.vector_to_camera(find_edge_planes(eye_to_low, eye_to_high))
         # If the eye is on a face, the plane of that face bounds the rays that enter the box.
         is_eye_on_face = is_eye_inside & (np.concatenate([eye_to_low, eye_to_high]) == 0)
-        for component, axis in zip(normals, frame.axes, strict=True):
-            np.copyto(component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
+        for normal_component, axis in zip(normals, frame.axes, strict=True):
+            np.copyto(normal_component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
         coordinate_bound: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
         objects, curvature = get_box_range(surfaces), np.zeros(is_eye_inside.size)
         planes = normals[0], normals[1], normals[2] * frame.depth
@@ -98,7 +98,7 @@ class Boxes:
     # Intersections with rays from the eye.
 
     def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the range of columns that each of n boxes covers in a row of the picture.
+        """For each of n boxes, bound the x coordinates at which it may appear in a given row.
 
         Parameters
         ----------
@@ -107,29 +107,29 @@ class Boxes:
         top : (n,) float array
             Top edge of the row for each box, in pixels from the top of the picture.
         height : float
-            Height of the rows, in pixels; 0 if each row is a line.
+            Height of the rows, in pixels; 0 for horizontal lines across the picture.
 
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the range, in pixels from the left edge of the picture.  All rays of the row
-            that meet the box lie in this range.  If none does, left > right.
+            Smallest and largest x coordinates at which the box may appear in the row, in pixels
+            from the left edge of the picture.  If left > right, the box does not appear in the row.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_down = frame.to_ray_down(top + height / 2)
-        min_right, max_right = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
+        min_ray_right, max_ray_right = np.full((2, box_index.size), [[-np.inf], [np.inf]])
         # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane_index in range(6):
             a, b, c = (coefficients[plane_index].take(box_index) for coefficients in self.planes)
             # A ray meets the box only if a * ray_right + b * ray_down + c >= 0.  Compute the bound
             # on `ray_right` for the largest value of the last two terms in the row.
-            max_sum = b * ray_down + np.abs(b) * margin + c
+            max_rest = b * ray_down + np.abs(b) * margin + c
             # If a is 0, the bound is infinite.  Adding 0 turns -0 into 0.
-            bound = -max_sum / (a + 0.0)
-            np.fmax(min_right, bound, out=min_right, where=a >= 0)
-            np.fmin(max_right, bound, out=max_right, where=a < 0)
-        return frame.to_picture_x(min_right), frame.to_picture_x(max_right)
+            bound = -max_rest / (a + 0.0)
+            np.fmax(min_ray_right, bound, out=min_ray_right, where=a >= 0)
+            np.fmin(max_ray_right, bound, out=max_ray_right, where=a < 0)
+        return frame.to_picture_x(min_ray_right), frame.to_picture_x(max_ray_right)
 
     def intersect(
         self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
@@ -491,19 +491,19 @@ def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> Screen
     """
     # Bit `axis` of i is 1 if corner i has the coordinate `high` along this axis, and 0 for `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
-    right, down, ahead = frame.vector_to_camera((x, y, z))
-    has_corner_behind, has_corner_ahead = ahead.min(axis=0) <= 0, ahead.max(axis=0) >= 0
+    right, down, depth = frame.vector_to_camera((x, y, z))
+    has_corner_behind, has_corner_ahead = depth.min(axis=0) <= 0, depth.max(axis=0) >= 0
 
-    def find_slope_range(component: Floats) -> tuple[Floats, Floats]:
+    def find_slope_range(offset: Floats) -> tuple[Floats, Floats]:
         """Return the smallest and the largest slope among the eight corners of each box.
 
-        The slope of a corner is its rightward or downward component, divided by its depth.
-        The range is -inf to inf for a box partly behind the eye, and -inf to -inf for a box
-        entirely behind the eye.
+        The slope of a corner is its offset to the right of the eye (or down), divided by its depth.
+        The range is -inf to inf for a box partly behind the eye.  For a box entirely behind the
+        eye, it is -inf to -inf, which is outside every picture.
         """
-        slope = component / ahead
+        slope = offset / depth
         min_slope = np.where(has_corner_behind, -np.inf, slope.min(axis=0))
-        max_slope_behind = np.where(has_corner_ahead, np.inf, -np.inf)
-        return min_slope, np.where(has_corner_behind, max_slope_behind, slope.max(axis=0))
+        max_slope_if_behind = np.where(has_corner_ahead, np.inf, -np.inf)
+        return min_slope, np.where(has_corner_behind, max_slope_if_behind, slope.max(axis=0))
 
     return ScreenBounds.from_slopes(frame, find_slope_range(down), find_slope_range(right))

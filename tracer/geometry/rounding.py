@@ -67,7 +67,7 @@ MIN_HALF_SQUARE = 1e-3
 
 # If |l + v|^2 is less than this, with unit vectors l and v, then it consists of rounding errors:
 # those of its components are at most 2 e, so that |l + v|^2 = 1e-24 is known to two in 1,000.
-MIN_HALF_LENGTH2 = 1e-24
+MIN_SUM_LENGTH2 = 1e-24
 
 # Maximum factor by which a power may amplify the rounding error of its base, which is 4 e in a
 # highlight: the power is then known to 1,024 e = 2.3e-13.

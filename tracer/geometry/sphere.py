@@ -128,7 +128,7 @@ class Spheres:
     # Intersections with rays from the eye.
 
     def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """Compute the range of columns that each of n spheres covers in a row of the picture.
+        """For each of n spheres, bound the x coordinates at which it may appear in a given row.
 
         Parameters
         ----------
@@ -137,13 +137,14 @@ class Spheres:
         top : (n,) float array
             Top edge of the row for each sphere, in pixels from the top of the picture.
         height : float
-            Height of the rows, in pixels; 0 if each row is a line.
+            Height of the rows, in pixels; 0 for horizontal lines across the picture.
 
         Returns
         -------
         left, right : (n,) float arrays
-            Ends of the range, in pixels from the left edge of the picture.  All rays of the row
-            that meet the sphere lie in this range.  If none does, left > right or both are NaN.
+            Smallest and largest x coordinates at which the sphere may appear in the row, in pixels
+            from the left edge of the picture.  If left > right or both are NaN, the sphere does not
+            appear in the row.
         """
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.

@@ -188,7 +188,7 @@ class Hits(NamedTuple):
         return values[self.run_object].repeat(np.diff(self.run_start))
 
     def get_points(self, hit_index: Ints | slice) -> Triple:
-        """Return selected hits as points in scene axes.
+        """Return the positions of selected hits in scene coordinates.
 
         Parameters
         ----------

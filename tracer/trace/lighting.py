@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Floats, Ints, Triple, dot, find, map_xyz, scale, take
-from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_LENGTH2, MIN_HALF_SQUARE
+from tracer.geometry.rounding import INSIDE, MAX_AMPLIFICATION, MIN_HALF_SQUARE, MIN_SUM_LENGTH2
 from tracer.trace.hits import Hits
 from tracer.world.prepared_scene import Lights
 
@@ -97,14 +97,14 @@ class LightGeometry(NamedTuple):
             light_direction = scale(take(to_light, redo_index), 1 / light_distance[redo_index])
             eye_direction = scale(take(from_eye, redo_index), -1 / eye_distance[redo_index])
             unit_vectors = take(hits.normal, hit_index[redo_index]), light_direction, eye_direction
-            strength[redo_index] = _compute_accurate_strength(*unit_vectors, exponent[redo_index])
+            strength[redo_index] = _compute_accurate_highlight(*unit_vectors, exponent[redo_index])
         return strength
 
 
-def _compute_accurate_strength(
+def _compute_accurate_highlight(
     normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
 ) -> Floats:
-    """Compute accurate strengths of highlights from unit vectors.
+    """Compute the strengths of highlights from unit vectors, without loss of accuracy.
 
     The strength is (n.h)^p, where n is the normal, h the unit half vector between the directions to
     the light and to the eye, and p the exponent.
@@ -123,13 +123,14 @@ def _compute_accurate_strength(
     """
     direction_sum = map_xyz(np.add, light_direction, eye_direction)
     squared_length = dot(direction_sum, direction_sum)
-    # With e = n - h, the cosine n.h is 1 - e.e / 2.  log1p keeps the digits that n.h would lose.
-    e = map_xyz(np.subtract, normal, scale(direction_sum, 1 / np.sqrt(squared_length)))
+    # The cosine n.h is 1 - |n - h|^2 / 2.  log1p keeps the digits that n.h would lose.
+    difference = map_xyz(np.subtract, normal, scale(direction_sum, 1 / np.sqrt(squared_length)))
+    log_cosine = np.log1p(-0.5 * dot(difference, difference))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
-    strength = np.where(exponent == 0, 1.0, np.exp(exponent * np.log1p(-0.5 * dot(e, e))))
-    # If the directions are opposite, both lie in the tangent plane, and their sum is only rounding
-    # error.
-    return np.where(squared_length > MIN_HALF_LENGTH2, strength, 0.0)
+    strength = np.where(exponent == 0, 1.0, np.exp(exponent * log_cosine))
+    # If the directions are opposite, their sum consists of rounding errors.  Both then lie in the
+    # tangent plane, because neither the light nor the eye is behind it.
+    return np.where(squared_length > MIN_SUM_LENGTH2, strength, 0.0)
 
 
 class Shading:

@@ -499,13 +499,14 @@ def build_packet_levels(hits: Hits, faces_light: Bools, margin: Floats | None) -
     levels : list of Packets
         Either [row packets] or [square packets, row packets].
     """
-    packet_width = hits.scene.packet_width * hits.samples.density  # in samples
-    max_row_hits = int(min(max(packet_width, 1), _MAX_ROW_HITS))
+    samples_across_pixel = hits.samples.samples_across_pixel
+    samples_across_packet = hits.scene.packet_width * samples_across_pixel
+    max_row_hits = int(min(max(samples_across_packet, 1), _MAX_ROW_HITS))
     row_packets = _build_row_packets(hits, faces_light, margin, max_row_hits)
-    square_side = int(min(packet_width, _MAX_SQUARE_SIDE))
-    if square_side < _MIN_SQUARE_SIDE:
+    samples_across_square = int(min(samples_across_packet, _MAX_SQUARE_SIDE))
+    if samples_across_square < _MIN_SQUARE_SIDE:
         return [row_packets]
-    return [*_build_square_packets(hits, row_packets, square_side / hits.samples.density)]
+    return [*_build_square_packets(hits, row_packets, samples_across_square / samples_across_pixel)]
 
 
 def _build_row_packets(

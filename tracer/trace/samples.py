@@ -109,7 +109,7 @@ class Rows(NamedTuple):
         return self.x.size * self.y.size
 
     @property
-    def density(self) -> float:
+    def samples_across_pixel(self) -> float:
         """Weighted geometric mean of the numbers of samples across a pixel along x and y.
 
         It determines the size of packets (groups of neighbouring hits).  The weight of x is larger,
@@ -173,14 +173,14 @@ class Rows(NamedTuple):
         sample_count : (spans,) int array
             Number of samples in each span, possibly 0.
         """
-        row_size, x_density = self.x.size, self.per_pixel[0]
+        row_size, per_pixel = self.x.size, self.per_pixel[0]
         object_index, row, left, right = find_object_spans(
-            shape, scene, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / x_density
+            shape, scene, self.y, (self.x[0] - 1, self.x[-1] + 1), pad=_SPAN_PADDING / per_pixel
         )
         first_x = self.x[0] + self.shift[row]
-        start = np.ceil((left - first_x) * x_density).clip(0, row_size).astype(np.intp)
-        stop = (np.floor((right - first_x) * x_density) + 1).clip(0, row_size).astype(np.intp)
-        return object_index, row, row * row_size + start, np.maximum(stop - start, 0)
+        span_start = np.ceil((left - first_x) * per_pixel).clip(0, row_size).astype(np.intp)
+        span_end = (np.floor((right - first_x) * per_pixel) + 1).clip(0, row_size).astype(np.intp)
+        return object_index, row, row * row_size + span_start, np.maximum(span_end - span_start, 0)
 
 
 class Scattered(NamedTuple):
@@ -237,7 +237,7 @@ class Scattered(NamedTuple):
         return self.x.size
 
     @property
-    def density(self) -> float:
+    def samples_across_pixel(self) -> float:
         """Assumed number of samples across a pixel: 1, because the actual number is unknown."""
         return 1.0
 
@@ -297,9 +297,10 @@ class Scattered(NamedTuple):
         x_range = self.x.min(initial=0), self.x.max(initial=0)
         spans = find_object_spans(shape, scene, row_top, x_range, height=1.0, pad=_SPAN_PADDING)
         object_index, row, left, right = spans
-        start = self.sort_key.searchsorted(_encode_position(row + 1, left))
-        stop = self.sort_key.searchsorted(_encode_position(row + 1, right), side="right")
-        span_index, sample_index = enumerate_ranges(np.maximum(stop - start, 0), start)
+        span_start = self.sort_key.searchsorted(_encode_position(row + 1, left))
+        span_end = self.sort_key.searchsorted(_encode_position(row + 1, right), side="right")
+        span_size = np.maximum(span_end - span_start, 0)
+        span_index, sample_index = enumerate_ranges(span_size, span_start)
         return object_index[span_index], sample_index, sample_index, None
 
 
