@@ -2,8 +2,6 @@
 
 `classify_cells` traces one sample through the centre of each cell, and finds the edges that may
 cross the cell: silhouettes, creases, intersections of surfaces, shadow edges and terminators.
-Silhouettes are computed from the objects themselves, not from differences between samples.  So an
-object is found even if it lies between the samples.
 
 cell
     A pixel, or a square part of a pixel.

@@ -1,9 +1,8 @@
 """Edge functions: functions of the position in the picture that are zero on an edge (Pineda 1988).
 
-A cell is a pixel or a square part of a pixel.  An edge function is evaluated at six points of a
-cell.  Differences of these values approximate its gradient and its second derivatives.  `fit_lines`
-computes from them the straight line that represents the edge in the cell, or finds that the edge is
-too curved for a line.
+A cell is a pixel or a square part of a pixel.  From the values of an edge function at six points of
+a cell, `fit_lines` computes the straight line that represents the edge in the cell, or finds that
+the edge is too curved for a line.
 
 Each edge function is computed from the ray from the eye through the position:
 
@@ -60,8 +59,7 @@ class EdgeValues(NamedTuple):
     cell_index : (n,) int array
         Index of the cell that each edge may cross.
     values : (6, n) float array
-        Values of each edge function at the six points of the cell that `compute_rays` lists; NaN if
-        unknown.
+        Values of each edge function at six points of the cell (see `compute_rays`); NaN if unknown.
     """
 
     cell_index: Ints
@@ -191,8 +189,7 @@ def bound_variation(values: Floats) -> Floats:
     Parameters
     ----------
     values : (6, ...) float array
-        Values of each edge function, and of its polynomial, at the six points of the cell that
-        `compute_rays` lists.
+        Values of each edge function at six points of the cell (see `compute_rays`).
 
     Returns
     -------
@@ -210,13 +207,12 @@ def bound_variation(values: Floats) -> Floats:
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each edge in a cell, and find the cells with curved edges.
 
-    A cell is a pixel, or a square part of a pixel.
-
     Parameters
     ----------
     edges : iterable of EdgeValues
-        Batches of edges.  Each edge is given by the cell that it may cross, and by six values of
-        its edge function: a function of the position in the picture that is zero on the edge.
+        Batches of edges.  Each edge is given by the cell (a pixel, or a square part of a pixel)
+        that it may cross, and by values of its edge function: a function of the position in the
+        picture that is zero on the edge.
     tolerance : float
         Tolerated error of the mean radiance of a cell.
 
@@ -247,8 +243,7 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
     cell_index : (n,) int array
         Index of the cell that each edge may cross.
     values : (6, n) float array
-        Values of each edge function at the six points of the cell that `compute_rays` lists; NaN if
-        unknown.
+        Values of each edge function at six points of the cell (see `compute_rays`); NaN if unknown.
     tolerance : float
         Tolerated error of the mean radiance of a cell.
 

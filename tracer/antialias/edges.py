@@ -2,8 +2,7 @@
 
 A cell is a pixel or a square part of a pixel.  Each edge is described by an edge function: a smooth
 function of the position in the picture that is zero on the edge (see `edge_functions`).  The
-functions of this module yield the values of edge functions at six points of each cell.  A later
-step decides from these values whether the edge crosses the cell.
+functions of this module yield the values of edge functions at six points of each cell.
 
 Silhouettes are computed for all pixels that the outline of an object may cross, so that an object
 is found even if no sample hits it.  All other edges are searched for around the *hit* of each cell,
@@ -48,14 +47,12 @@ _MIN_COSINE_RATIO = 1e-3
 def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
     """Compute the radius of the surface area that is visible in each cell of the picture.
 
-    A cell is a pixel, or a square part of a pixel.
-
     Parameters
     ----------
     hits : Hits
         The n hits, where the rays through the centres of the cells meet surfaces.
     cell_width : float
-        Width of the cells, in pixels.
+        Width of the cells (pixels, or square parts of pixels), in pixels.
 
     Returns
     -------
@@ -215,8 +212,8 @@ def evaluate_silhouettes(
         box_index, box_count = boxes.objects.to_local(object_index[box_columns]), boxes.objects.size
         pair_key = viewpoint_index[box_columns] * box_count + box_index
         distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
-        pair_viewpoint_index, pair_box = np.divmod(distinct_key, box_count)
-        corners = boxes.min_pt[:, pair_box], boxes.max_pt[:, pair_box]
+        pair_viewpoint_index, pair_box_index = np.divmod(distinct_key, box_count)
+        corners = boxes.min_pt[:, pair_box_index], boxes.max_pt[:, pair_box_index]
         to_low, to_high = (corner - viewpoint.T[:, pair_viewpoint_index] for corner in corners)
         normals = frame.vector_to_camera(find_edge_planes(to_low, to_high))
         box_ray = map_xyz(lambda component: component[:, box_columns], ray)
@@ -235,15 +232,14 @@ class CellSurfaces(NamedTuple):
     """The surfaces that are visible in cells (pixels, or square parts of pixels), at n hits.
 
     A hit is where the ray through the centre of a cell meets a surface.  The methods find the edges
-    that may cross the cells, and yield values of their edge functions.  An edge function is a
-    function of the position in the picture that is zero on the edge.
+    that may cross the cells, and yield `EdgeValues`, which describe the edges.
 
     Attributes
     ----------
     hits : Hits
         The hits, at most one in each cell.
     inverse_depth : InverseDepth
-        The surface at each hit, as a function on the picture.
+        The surface at each hit, in a form that is fast to intersect with rays.
     cell_index : (n,) int array
         Index of the cell of each hit.
     footprint_radius : (n,) float array
@@ -360,9 +356,8 @@ class CellSurfaces(NamedTuple):
             # The ray meets the plane at plane_t times the vector from the eye to the hidden hit.
             plane_t = plane_offset / hit_offset
             cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
-            max_gap = self.footprint_radius[hit_index] + _compute_face_radii(
-                cell_radius, cosine, cell_angle
-            )
+            max_gap = _compute_face_radii(cell_radius, cosine, cell_angle)
+            max_gap += self.footprint_radius[hit_index]
             may_cross_cell = np.abs(plane_t * distance - visible_distance) <= max_gap
             yield from self._compare_with_planes(axis, hit_index, plane_offset, may_cross_cell)
 

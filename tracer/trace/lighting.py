@@ -306,7 +306,7 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
 def find_narrow_highlights(
     geometry: LightGeometry, faces_light: Bools, footprint_radius: Floats
 ) -> Iterator[Ints]:
-    """Find hits near which one sample may miss a narrow highlight.
+    """Yield, light by light, indices of hits near which one sample may miss a narrow highlight.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
     picture (a pixel or a part of it).

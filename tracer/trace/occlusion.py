@@ -260,8 +260,7 @@ class _EdgeSet:
     """A set of shadow edges without duplicates.
 
     A shadow edge is a triple of a light, a hit and an occluder: the edge of the occluder's shadow
-    may pass near the hit.  The set encodes each triple as one integer key.  The light grid may find
-    the same edge in several octants, so duplicates are removed from time to time.
+    may pass near the hit.  The set encodes each triple as one integer key.
 
     Parameters
     ----------
@@ -499,14 +498,13 @@ def build_packet_levels(hits: Hits, faces_light: Bools, margin: Floats | None) -
     levels : list of Packets
         Either [row packets] or [square packets, row packets].
     """
-    samples_across_pixel = hits.samples.samples_across_pixel
-    samples_across_packet = hits.scene.packet_width * samples_across_pixel
+    samples_across_packet = hits.scene.packet_width * hits.samples.per_pixel_side
     max_row_hits = int(min(max(samples_across_packet, 1), _MAX_ROW_HITS))
     row_packets = _build_row_packets(hits, faces_light, margin, max_row_hits)
-    samples_across_square = int(min(samples_across_packet, _MAX_SQUARE_SIDE))
-    if samples_across_square < _MIN_SQUARE_SIDE:
+    square_side = int(min(samples_across_packet, _MAX_SQUARE_SIDE))  # in samples
+    if square_side < _MIN_SQUARE_SIDE:
         return [row_packets]
-    return [*_build_square_packets(hits, row_packets, samples_across_square / samples_across_pixel)]
+    return [*_build_square_packets(hits, row_packets, square_side / hits.samples.per_pixel_side)]
 
 
 def _build_row_packets(

@@ -109,7 +109,7 @@ class Rows(NamedTuple):
         return self.x.size * self.y.size
 
     @property
-    def samples_across_pixel(self) -> float:
+    def per_pixel_side(self) -> float:
         """Weighted geometric mean of the numbers of samples across a pixel along x and y.
 
         It determines the size of packets (groups of neighbouring hits).  The weight of x is larger,
@@ -237,7 +237,7 @@ class Scattered(NamedTuple):
         return self.x.size
 
     @property
-    def samples_across_pixel(self) -> float:
+    def per_pixel_side(self) -> float:
         """Assumed number of samples across a pixel: 1, because the actual number is unknown."""
         return 1.0
 
