@@ -258,7 +258,7 @@ def _shade_and_find_edges(
 
 
 def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[EdgeValues]:
-    """For each silhouette edge that may cross a cell, yield values of its edge function.
+    """Yield edge-function values for each silhouette edge that may cross a cell.
 
     A silhouette edge is part of the outline of an object, seen from the eye.  A sphere has one
     silhouette edge, a box has up to six.  The edge function is a function of the position in the

@@ -9,8 +9,7 @@ Each edge function is computed from the ray from the eye through the position:
 ==========================  ======================================================================
 silhouette of a sphere      the angle between the ray and the direction to the sphere's centre,
                             minus the angular radius of the sphere
-silhouette edge of a box    n . ray, with the normal n of the plane through the viewpoint and the
-                            edge
+silhouette edge of a box    n . ray, with the normal n of the plane through viewpoint and edge
 intersection of surfaces,   1 / t1 - 1 / t2, where the points t1 * ray and t2 * ray lie on the two
 or crease                   surfaces
 terminator                  the cosine between the normal and the direction to the light
@@ -333,8 +332,7 @@ class InverseDepth(NamedTuple):
         k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
         for group in hits.groups:
             interval = group.interval
-            # Start with tangent planes, where k is the normal divided by minus the eye's height.
-            # Spheres replace them unless the eye is on the sphere.
+            # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
             k[:, interval] = [group.expand_to_hits(n / -group.eye_height) for n in group.normal]
             if not group.shape.is_planar:
                 sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))

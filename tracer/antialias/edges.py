@@ -172,7 +172,7 @@ def find_silhouette_pixels(
 def evaluate_silhouettes(
     scene: PreparedScene, viewpoint: Floats, candidates: Ints, ray: Triple
 ) -> Iterator[EdgeValues]:
-    """For each silhouette edge that may cross a cell, yield values of its edge function.
+    """Yield edge-function values for each silhouette edge that may cross a cell.
 
     A silhouette edge is part of the outline of an object, seen from a viewpoint (the eye or a
     light).  A sphere has one silhouette edge, a box has up to six.  The edge function is a function
@@ -279,7 +279,7 @@ class CellSurfaces(NamedTuple):
         return ray, self.inverse_depth.take(hit_index).compute_inverse_t(ray)
 
     def find_intersections(self, hidden_hits: Hits) -> Iterator[EdgeValues]:
-        """For each cell in which two surfaces may meet, yield values of their edge function.
+        """Yield edge-function values for each cell in which two surfaces may meet.
 
         One surface is visible at the centre of the cell (a pixel, or a square part of a pixel).
         The other surface is behind it.  The edge function is zero where the surfaces meet.
@@ -315,7 +315,7 @@ class CellSurfaces(NamedTuple):
     def _find_face_intersections(
         self, hidden_hits: Hits, visible_hit_index: Ints, is_close: Bools
     ) -> Iterator[EdgeValues]:
-        """For each surface and box face that may meet, yield values of their edge function.
+        """Yield edge-function values for each surface and box face that may meet.
 
         The surface is visible at the centre of a cell (a pixel, or a square part of a pixel).  The
         face belongs to a box behind the surface.  The ray through the centre hits the box, but not
@@ -362,7 +362,7 @@ class CellSurfaces(NamedTuple):
             yield from self._compare_with_planes(axis, hit_index, plane_offset, may_cross_cell)
 
     def find_creases(self) -> Iterator[EdgeValues]:
-        """For each cell that a crease may cross, yield values of the crease's edge function.
+        """Yield edge-function values for each cell that a crease may cross.
 
         A crease is an edge between two visible faces of a box.  The edge function is zero on the
         crease.  The ray through the centre of the cell (a pixel, or a square part of a pixel) hits
@@ -398,7 +398,7 @@ class CellSurfaces(NamedTuple):
     def _compare_with_planes(
         self, axis: int, hit_index: Ints, plane_offset: Floats, may_cross_cell: Bools
     ) -> Iterator[EdgeValues]:
-        """For each surface and plane that may meet, yield values of their edge function.
+        """Yield edge-function values for each surface and plane that may meet.
 
         The surface is visible at the centre of a cell (a pixel, or a square part of a pixel).  The
         plane is perpendicular to an axis of the scene.  The edge function is zero where the surface
@@ -431,7 +431,7 @@ class CellSurfaces(NamedTuple):
     def evaluate_shadow_edges(
         self, light_position: Floats, edge_candidates: Ints
     ) -> Iterator[EdgeValues]:
-        """For each shadow edge that may cross a cell, yield values of its edge function.
+        """Yield edge-function values for each shadow edge that may cross a cell.
 
         A shadow edge is a silhouette edge of an occluder, seen from a light.  The edge function is
         a function of the position in the picture that is zero on the shadow edge.
@@ -463,7 +463,7 @@ class CellSurfaces(NamedTuple):
             yield from evaluate_silhouettes(scene, light_position, candidates, ray_from_light)
 
     def find_terminators(self, geometry: LightGeometry) -> Iterator[EdgeValues]:
-        """For each terminator that may cross a cell, yield values of its edge function.
+        """Yield edge-function values for each terminator that may cross a cell.
 
         A terminator is the edge where a sphere turns away from a light.  The ray through the centre
         of the cell (a pixel, or a square part of a pixel) hits the sphere.

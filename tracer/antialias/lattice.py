@@ -5,10 +5,8 @@ edge changes a whole row of samples, so the error is large.  In a rotated lattic
 a row or a column.  Yet all pixels can have the same lattice, so the samples of a picture lie in
 rows.
 
-The lattices are rank-1 lattices: the point of each row lies a fixed number of columns to the right
-of the point in the row above it, modulo the number of rows.  They are chosen so that a quarter turn
-maps each lattice onto itself.  So the mean of a smooth function is as accurate as that of an
-upright grid.
+The lattices are rank-1 lattices (see `Lattice`), chosen so that a quarter turn maps each lattice
+onto itself.  So the mean of a smooth function is as accurate as that of an upright grid.
 
 Dammertz and Keller, Image synthesis by rank-1 lattices, Monte Carlo and Quasi-Monte Carlo Methods
 2006, 2008.

@@ -98,7 +98,7 @@ class Boxes:
     # Intersections with rays from the eye.
 
     def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """For each of n boxes, bound the x coordinates at which it may appear in a given row.
+        """Bound the x coordinates at which each of n boxes may appear in a row of the picture.
 
         Parameters
         ----------

@@ -128,7 +128,7 @@ class Spheres:
     # Intersections with rays from the eye.
 
     def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """For each of n spheres, bound the x coordinates at which it may appear in a given row.
+        """Bound the x coordinates at which each of n spheres may appear in a row of the picture.
 
         Parameters
         ----------
