@@ -67,13 +67,14 @@ def list_segment_elements(lengths: Ints, starts: Ints) -> tuple[Ints, Ints]:
 
     Returns
     -------
-    segment : (m,) int array
+    segment_index : (m,) int array
         For each listed element, the index of its segment.  Here m is the sum of `lengths`.
-    element : (m,) int array
+    element_index : (m,) int array
         For each listed element, its index in the array.
     """
-    segment = np.arange(lengths.size).repeat(lengths)
-    return segment, np.arange(segment.size) - (lengths.cumsum() - lengths - starts)[segment]
+    segment_index = np.arange(lengths.size).repeat(lengths)
+    offset = lengths.cumsum() - lengths - starts
+    return segment_index, np.arange(segment_index.size) - offset[segment_index]
 
 
 def find_in_sorted(sorted_numbers: Ints, wanted_numbers: Ints) -> Ints:

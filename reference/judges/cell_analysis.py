@@ -37,39 +37,14 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.judges.arrays import Bools, Floats, Ints, add_at_sorted_index, list_segment_elements
-from reference.judges.cells import MAX_WIDTH, Cells
-from reference.judges.enclosures import CONSTANT, ERROR, ROUNDING, UNKNOWN, X_SQUARED, Enclosures
+from reference.judges.cells import MAX_WIDTH, Cells, Contributions
+from reference.judges.enclosures import CONSTANT, ERROR, ROUNDING, UNKNOWN_Z, X_SQUARED, Enclosures
 from reference.judges.faces import Faces
 from reference.judges.vectors import compute_cross_product, compute_squared_length
 
 # Squared distances, and |l + v|^2 of two unit vectors, are positive.  Their lower bounds are raised
 # to this number before a negative power is computed.
 _MIN_SQUARE = 1e-300
-
-
-class Contributions(NamedTuple):
-    """n contributions of single lights to the radiance of pairs, sorted by pair and light.
-
-    A pair consists of a cell (a square part of the picture) and a face in it (a sphere, or a side
-    of a box).
-
-    Attributes
-    ----------
-    pair, light : (n,) int arrays
-        Indices of the pair and of the light of each contribution.
-    radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance that the face reflects to the eye wherever the light
-        reaches the face.  The first axis holds the coefficients of a polynomial and its error
-        bound; the second holds the three channels.
-    """
-
-    pair: Ints
-    light: Ints
-    radiance: Enclosures
-
-    def select(self, is_kept: Bools) -> Contributions:
-        """Copy the contributions selected by a mask (n,)."""
-        return Contributions(self.pair[is_kept], self.light[is_kept], self.radiance[is_kept])
 
 
 class _RayFunctions(NamedTuple):
@@ -80,7 +55,7 @@ class _RayFunctions(NamedTuple):
 
     Attributes
     ----------
-    pair : (n,) int array
+    pair_index : (n,) int array
         Indices of the pairs.
     smooth_part : Enclosures
         Enclosures (8, n) of the first terms.
@@ -88,13 +63,13 @@ class _RayFunctions(NamedTuple):
         The factors of the root terms.  An array holds factors that are constant in the cell.
     """
 
-    pair: Ints
+    pair_index: Ints
     smooth_part: Enclosures
     root_factor: Enclosures | Floats
 
     def take(self, index: Ints) -> _RayFunctions:
         """Copy the functions selected by indices (k,)."""
-        return _RayFunctions(self.pair[index], self.smooth_part[index], self.root_factor[index])
+        return self._replace(**{name: field[index] for name, field in self._asdict().items()})
 
 
 class _Condition(NamedTuple):
@@ -147,7 +122,7 @@ def _enclose_cone(
     """
     (size, shifted_size), r2, c2 = sizes, radius * radius, (center * center).sum(axis=0)
     cross, coef = compute_cross_product(center, shifted_points), np.zeros((8, radius.size))
-    coef[:UNKNOWN] = r2 * compute_squared_length(points) - compute_squared_length(cross)
+    coef[:UNKNOWN_Z] = r2 * compute_squared_length(points) - compute_squared_length(cross)
     error_bound = r2 * size * np.abs(points).sum(axis=(0, 1))
     error_bound += c2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
     coef[ERROR] = 8 * ROUNDING * error_bound
@@ -202,10 +177,10 @@ class CellAnalysis:
         pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
         rays[0, 1], rays[1, 2] = self._half_cell_size = cells.width / 2 * pixel_size
         coef = np.zeros((8, cells.x.size))
-        coef[:UNKNOWN] = compute_squared_length(rays)
+        coef[:UNKNOWN_Z] = compute_squared_length(rays)
         coef[ERROR] = ROUNDING * coef[CONSTANT]
         self.squared_ray_length = Enclosures(coef)
-        # Pairs, lights (or -1) and enclosures of edge functions.
+        # Indices of pairs and of lights (or -1), and enclosures of edge functions.
         self._edges: list[tuple[Ints, Ints, Enclosures]] = []
         self._find_visible_faces()
         self._find_terminators()
@@ -213,14 +188,14 @@ class CellAnalysis:
         if cells.width <= 1:
             self._find_intersections()
 
-    def _dot_with_rays(self, vectors: Floats, cell: Ints) -> Enclosures:
+    def _dot_with_rays(self, vectors: Floats, cell_index: Ints) -> Enclosures:
         """Enclose the dot products of constant vectors with the ray directions in cells.
 
         Parameters
         ----------
         vectors : (3, n) float array
             The constant vectors, in the camera's axes (right, down, ahead).
-        cell : (n,) int array
+        cell_index : (n,) int array
             For each vector, the index of the cell.
 
         Returns
@@ -229,20 +204,20 @@ class CellAnalysis:
             Enclosures (8, n) of the dot products.  Only rows 0 to 2 (the coefficients of 1, X and
             Y) and row 7 (ERROR) are not zero.
         """
-        coef, max_ray_size = np.zeros((8, cell.size)), self.faces.frame.max_ray_size
-        coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell, axis=1)).sum(axis=0)
+        coef, max_ray_size = np.zeros((8, cell_index.size)), self.faces.frame.max_ray_size
+        coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell_index, axis=1)).sum(axis=0)
         coef[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_cell_size
         coef[ERROR] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
         return Enclosures(coef)
 
-    def _express_half_space(self, pair: Ints, half_space: Floats) -> _RayFunctions:
+    def _express_half_space(self, pair_index: Ints, half_space: Floats) -> _RayFunctions:
         """Express half-spaces as functions of the camera ray.
 
         A function is positive where the ray meets the pair's face inside the half-space.
 
         Parameters
         ----------
-        pair : (n,) int array
+        pair_index : (n,) int array
             Indices of pairs.  A pair consists of a cell and a face in it.
         half_space : (5, n) float array
             For each pair, a half-space n.x + b >= 0.  Rows 0 to 2 contain n, and row 3 contains b.
@@ -256,10 +231,10 @@ class CellAnalysis:
         # The ray with direction d meets the face at t d, where 1 / t is the sum of the linear term
         # and the root term.  There, n.x + b >= 0 becomes n.d + b / t >= 0, after division by t.
         *normal, b, b_abs_sum = half_space
-        smooth_part = self._dot_with_rays(np.array(normal), self.cells.pair_cell[pair])
-        smooth_part += self._linear_term[pair] * b
-        smooth_part.coef[ERROR] += ROUNDING * b_abs_sum * self._max_inverse_distance[pair]
-        return _RayFunctions(pair, smooth_part, b)
+        smooth_part = self._dot_with_rays(np.array(normal), self.cells.cell_index[pair_index])
+        smooth_part += self._linear_term[pair_index] * b
+        smooth_part.coef[ERROR] += ROUNDING * b_abs_sum * self._max_inverse_distance[pair_index]
+        return _RayFunctions(pair_index, smooth_part, b)
 
     def _enclose_functions(self, functions: _RayFunctions) -> Enclosures:
         """Enclose functions of the camera ray by polynomials with error bounds.
@@ -276,14 +251,14 @@ class CellAnalysis:
             Enclosures (8, n) of the functions, each in the cell of its pair.
         """
         coef = functions.smooth_part.coef.copy()
-        is_planar = self.faces.is_planar[self.cells.pair_face[functions.pair]]
-        sphere_index = np.flatnonzero(~is_planar)
-        pair, root_factor = functions.pair[sphere_index], functions.root_factor[sphere_index]
-        coef[:, sphere_index] += (self.root_term[pair] * root_factor).coef
+        face_index = self.cells.face_index[functions.pair_index]
+        function_index = np.flatnonzero(~self.faces.is_planar[face_index])
+        root_term = self.root_term[functions.pair_index[function_index]]
+        coef[:, function_index] += (root_term * functions.root_factor[function_index]).coef
         return Enclosures(coef)
 
     def _decide_claims(
-        self, light: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
+        self, light_index: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
     ) -> Bools:
         """Find the claims that are true everywhere in a cell, and list edges of undecided claims.
 
@@ -294,7 +269,7 @@ class CellAnalysis:
 
         Parameters
         ----------
-        light : (n,) int array, or int
+        light_index : (n,) int array, or int
             For each claim, the index of the light that it concerns, or -1 if it concerns no light.
         is_false : (n,) bool array
             For each claim, whether it is certainly false everywhere in its cell.  The array is
@@ -307,8 +282,8 @@ class CellAnalysis:
         is_true : (n,) bool array
             Whether the claim is certainly true everywhere in its cell.
         """
-        is_true, light = np.ones(is_false.size, np.bool_), np.broadcast_to(light, is_false.shape)
-        possible_edges = []
+        light_index = np.broadcast_to(light_index, is_false.shape)
+        is_true, possible_edges = np.ones(is_false.size, np.bool_), []
         for claim_index, functions, has_edge in conditions:
             enclosures = self._enclose_functions(functions)
             low, high = enclosures.find_bounds()
@@ -320,7 +295,7 @@ class CellAnalysis:
         for claim_index, functions, enclosures in possible_edges:
             index = np.flatnonzero(~is_false[claim_index])
             edges = self._narrow_enclosures(functions.take(index), enclosures[index])
-            self._edges.append((functions.pair[index], light[claim_index[index]], edges))
+            self._edges += [(functions.pair_index[index], light_index[claim_index[index]], edges)]
         return is_true & ~is_false
 
     def _narrow_enclosures(self, functions: _RayFunctions, enclosures: Enclosures) -> Enclosures:
@@ -344,13 +319,13 @@ class CellAnalysis:
             The same enclosures, each replaced if the replacement has a smaller `relative_width`.
         """
         # On sides of boxes, there is no unknown Z: its coefficient is 0.
-        sphere_index = np.flatnonzero(enclosures.coef[UNKNOWN])
-        if sphere_index.size:
-            pair, smooth_part, root_factor = functions.take(sphere_index)
-            squared_root_part = self.squared_root_term[pair] * root_factor * root_factor
+        function_index = np.flatnonzero(enclosures.coef[UNKNOWN_Z])
+        if function_index.size:
+            pair_index, smooth_part, root_factor = functions.take(function_index)
+            squared_root_part = self.squared_root_term[pair_index] * root_factor * root_factor
             replacement = smooth_part * smooth_part - squared_root_part
-            is_narrower = replacement.relative_width < enclosures[sphere_index].relative_width
-            enclosures.coef[:, sphere_index[is_narrower]] = replacement.coef[:, is_narrower]
+            is_narrower = replacement.relative_width < enclosures[function_index].relative_width
+            enclosures.coef[:, function_index[is_narrower]] = replacement.coef[:, is_narrower]
         return enclosures
 
     def _find_visible_faces(self) -> None:
@@ -362,38 +337,40 @@ class CellAnalysis:
 
         The results are stored in `inverse_distance`, `root_term`, `squared_root_term` and `cells`.
         """
-        faces, face, cell = self.faces, self.cells.pair_face, self.cells.pair_cell
-        sphere_pair = np.flatnonzero(~faces.is_planar[face])
-        discriminants = np.zeros((8, face.size))
-        rays, sizes = self._rays[:, :, cell[sphere_pair]], np.full(2, faces.frame.max_ray_size)
-        center, radius = faces.center[:, face[sphere_pair]], faces.radius[face[sphere_pair]]
-        discriminants[:, sphere_pair] = _enclose_cone(center, radius, rays, rays, sizes)[0].coef
+        faces, face_index, cell_index = self.faces, self.cells.face_index, self.cells.cell_index
+        pair_index = np.flatnonzero(~faces.is_planar[face_index])
+        discriminants, sizes = np.zeros((8, face_index.size)), np.full(2, faces.frame.max_ray_size)
+        rays, sphere_index = self._rays[:, :, cell_index[pair_index]], face_index[pair_index]
+        center, radius = faces.center[:, sphere_index], faces.radius[sphere_index]
+        discriminants[:, pair_index] = _enclose_cone(center, radius, rays, rays, sizes)[0].coef
         # The root term is the sphere's `root_coef` times the square root of its discriminant.
-        self.squared_root_term = Enclosures(discriminants * faces.root_coef[face] ** 2)
-        self.root_term = Enclosures(np.zeros((8, face.size)))
-        self._linear_term = self._dot_with_rays(faces.linear_coef[:, face], cell)
+        self.squared_root_term = Enclosures(discriminants * faces.root_coef[face_index] ** 2)
+        self.root_term = Enclosures(np.zeros((8, face_index.size)))
+        self._linear_term = self._dot_with_rays(faces.linear_coef[:, face_index], cell_index)
         self._max_inverse_distance = self._linear_term.max_abs
-        is_outside = np.zeros(face.size, np.bool_)
+        is_outside = np.zeros(face_index.size, np.bool_)
         conditions = self._make_hit_conditions(Enclosures(discriminants))
         covers_cell = self._decide_claims(-1, is_outside, conditions)
         self.inverse_distance = Enclosures(self._linear_term.coef.copy())
-        hit_pair = sphere_pair[~is_outside[sphere_pair]]
-        coef = self.squared_root_term[hit_pair].power(0.5).coef
-        rounding_error = self.inverse_distance.coef[ERROR, hit_pair]
+        hit_pair_index = pair_index[~is_outside[pair_index]]
+        coef = self.squared_root_term[hit_pair_index].power(0.5).coef
+        rounding_error = self.inverse_distance.coef[ERROR, hit_pair_index]
         # The error bound of the root term becomes the coefficient of the unknown Z, which the
         # inverse distance shares.  The new error bound covers only rounding errors.
-        coef[UNKNOWN], coef[ERROR] = coef[ERROR] + rounding_error, rounding_error
-        self.root_term.coef[:, hit_pair] = coef
-        self.inverse_distance.coef[:, hit_pair] += coef
-        self.inverse_distance.coef[ERROR, hit_pair] = 0
-        is_kept = ~(is_outside | self._find_hidden_pairs(covers_cell))
-        self.cells, new_index = self.cells._replace(covers_cell=covers_cell).select_pairs(is_kept)
-        for i, (pair, light, functions) in enumerate(self._edges):
-            kept_index = np.flatnonzero(is_kept[pair])
-            self._edges[i] = new_index[pair[kept_index]], light[kept_index], functions[kept_index]
-        self.root_term, self._linear_term = self.root_term[is_kept], self._linear_term[is_kept]
-        self.squared_root_term = self.squared_root_term[is_kept]
-        self.inverse_distance = self.inverse_distance[is_kept]
+        coef[UNKNOWN_Z], coef[ERROR] = coef[ERROR] + rounding_error, rounding_error
+        self.root_term.coef[:, hit_pair_index] = coef
+        self.inverse_distance.coef[:, hit_pair_index] += coef
+        self.inverse_distance.coef[ERROR, hit_pair_index] = 0
+        may_be_visible = ~(is_outside | self._find_hidden_pairs(covers_cell))
+        cells = self.cells._replace(covers_cell=covers_cell)
+        self.cells, new_index = cells.select_pairs(may_be_visible)
+        for i, (pair_index, light_index, functions) in enumerate(self._edges):
+            index = np.flatnonzero(may_be_visible[pair_index])
+            self._edges[i] = new_index[pair_index[index]], light_index[index], functions[index]
+        self.root_term = self.root_term[may_be_visible]
+        self._linear_term = self._linear_term[may_be_visible]
+        self.squared_root_term = self.squared_root_term[may_be_visible]
+        self.inverse_distance = self.inverse_distance[may_be_visible]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
     def _make_hit_conditions(self, discriminants: Enclosures) -> Iterator[_Condition]:
@@ -414,18 +391,20 @@ class CellAnalysis:
         condition : _Condition
             A condition for some of the pairs.  Its `claim_index` lists these pairs.
         """
-        faces, cells, is_planar = self.faces, self.cells, self.faces.is_planar[self.cells.pair_face]
-        pair = np.flatnonzero(~cells.covers_cell & is_planar)
+        faces, cells = self.faces, self.cells
+        is_planar = faces.is_planar[cells.face_index]
+        pair_index = np.flatnonzero(~cells.covers_cell & is_planar)
         for half_spaces in faces.rim_half_spaces.swapaxes(0, 1):
-            half_space = half_spaces[:, cells.pair_face[pair]]
-            yield _Condition(pair, self._express_half_space(pair, half_space))
-        pair = np.flatnonzero(~cells.covers_cell & ~is_planar)
-        pair = pair[faces.eye_power[cells.pair_face[pair]] > 0]  # the eye is outside the sphere
-        center, zeros = faces.center[:, cells.pair_face[pair]], np.zeros(pair.size)
-        center_dot_ray = self._dot_with_rays(center, cells.pair_cell[pair])
+            half_space = half_spaces[:, cells.face_index[pair_index]]
+            yield _Condition(pair_index, self._express_half_space(pair_index, half_space))
+        pair_index = np.flatnonzero(~cells.covers_cell & ~is_planar)
+        # If the eye is inside a sphere, all rays hit the sphere.
+        pair_index = pair_index[faces.eye_power[cells.face_index[pair_index]] > 0]
+        center, zeros = faces.center[:, cells.face_index[pair_index]], np.zeros(pair_index.size)
+        projection = self._dot_with_rays(center, cells.cell_index[pair_index])
         # The zero of this function is no edge: there, the ray's line misses the sphere.
-        yield _Condition(pair, _RayFunctions(pair, center_dot_ray, zeros), has_edge=False)
-        yield _Condition(pair, _RayFunctions(pair, discriminants[pair], zeros))
+        yield _Condition(pair_index, _RayFunctions(pair_index, projection, zeros), has_edge=False)
+        yield _Condition(pair_index, _RayFunctions(pair_index, discriminants[pair_index], zeros))
 
     def _find_hidden_pairs(self, covers_cell: Bools) -> Bools:
         """Find the pairs whose face is hidden by another face everywhere in the cell.
@@ -445,25 +424,24 @@ class CellAnalysis:
             plane, the face whose object comes first in the scene file hides the other.
         """
         faces, inverse_distance = self.faces, self.inverse_distance
-        cell, face = self.cells.pair_cell, self.cells.pair_face
-        file_index = faces.prepared_scene.surfaces.file_index[faces.object_index[face]]
-        covering_pair = np.flatnonzero(covers_cell)
-        min_inverse_distance = inverse_distance[covering_pair].find_bounds()[0]
-        order = np.lexsort((-file_index[covering_pair], min_inverse_distance, cell[covering_pair]))
-        occluder_by_cell = np.full(self.cells.x.size, -1)
-        # If a cell has several covering pairs, the last one remains.
-        occluder_by_cell[cell[covering_pair[order]]] = covering_pair[order]
-        occluder_by_pair = occluder_by_cell[cell]
-        pair = np.flatnonzero((occluder_by_pair >= 0) & (occluder_by_pair != np.arange(cell.size)))
-        occluder, plane_id = occluder_by_pair[pair], faces.plane_id[:, face]
-        is_in_same_plane = (plane_id[:, pair] == plane_id[:, occluder]).all(axis=0)
-        difference = inverse_distance[pair].subtract_independent(inverse_distance[occluder])
-        is_behind, is_hidden = difference.find_bounds()[1] < 0, np.zeros(cell.size, np.bool_)
-        comes_later = file_index[pair] > file_index[occluder]
-        is_hidden[pair] = np.where(is_in_same_plane, comes_later, is_behind)
-        return is_hidden
+        cell_index, face_index = self.cells.cell_index, self.cells.face_index
+        file_index = faces.prepared_scene.surfaces.file_index[faces.object_index[face_index]]
+        plane_id, covering_index = faces.plane_id[:, face_index], np.flatnonzero(covers_cell)
+        min_inverse_distance, _ = inverse_distance[covering_index].find_bounds()
+        sort_keys = -file_index[covering_index], min_inverse_distance, cell_index[covering_index]
+        far_to_near = covering_index[np.lexsort(sort_keys)]
+        occluder_index_by_cell = np.full(self.cells.x.size, -1)
+        # If a cell has several covering pairs, the last one remains.  Index -1 stands for none.
+        occluder_index_by_cell[cell_index[far_to_near]] = far_to_near
+        occluder_index = occluder_index_by_cell[cell_index]
+        has_occluder = (occluder_index >= 0) & (occluder_index != np.arange(cell_index.size))
+        is_in_same_plane = (plane_id == plane_id[:, occluder_index]).all(axis=0)
+        gap = inverse_distance.subtract_independent(inverse_distance[occluder_index])
+        _, max_gap = gap.find_bounds()
+        comes_later = file_index > file_index[occluder_index]
+        return np.asarray(has_occluder & np.where(is_in_same_plane, comes_later, max_gap < 0))
 
-    def _express_light_height(self, pair: Ints, light: Ints | int) -> _RayFunctions:
+    def _express_light_height(self, pair_index: Ints, light_index: Ints | int) -> _RayFunctions:
         """Express the heights of lights above faces as functions of the camera ray.
 
         The ray with direction d meets the face at t d.  The function is the light's height above
@@ -472,9 +450,9 @@ class CellAnalysis:
 
         Parameters
         ----------
-        pair : (n,) int array
+        pair_index : (n,) int array
             Indices of pairs.  A pair consists of a cell and a face in it.
-        light : (n,) int array, or int
+        light_index : (n,) int array, or int
             For each pair, the index of a light.  Index -1 stands for the eye.
 
         Returns
@@ -482,8 +460,8 @@ class CellAnalysis:
         functions : _RayFunctions
             One function of the camera ray for each pair and light.
         """
-        face = self.cells.pair_face[pair]
-        return self._express_half_space(pair, self.faces.height_half_space[:, light, face])
+        half_space = self.faces.height_half_space[:, light_index, self.cells.face_index[pair_index]]
+        return self._express_half_space(pair_index, half_space)
 
     def _find_terminators(self) -> None:
         """Find terminators on spheres, and settle the lights that leave a sphere in a cell dark.
@@ -493,12 +471,12 @@ class CellAnalysis:
         a part of the sphere may be dark, the terminator becomes a possible edge.
         """
         # Lights behind a side of a box are settled from the start.
-        is_sphere = ~self.faces.is_planar[self.cells.pair_face]
-        pair, light = np.nonzero(~self.cells.is_settled & is_sphere[:, None])
-        is_unlit = np.zeros(pair.size, np.bool_)
-        condition = _Condition(np.arange(pair.size), self._express_light_height(pair, light))
-        self._decide_claims(light, is_unlit, [condition])
-        self.cells.is_settled[pair[is_unlit], light[is_unlit]] = True
+        is_sphere = ~self.faces.is_planar[self.cells.face_index]
+        pair_index, light_index = np.nonzero(~self.cells.is_settled & is_sphere[:, None])
+        is_unlit = np.zeros(pair_index.size, np.bool_)
+        heights = self._express_light_height(pair_index, light_index)
+        self._decide_claims(light_index, is_unlit, [_Condition(np.arange(is_unlit.size), heights)])
+        self.cells.is_settled[pair_index[is_unlit], light_index[is_unlit]] = True
 
     def _bound_visible_parts(self) -> tuple[Floats, Floats]:
         """Compute a box around the part of each face that may be visible in its cell.
@@ -509,16 +487,16 @@ class CellAnalysis:
             For each pair (a cell and a face in it), the box's centre and half size along the
             scene's axes.  The boxes are widened to allow for rounding errors.
         """
-        faces, face, axes = self.faces, self.cells.pair_face, self.faces.frame.axes.T
-        eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.pair_cell]
+        faces, face_index, axes = self.faces, self.cells.face_index, self.faces.frame.axes.T
+        eye, rays = faces.frame.eye[:, None], self._rays[:, :, self.cells.cell_index]
         center_ray, spread = axes @ rays[:, 0], np.abs(axes) @ rays[:, 1:].sum(axis=1)
         low_ray, high_ray = center_ray - spread, center_ray + spread
         inverse_far, inverse_near = self.inverse_distance.find_bounds()
         near, far = 1 / inverse_near, np.where(inverse_far > 0, 1 / inverse_far, np.inf)
-        low, high = faces.bounding_box[:, :, face]
+        low, high = faces.bounding_box[:, :, face_index]
         low = np.fmax(low, eye + np.fmin(low_ray * near, low_ray * far))
         high = np.fmin(high, eye + np.fmax(high_ray * near, high_ray * far))
-        position_error = faces.prepared_scene.position_error[faces.object_index[face]]
+        position_error = faces.prepared_scene.position_error[faces.object_index[face_index]]
         return 0.5 * (low + high), np.maximum(0.5 * (high - low), 0) + position_error
 
     def _find_shadows(self) -> None:
@@ -534,16 +512,17 @@ class CellAnalysis:
         cells = self.cells
         if cells.width == MAX_WIDTH:
             part_boxes = self._bound_visible_parts()
-            triples = self.faces.find_occluders(*part_boxes, cells.pair_face, ~cells.is_settled.T)
+            triples = self.faces.find_occluders(*part_boxes, cells.face_index, ~cells.is_settled.T)
             self.cells = cells = cells._replace(triples=triples)
-        pair, light, _ = cells.triples
+        pair_index, light_index, _ = cells.triples
         # `_decide_claims` updates `casts_no_shadow` after each condition.
-        casts_no_shadow = np.zeros(pair.size, dtype=np.bool_)
+        casts_no_shadow = np.zeros(pair_index.size, dtype=np.bool_)
         sphere_conditions = self._make_sphere_shadow_conditions()
         conditions = chain(sphere_conditions, self._make_box_shadow_conditions(casts_no_shadow))
-        is_shaded = self._decide_claims(light, casts_no_shadow, conditions)
-        cells.is_settled[pair[is_shaded], light[is_shaded]] = True
-        self.cells = cells.select_triples(~casts_no_shadow & ~cells.is_settled[pair, light])
+        is_shaded = self._decide_claims(light_index, casts_no_shadow, conditions)
+        cells.is_settled[pair_index[is_shaded], light_index[is_shaded]] = True
+        is_settled = cells.is_settled[pair_index, light_index]
+        self.cells = cells.select_triples(~casts_no_shadow & ~is_settled)
 
     def _make_sphere_shadow_conditions(self) -> Iterator[_Condition]:
         """Yield the conditions under which camera rays meet a face in the shadow of a sphere.
@@ -558,11 +537,12 @@ class CellAnalysis:
             triple whose occluder is a sphere.  A triple is a possible shadow: a pair (a cell and
             a face in it), a light, an occluder.
         """
-        triple_index = np.flatnonzero(self.cells.triples[2] < self.faces.sphere_count)
-        faces, (pair, light, sphere) = self.faces, self.cells.triples[:, triple_index]
-        cell, face = self.cells.pair_cell[pair], self.cells.pair_face[pair]
-        to_center, radius2 = faces.to_center[:, light, sphere], faces.radius[sphere] ** 2
-        position, center = faces.light_position[light].T, faces.center[:, sphere]
+        faces, cells = self.faces, self.cells
+        triple_index = np.flatnonzero(cells.triples[2] < faces.sphere_count)
+        pair_index, light_index, sphere_index = cells.triples[:, triple_index]
+        radius, center = faces.radius[sphere_index], faces.center[:, sphere_index]
+        position = faces.light_position[light_index].T
+        to_center = faces.to_center[:, light_index, sphere_index]
         position2, center2, to_center2 = np.square([position, center, to_center]).sum(axis=1)
         # Let L be the light, C the sphere's centre, c = C - L, and r the radius.  The ray with
         # direction d meets the face at p = t d, where 1 / t = k.d + s with the root term s.
@@ -572,26 +552,27 @@ class CellAnalysis:
         # the condition is u + v s >= 0 with
         #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
         #     v = 2 ((c x C).(c x w) - r^2 L.q).
-        rays, linear_term = self._rays[:, :, cell], self._linear_term.coef[:X_SQUARED, pair]
-        linear_size = 2 * np.abs(faces.linear_coef[:, face]).sum(axis=0)
+        rays = self._rays[:, :, cells.cell_index[pair_index]]
+        linear_term = self._linear_term.coef[:X_SQUARED, pair_index]
+        linear_size = 2 * np.abs(faces.linear_coef[:, cells.face_index[pair_index]]).sum(axis=0)
         q, w = (rays - point[:, None] * linear_term for point in (position, center))
-        lengths = np.sqrt([position2, center2])
+        lengths, radius2 = np.sqrt([position2, center2]), radius**2
         q_size, w_size = sizes = faces.frame.max_ray_size * (1 + lengths * linear_size)
-        u, c_cross_w = _enclose_cone(to_center, faces.radius[sphere], q, w, sizes)
+        u, c_cross_w = _enclose_cone(to_center, radius, q, w, sizes)
         c_cross_center = compute_cross_product(to_center, center[:, None])
-        dot_of_crosses, v = (c_cross_center * c_cross_w).sum(axis=0), np.zeros((8, pair.size))
+        dot_of_crosses, v = (c_cross_center * c_cross_w).sum(axis=0), np.zeros((8, pair_index.size))
         v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
         v_size = to_center2 * lengths[1] * w_size + radius2 * lengths[0] * q_size
         v[ERROR] = 16 * ROUNDING * v_size
-        s2 = self.squared_root_term[pair]
+        s2 = self.squared_root_term[pair_index]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         u.coef[ERROR] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
-        yield _Condition(triple_index, _RayFunctions(pair, u, Enclosures(v)))
+        yield _Condition(triple_index, _RayFunctions(pair_index, u, Enclosures(v)))
         # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
         products = to_center * center
         b, b_abs_sum = radius2 - products.sum(axis=0), radius2 + np.abs(products).sum(axis=0)
-        plane_functions = self._express_half_space(pair, np.array([*to_center, b, b_abs_sum]))
+        plane_functions = self._express_half_space(pair_index, np.array([*to_center, b, b_abs_sum]))
         yield _Condition(triple_index, plane_functions, has_edge=False)
 
     def _make_box_shadow_conditions(self, casts_no_shadow: Bools) -> Iterator[_Condition]:
@@ -612,17 +593,18 @@ class CellAnalysis:
         condition : _Condition
             A condition for all triples whose occluder is a box that may cast a shadow.
         """
-        pair, light, box = self.cells.triples - [[0], [0], [self.faces.sphere_count]]
-        is_box = box >= 0  # the index is negative if the occluder is a sphere
+        pair_index, light_index, occluder_index = self.cells.triples
+        # Objects are numbered with spheres first.  Spheres have a negative box index.
+        box_index = occluder_index - self.faces.sphere_count
         shadow_planes = self.faces.shadow_volume.swapaxes(0, 1)
         for half_spaces, has_edge in zip(shadow_planes, self.faces.has_shadow_edge, strict=True):
-            index = np.flatnonzero(is_box & ~casts_no_shadow)
-            half_space = half_spaces[:, light[index], box[index]]
+            index = np.flatnonzero((box_index >= 0) & ~casts_no_shadow)
+            half_space = half_spaces[:, light_index[index], box_index[index]]
             # A box seen edge-on from the light has fewer than nine planes.
             has_plane = half_space[:4].any(axis=0)
             index = index[has_plane]
-            functions = self._express_half_space(pair[index], half_space[:, has_plane])
-            yield _Condition(index, functions, has_edge[light[index], box[index]])
+            functions = self._express_half_space(pair_index[index], half_space[:, has_plane])
+            yield _Condition(index, functions, has_edge[light_index[index], box_index[index]])
 
     def _find_intersections(self) -> None:
         """Find possible edges where two faces intersect in a cell, and add them to `_edges`.
@@ -631,25 +613,26 @@ class CellAnalysis:
         one of the faces in this plane.
         """
         faces, cells = self.faces, self.cells
-        sorted_pair = np.argsort(cells.pair_cell, kind="stable")
-        cell_start = cells.pair_cell[sorted_pair].searchsorted(cells.pair_cell[sorted_pair])
+        sorted_index = np.argsort(cells.cell_index, kind="stable")
+        cell_start = cells.cell_index[sorted_index].searchsorted(cells.cell_index[sorted_index])
         # Combine each pair (a cell and a face in it) with all earlier pairs of the same cell.
-        positions = list_segment_elements(np.arange(sorted_pair.size) - cell_start, cell_start)
-        pair, other_pair = (sorted_pair[position] for position in positions)
+        positions = list_segment_elements(np.arange(sorted_index.size) - cell_start, cell_start)
+        pair_indices = sorted_index[np.array(positions)]
         # If only one of two faces is planar, make it the other face.
-        is_planar = faces.is_planar[cells.pair_face[pair]]
-        pair, other_pair = np.where(is_planar, (other_pair, pair), (pair, other_pair))
-        face, other_face = cells.pair_face[pair], cells.pair_face[other_pair]
-        objects_differ = faces.object_index[face] != faces.object_index[other_face]
-        planes_differ = (faces.plane_id[:, face] != faces.plane_id[:, other_face]).any(axis=0)
-        kept_index = np.flatnonzero(objects_differ & planes_differ)
-        pair, face, other_face = pair[kept_index], face[kept_index], other_face[kept_index]
+        is_planar = faces.is_planar[cells.face_index[pair_indices[0]]]
+        pair_indices = np.where(is_planar, pair_indices[::-1], pair_indices)
+        face_indices = cells.face_index[pair_indices]
+        object_index, plane_id = faces.object_index[face_indices], faces.plane_id[:, face_indices]
+        objects_differ = object_index[0] != object_index[1]
+        may_intersect = objects_differ & (plane_id[:, 0] != plane_id[:, 1]).any(axis=0)
+        pair_index, face_indices = pair_indices[0, may_intersect], face_indices[:, may_intersect]
         # If the other face is a sphere, both are.  The difference of their equations is linear.
-        plane, is_sphere = faces.face_equation[:, other_face], ~faces.is_planar[other_face]
-        sphere_equation = faces.face_equation[:, face[is_sphere]]
-        plane[:, is_sphere] += sphere_equation * [[-1], [-1], [-1], [-1], [1]]
-        condition = _Condition(np.arange(pair.size), self._express_half_space(pair, plane))
-        self._decide_claims(-1, np.zeros(pair.size, np.bool_), [condition])
+        equation, plane = faces.face_equation[:, face_indices].swapaxes(0, 1)
+        is_sphere = ~faces.is_planar[face_indices[1]]
+        plane[:, is_sphere] += equation[:, is_sphere] * [[-1], [-1], [-1], [-1], [1]]
+        functions = self._express_half_space(pair_index, plane)
+        condition = _Condition(np.arange(pair_index.size), functions)
+        self._decide_claims(-1, np.zeros(pair_index.size, np.bool_), [condition])
 
     def collect_edge_functions(self) -> tuple[Ints, Ints, Enclosures]:
         """Collect the edge functions of all cells.
@@ -658,17 +641,17 @@ class CellAnalysis:
 
         Returns
         -------
-        pair : (n,) int array
+        pair_index : (n,) int array
             For each function, the index of its pair (a cell and a face in it).
-        light : (n,) int array
+        light_index : (n,) int array
             For each function, the light that is cut off at the edge, or -1 if the visible face
             changes there.
         functions : Enclosures
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
-        pairs, lights, functions = zip(*self._edges, strict=True)
+        pair_indices, light_indices, functions = zip(*self._edges, strict=True)
         coef = np.concatenate([enclosures.coef for enclosures in functions], axis=1)
-        return np.concatenate(pairs), np.concatenate(lights), Enclosures(coef)
+        return np.concatenate(pair_indices), np.concatenate(light_indices), Enclosures(coef)
 
     def shade(self, is_requested: Bools, permitted_error: float) -> Contributions:
         """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
@@ -693,14 +676,14 @@ class CellAnalysis:
         contributions, cells = self._enclose_contributions(is_requested), self.cells
         has_edge = np.zeros_like(cells.is_settled)
         has_edge[cells.triples[0], cells.triples[1]] = True
-        for pair, light, _ in self._edges:
-            has_edge[pair[light >= 0], light[light >= 0]] = True
+        for pair_index, light_index, _ in self._edges:
+            has_edge[pair_index[light_index >= 0], light_index[light_index >= 0]] = True
         max_light_error = permitted_error / cells.is_settled.shape[1]
-        is_newly_settled = ~has_edge[contributions.pair, contributions.light]
+        is_newly_settled = ~has_edge[contributions.pair_index, contributions.light_index]
         is_newly_settled &= contributions.radiance.radius.max(axis=0) <= max_light_error
-        settled_part = contributions.select(is_newly_settled)
-        add_at_sorted_index(cells.radiance.coef, settled_part.pair, settled_part.radiance.coef)
-        cells.is_settled[settled_part.pair, settled_part.light] = True
+        pair_index, light_index, radiance = contributions.select(is_newly_settled)
+        add_at_sorted_index(cells.radiance.coef, pair_index, radiance.coef)
+        cells.is_settled[pair_index, light_index] = True
         return contributions.select(~is_newly_settled)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
@@ -719,37 +702,39 @@ class CellAnalysis:
             The radiance of each unsettled light for each requested pair, sorted by pair and light.
         """
         faces, cells, scene = self.faces, self.cells, self.faces.prepared_scene
-        pair, light = np.nonzero(~cells.is_settled & is_requested[:, None])
-        cell, object_index = cells.pair_cell[pair], faces.object_index[cells.pair_face[pair]]
-        light_position = faces.light_position[light].T
-        squared_ray_length = self.squared_ray_length[cell]
+        pair_index, light_index = np.nonzero(~cells.is_settled & is_requested[:, None])
+        cell_index = cells.cell_index[pair_index]
+        object_index = faces.object_index[cells.face_index[pair_index]]
+        light_position = faces.light_position[light_index].T
+        squared_ray_length = self.squared_ray_length[cell_index]
         # The ray with direction d meets the face at p = t d, relative to the eye.  All lengths are
         # divided by t, and squared lengths by t^2.  For a light at q, this gives
         #     |q - p|^2 = d^2 - 2 q.d / t + q^2 / t^2  and  (q - p).(-p) = d^2 - q.d / t.
-        q_dot_d_over_t = self.inverse_distance[pair] * self._dot_with_rays(light_position, cell)
-        inverse_distance2 = (self.inverse_distance * self.inverse_distance)[pair]
+        q_dot_d = self._dot_with_rays(light_position, cell_index)
+        q_dot_d_over_t = self.inverse_distance[pair_index] * q_dot_d
+        inverse_distance2 = (self.inverse_distance * self.inverse_distance)[pair_index]
         light_distance2 = squared_ray_length - q_dot_d_over_t * 2.0
         light_distance2 += inverse_distance2 * (light_position * light_position).sum(axis=0)
         inverse_light_distance = light_distance2.power(-0.5, _MIN_SQUARE)  # t / |q - p|
-        light_height = self._enclose_functions(self._express_light_height(pair, light))
+        light_height = self._enclose_functions(self._express_light_height(pair_index, light_index))
         n_dot_l = (light_height * inverse_light_distance).fall_back_to_unit_interval()
-        intensity = faces.prepared_lights.intensity[light].T
+        intensity = faces.prepared_lights.intensity[light_index].T
         radiance = n_dot_l.coef[:, None] * (intensity * scene.diffuse[:, object_index])
         # Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the
         # unit vector halfway between them.  Then n.h = (n.l + n.v) / |l + v|, and
         # |l + v|^2 = 2 + 2 l.v.  Only glossy faces have this term.
         glossy_index = np.flatnonzero(scene.is_glossy[object_index])
-        glossy_pair, glossy_pair_index = np.unique(pair[glossy_index], return_inverse=True)
+        glossy_pair_index, pair_number = np.unique(pair_index[glossy_index], return_inverse=True)
         inverse_ray_length = self.squared_ray_length.power(-0.5)  # 1 / |d|
-        eye_height = self._enclose_functions(self._express_light_height(glossy_pair, -1))
-        n_dot_v = eye_height * inverse_ray_length[cells.pair_cell[glossy_pair]]
-        scale = inverse_light_distance[glossy_index] * inverse_ray_length[cell[glossy_index]]
+        eye_height = self._enclose_functions(self._express_light_height(glossy_pair_index, -1))
+        n_dot_v = eye_height * inverse_ray_length[cells.cell_index[glossy_pair_index]]
+        scale = inverse_light_distance[glossy_index] * inverse_ray_length[cell_index[glossy_index]]
         l_dot_v = (squared_ray_length - q_dot_d_over_t)[glossy_index] * scale
         inverse_sum = (l_dot_v * 2.0 + 2.0).power(-0.5, _MIN_SQUARE)  # 1 / |l + v|
-        n_dot_sum = n_dot_l[glossy_index] + n_dot_v[glossy_pair_index]
+        n_dot_sum = n_dot_l[glossy_index] + n_dot_v[pair_number]
         n_dot_h = (n_dot_sum * inverse_sum).fall_back_to_unit_interval()
-        glossy_object = object_index[glossy_index]
-        lobe = n_dot_h.power(scene.exponent[glossy_object], 0.0, 1.0).fall_back_to_unit_interval()
-        specular = intensity[:, glossy_index] * scene.specular[:, glossy_object]
-        radiance[..., glossy_index] += lobe.coef[:, None] * specular
-        return Contributions(pair, light, Enclosures(radiance))
+        exponent = scene.exponent[object_index[glossy_index]]
+        cosine_power = n_dot_h.power(exponent, 0.0, 1.0).fall_back_to_unit_interval()
+        specular = intensity[:, glossy_index] * scene.specular[:, object_index[glossy_index]]
+        radiance[..., glossy_index] += cosine_power.coef[:, None] * specular
+        return Contributions(pair_index, light_index, Enclosures(radiance))

@@ -48,8 +48,8 @@ class Cells(NamedTuple):
         Width of the cells in pixels; a power of two.
     x, y : (c,) float arrays
         Centres of the cells, in pixels from the upper left corner of the picture.
-    pair_cell, pair_face : (p,) int arrays
-        The cell and the face of each pair.
+    cell_index, face_index : (p,) int arrays
+        Indices of the cell and of the face of each pair.
     covers_cell : (p,) bool array
         Whether the pair's face covers all of its cell.
     is_settled : (p, lights) bool array
@@ -63,14 +63,14 @@ class Cells(NamedTuple):
     width: float
     x: Floats
     y: Floats
-    pair_cell: Ints
-    pair_face: Ints
+    cell_index: Ints
+    face_index: Ints
     covers_cell: Bools
     is_settled: Bools
     radiance: Enclosures
     triples: Ints
 
-    def select_triples(self, is_kept: Bools) -> Cells:
+    def select_triples(self, is_selected: Bools) -> Cells:
         """Copy all cells and pairs, but only the selected triples.
 
         A pair consists of a cell and a face that may be visible in it.  A triple describes
@@ -78,17 +78,17 @@ class Cells(NamedTuple):
 
         Parameters
         ----------
-        is_kept : (q,) bool array
-            Whether to keep each triple.
+        is_selected : (q,) bool array
+            Whether to copy each triple.
 
         Returns
         -------
         cells : Cells
             The cells with all pairs and the selected triples.
         """
-        return self._replace(triples=self.triples.compress(is_kept, axis=1))
+        return self._replace(triples=self.triples.compress(is_selected, axis=1))
 
-    def select_pairs(self, is_kept: Bools) -> tuple[Cells, Ints]:
+    def select_pairs(self, is_selected: Bools) -> tuple[Cells, Ints]:
         """Copy all cells, but only the selected pairs and their triples.
 
         A pair consists of a cell and a face that may be visible in it.  A triple describes
@@ -96,8 +96,8 @@ class Cells(NamedTuple):
 
         Parameters
         ----------
-        is_kept : (p,) bool array
-            Whether to keep each pair.
+        is_selected : (p,) bool array
+            Whether to copy each pair.
 
         Returns
         -------
@@ -106,14 +106,14 @@ class Cells(NamedTuple):
         new_index : (p,) int array
             For each old pair, its index among the selected pairs, or -1 if it is not selected.
         """
-        new_index = np.where(is_kept, is_kept.cumsum() - 1, -1)
-        pair, light, occluder = self.triples
-        pair_fields = "pair_cell", "pair_face", "covers_cell", "is_settled", "radiance"
-        fields: dict[str, Any] = {name: getattr(self, name)[is_kept] for name in pair_fields}
-        cells = self._replace(**fields, triples=np.array([new_index[pair], light, occluder]))
+        new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
+        pair_fields = "cell_index", "face_index", "covers_cell", "is_settled", "radiance"
+        fields: dict[str, Any] = {name: getattr(self, name)[is_selected] for name in pair_fields}
+        triples = np.array([new_index[self.triples[0]], *self.triples[1:]])
+        cells = self._replace(**fields, triples=triples)
         return cells.select_triples(cells.triples[0] >= 0), new_index
 
-    def select_cells(self, is_kept: Bools) -> Cells:
+    def select_cells(self, is_selected: Bools) -> Cells:
         """Copy the selected cells with all their pairs and triples.
 
         A pair consists of a cell and a face that may be visible in it.  A triple describes
@@ -121,18 +121,18 @@ class Cells(NamedTuple):
 
         Parameters
         ----------
-        is_kept : (c,) bool array
-            Whether to keep each cell.
+        is_selected : (c,) bool array
+            Whether to copy each cell.
 
         Returns
         -------
         cells : Cells
             The selected cells, with their pairs and triples.
         """
-        new_index = np.where(is_kept, is_kept.cumsum() - 1, -1)
-        pair_cell = new_index[self.pair_cell]
-        cells = self._replace(x=self.x[is_kept], y=self.y[is_kept], pair_cell=pair_cell)
-        return cells.select_pairs(pair_cell >= 0)[0]
+        new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
+        cell_index = new_index[self.cell_index]
+        cells = self._replace(x=self.x[is_selected], y=self.y[is_selected], cell_index=cell_index)
+        return cells.select_pairs(cell_index >= 0)[0]
 
     @property
     def area(self) -> float:
@@ -155,23 +155,49 @@ class Cells(NamedTuple):
         quarters : Cells
             The quarters, without those outside the picture.
         """
-        quarter, half_width = np.arange(4), self.width / 4  # half the width of a quarter
-        x = np.add.outer(self.x, (2 * (quarter & 1) - 1) * half_width).ravel()
-        y = np.add.outer(self.y, (quarter & 2) * half_width - half_width).ravel()
-        pair, light, occluder = self.triples.repeat(4, axis=1)
+        quarter_index, half_width = np.arange(4), self.width / 4  # half the width of a quarter
+        x = np.add.outer(self.x, (2 * (quarter_index & 1) - 1) * half_width).ravel()
+        y = np.add.outer(self.y, (quarter_index & 2) * half_width - half_width).ravel()
+        triples = self.triples.repeat(4, axis=1)
+        triples[0] = 4 * triples[0] + np.tile(quarter_index, self.triples.shape[1])
         quarters = Cells(
             width=self.width / 2,
             x=x,
             y=y,
-            pair_cell=(4 * self.pair_cell[:, None] + quarter).ravel(),
-            pair_face=self.pair_face.repeat(4),
+            cell_index=(4 * self.cell_index[:, None] + quarter_index).ravel(),
+            face_index=self.face_index.repeat(4),
             covers_cell=self.covers_cell.repeat(4),
             is_settled=self.is_settled.repeat(4, axis=0),
             radiance=self.radiance.split_into_quarters(),
-            triples=np.array([4 * pair + np.tile(quarter, pair.size // 4), light, occluder]),
+            triples=triples,
         )
         is_inside = (x - half_width < picture_width) & (y - half_width < picture_height)
         return quarters if is_inside.all() else quarters.select_cells(is_inside)
+
+
+class Contributions(NamedTuple):
+    """n contributions of single lights to the radiance of pairs, sorted by pair and light.
+
+    A pair consists of a cell (a square part of the picture) and a face in it (a sphere, or a side
+    of a box).
+
+    Attributes
+    ----------
+    pair_index, light_index : (n,) int arrays
+        Indices of the pair and of the light of each contribution.
+    radiance : Enclosures
+        Enclosures (8, 3, n) of the radiance that the face reflects to the eye wherever the light
+        reaches the face.  The first axis holds the coefficients of a polynomial and its error
+        bound; the second holds the three channels.
+    """
+
+    pair_index: Ints
+    light_index: Ints
+    radiance: Enclosures
+
+    def select(self, is_selected: Bools) -> Contributions:
+        """Copy the contributions selected by a mask (n,)."""
+        return self._replace(**{name: field[is_selected] for name, field in self._asdict().items()})
 
 
 def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
@@ -196,16 +222,16 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
     y, x = (np.indices((row_count, column_count)).reshape(2, -1) + 0.5) * cell_width
-    face = np.flatnonzero(faces.may_be_visible)
-    pair_cell, pair_face = np.arange(x.size).repeat(face.size), np.tile(face, x.size)
+    face_index = np.flatnonzero(faces.may_be_visible)
+    cell_index, face_index = np.arange(x.size).repeat(face_index.size), np.tile(face_index, x.size)
     return Cells(
         width=cell_width,
         x=x,
         y=y,
-        pair_cell=pair_cell,
-        pair_face=pair_face,
-        covers_cell=np.zeros(pair_face.size, np.bool_),
-        is_settled=faces.is_unlit[:, pair_face].T,
-        radiance=Enclosures(np.zeros((8, 3, pair_face.size))),
+        cell_index=cell_index,
+        face_index=face_index,
+        covers_cell=np.zeros(face_index.size, np.bool_),
+        is_settled=faces.is_unlit[:, face_index].T,
+        radiance=Enclosures(np.zeros((8, 3, face_index.size))),
         triples=np.zeros((3, 0), dtype=np.intp),
     )

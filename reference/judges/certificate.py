@@ -34,8 +34,8 @@ is finished if its error is at most the average that its pixel can still afford.
 divided.
 
 The tracer traces the samples, but only to find which surface is visible and which lights reach it.
-Its radiance is not used.  If a sample shows a face that the cell rules out, then the certificate or
-the tracer has an error, and a RuntimeError is raised.
+Its radiance is not used.  If a sample shows a face that is not listed for its cell, the certificate
+or the tracer has an error, and a RuntimeError is raised.
 
 Rounding: positions of samples and cells have rounding errors smaller than the error bounds of the
 enclosures, which contain 1e-13 times the coordinates involved.  Areas and means of regions take
@@ -61,9 +61,9 @@ from reference.judges.arrays import (
     list_segment_elements,
     sum_by_index,
 )
-from reference.judges.cell_analysis import CellAnalysis, Contributions
-from reference.judges.cells import MAX_WIDTH, Cells, make_initial_cells
-from reference.judges.enclosures import UNKNOWN, Enclosures, enclose_constants
+from reference.judges.cell_analysis import CellAnalysis
+from reference.judges.cells import MAX_WIDTH, Cells, Contributions, make_initial_cells
+from reference.judges.enclosures import UNKNOWN_Z, Enclosures, enclose_constants
 from reference.judges.faces import Faces
 from reference.judges.regions import Regions, Strips, divide_into_regions, enclose_in_strips
 from tracer import Scene, to_codes
@@ -179,28 +179,29 @@ def estimate_means(
     Raises
     ------
     RuntimeError
-        If a sample shows a face that the cell rules out.
+        If a sample shows a face that is not listed for its cell.
     """
     cells, cell_count = analysis.cells, analysis.cells.x.size
     max_radiance = _bound_radiance(cells, contributions)
     all_strips = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
-    has_many_edges = np.bincount(all_strips.cell, minlength=cell_count) > _MAX_LINES
+    has_many_edges = np.bincount(all_strips.cell_index, minlength=cell_count) > _MAX_LINES
     is_black = max_radiance.max(axis=0) == 0
     is_skipped = is_skipped | has_many_edges | is_black
-    strips = all_strips.take(~is_skipped[all_strips.cell])
-    sampled_cell, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
-    regions = divide_into_regions(strips._replace(cell=new_index[strips.cell]), sampled_cell.size)
-    regions = regions._replace(cell=sampled_cell[regions.cell])
+    strips = all_strips.take(~is_skipped[all_strips.cell_index])
+    sampled_cell_index, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
+    renumbered_strips = strips._replace(cell_index=new_index[strips.cell_index])
+    regions = divide_into_regions(renumbered_strips, sampled_cell_index.size)
+    regions = regions._replace(cell_index=sampled_cell_index[regions.cell_index])
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
-    region_mean = (radiance.coef[:UNKNOWN] * regions.moments[:, None]).sum(axis=0)
-    max_error = np.maximum(region_mean, max_radiance[:, regions.cell] - region_mean)
+    region_mean = (radiance.coef[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
+    max_error = np.maximum(region_mean, max_radiance[:, regions.cell_index] - region_mean)
     region_error = np.minimum(radiance.radius + sample_error, max_error).max(axis=0)
     weighted_mean = regions.area * region_mean
-    mean = np.array([sum_by_index(regions.cell, channel, cell_count) for channel in weighted_mean])
+    mean = np.array([sum_by_index(regions.cell_index, row, cell_count) for row in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
-    cell_error = sum_by_index(regions.cell, regions.area * region_error, cell_count)
-    cell_error += sum_by_index(strips.cell, strips.area * strips.jump, cell_count)
+    cell_error = sum_by_index(regions.cell_index, regions.area * region_error, cell_count)
+    cell_error += sum_by_index(strips.cell_index, strips.area * strips.jump, cell_count)
     cell_error[is_skipped] = np.inf
     cell_error = np.fmin(cell_error, np.maximum(mean, max_radiance - mean).max(axis=0))
     return CellEstimates(strips, regions, radiance, sample_error, max_radiance, mean, cell_error)
@@ -222,10 +223,10 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     max_radiance : (3, c) float array
         For each channel, the maximum over the faces in the cell, or 0 if there are none.
     """
-    face_bounds, max_radiance = cells.radiance.find_bounds()[1], np.zeros((3, cells.x.size))
-    add_at_sorted_index(face_bounds, contributions.pair, contributions.radiance.max_abs)
+    (_, face_bounds), max_radiance = cells.radiance.find_bounds(), np.zeros((3, cells.x.size))
+    add_at_sorted_index(face_bounds, contributions.pair_index, contributions.radiance.max_abs)
     for channel, channel_bounds in zip(max_radiance, face_bounds, strict=True):
-        np.maximum.at(channel, cells.pair_cell, channel_bounds)
+        np.maximum.at(channel, cells.cell_index, channel_bounds)
     return max_radiance
 
 
@@ -255,17 +256,17 @@ def _enclose_edges(
         The strips, sorted by cell.  Edges without a jump get no strip.
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
-    pair, light, edge_functions = analysis.collect_edge_functions()
+    pair_index, light_index, edge_functions = analysis.collect_edge_functions()
     # Each combination of a light and a pair (a cell and a face in it) has its own key.
-    keys = contributions.pair * light_count + contributions.light
-    contribution_index = find_in_sorted(keys, pair * light_count + light)
+    keys = contributions.pair_index * light_count + contributions.light_index
+    contribution_index = find_in_sorted(keys, pair_index * light_count + light_index)
     # Index -1 selects the appended 0, for lights without a contribution.
     light_jump = np.append(contributions.radiance.max_abs.max(axis=0), 0)[contribution_index]
-    cell = cells.pair_cell[pair]
+    cell_index = cells.cell_index[pair_index]
     # Index -1 stands for no light: the visible face changes at the edge.
-    jump = np.where(light < 0, max_radiance.max(axis=0)[cell], light_jump)
-    edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell])
-    return enclose_in_strips(cell[edge_index], edge_functions[edge_index], jump[edge_index])
+    jump = np.where(light_index < 0, max_radiance.max(axis=0)[cell_index], light_jump)
+    edge_index = np.flatnonzero((jump > 0) & ~is_skipped[cell_index])
+    return enclose_in_strips(cell_index[edge_index], edge_functions[edge_index], jump[edge_index])
 
 
 def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
@@ -292,10 +293,10 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
         the region is too small for an accurate centroid.
     """
     _, x, y, *_ = regions.moments
-    strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
-    strip_count = np.diff(strip_start)[regions.cell]
+    strip_start = strips.cell_index.searchsorted(np.arange(cell_count + 1))
+    strip_count = np.diff(strip_start)[regions.cell_index]
     # Compare each region with all strips of its cell.
-    region_index, strip_index = list_segment_elements(strip_count, strip_start[regions.cell])
+    region_index, strip_index = list_segment_elements(strip_count, strip_start[regions.cell_index])
     strip, x, y = strips.take(strip_index), x[region_index], y[region_index]
     is_in_strip = np.abs(strip.a * x + strip.b * y + strip.c) <= strip.half_width
     sample_error = sum_by_index(region_index, is_in_strip * strip.jump, regions.area.size)
@@ -329,61 +330,60 @@ def _enclose_region_radiance(
     Raises
     ------
     RuntimeError
-        If a sample shows a face that the cell rules out.
+        If a sample shows a face that is not listed for its cell.
     """
-    _, x, y, *_ = regions.moments
-    pair, is_lit = _trace_samples(analysis, regions.cell, x, y)
-    radiance = analysis.cells.radiance[pair].coef
-    radiance[..., pair < 0] = 0
+    pair_index, is_lit = _trace_samples(analysis, regions)
+    radiance = analysis.cells.radiance[pair_index].coef
+    radiance[..., pair_index < 0] = 0
     light_count = analysis.cells.is_settled.shape[1]
-    region, light = np.nonzero(is_lit.T)
+    region_index, light_index = np.nonzero(is_lit.T)
     # Each combination of a light and a pair (a cell and a face in it) has its own key.
-    keys = contributions.pair * light_count + contributions.light
-    contribution_index = find_in_sorted(keys, pair[region] * light_count + light)
-    add_at_sorted_index(radiance, region, contributions.radiance[contribution_index].coef)
+    keys = contributions.pair_index * light_count + contributions.light_index
+    contribution_index = find_in_sorted(keys, pair_index[region_index] * light_count + light_index)
+    add_at_sorted_index(radiance, region_index, contributions.radiance[contribution_index].coef)
     return Enclosures(radiance)
 
 
-def _trace_samples(analysis: CellAnalysis, cell: Ints, x: Floats, y: Floats) -> tuple[Ints, Bools]:
-    """Find the face that is visible at each sample, and the unsettled lights that reach it.
+def _trace_samples(analysis: CellAnalysis, regions: Regions) -> tuple[Ints, Bools]:
+    """Find the visible pair at the centroid of each region, and the unsettled lights that reach it.
 
     A pair consists of a cell and a face in it.  A light is unsettled for a pair if it may reach
-    only a part of the face.
+    only a part of the face.  One sample is traced for each region.
 
     Parameters
     ----------
     analysis : CellAnalysis
         The cells and their pairs.
-    cell : (n,) int array
-        The cell of each sample.
-    x, y : (n,) float arrays
-        Position of each sample in its cell, in coordinates from -1 to 1.
+    regions : Regions
+        The n regions of the cells.
 
     Returns
     -------
-    pair : (n,) int array
-        For each sample, the pair whose face is visible, or -1 for the background.
+    pair_index : (n,) int array
+        For each region, the index of the pair whose face is visible, or -1 for the background.
     is_lit : (lights, n) bool array
-        Whether an unsettled light reaches the visible face at the sample; False for settled lights.
+        Whether an unsettled light reaches the visible face there; False for settled lights.
 
     Raises
     ------
     RuntimeError
-        If a sample shows a face that the cell rules out.
+        If a sample shows a face that is not listed for its cell.
     """
     cells, faces, half_width = analysis.cells, analysis.faces, analysis.cells.width / 2
-    x, y = cells.x[cell] + half_width * x, cells.y[cell] + half_width * y
-    hits, sample_index, face = faces.trace_samples(x, y)
+    cell_index, (_, x, y, *_) = regions.cell_index, regions.moments
+    positions = cells.x[cell_index] + half_width * x, cells.y[cell_index] + half_width * y
+    hits, sample_index, face_index = faces.trace_samples(*positions)
     face_count = faces.object_index.size
-    pair_keys = cells.pair_cell * face_count + cells.pair_face
-    sorted_pair, pair = pair_keys.argsort(), np.full(cell.size, -1)
-    key_index = find_in_sorted(pair_keys[sorted_pair], cell[sample_index] * face_count + face)
+    pair_keys = cells.cell_index * face_count + cells.face_index
+    sorted_index, pair_index = pair_keys.argsort(), np.full(cell_index.size, -1)
+    sample_keys = cell_index[sample_index] * face_count + face_index
+    key_index = find_in_sorted(pair_keys[sorted_index], sample_keys)
     if (key_index < 0).any():
         raise RuntimeError("a sample contradicts its cell: the certificate or the tracer is wrong")
-    pair[sample_index] = visible_pair = sorted_pair[key_index]
-    is_lit = np.zeros((cells.is_settled.shape[1], cell.size), dtype=np.bool_)
-    is_lit[:, sample_index] = faces.is_lit(hits, ~cells.is_settled[visible_pair].T)
-    return pair, is_lit
+    pair_index[sample_index] = visible_pair_index = sorted_index[key_index]
+    is_lit = np.zeros((cells.is_settled.shape[1], cell_index.size), dtype=np.bool_)
+    is_lit[:, sample_index] = faces.test_lights(hits, ~cells.is_settled[visible_pair_index].T)
+    return pair_index, is_lit
 
 
 class _Picture:
@@ -437,15 +437,15 @@ class _Picture:
             One or two groups.  All cells of a pixel are in the same group.
         """
         unsettled_light_count = np.count_nonzero(~cells.is_settled)
-        item_count = cells.pair_cell.size + cells.triples.shape[1] + unsettled_light_count
+        item_count = cells.cell_index.size + cells.triples.shape[1] + unsettled_light_count
         if item_count <= _MAX_ITEMS_PER_BATCH:
             return [cells]
-        pixel = self.find_pixels(cells)
-        is_below_median = pixel < np.partition(pixel, pixel.size // 2)[pixel.size // 2]
-        groups = [cells.select_cells(is_kept) for is_kept in (is_below_median, ~is_below_median)]
+        pixel_index = self.find_pixel_index(cells)
+        is_below_median = pixel_index < np.sort(pixel_index)[pixel_index.size // 2]
+        groups = [cells.select_cells(is_below_median), cells.select_cells(~is_below_median)]
         return groups if is_below_median.any() else [cells]
 
-    def find_pixels(self, cells: Cells) -> Ints:
+    def find_pixel_index(self, cells: Cells) -> Ints:
         """Find the pixel that contains each of c cells.
 
         Parameters
@@ -455,7 +455,7 @@ class _Picture:
 
         Returns
         -------
-        pixel : (c,) int array
+        pixel_index : (c,) int array
             Indices into the flattened array `error_bound`.  For a cell that covers several pixels,
             the index of the upper left one.
         """
@@ -479,8 +479,8 @@ class _Picture:
             Enclosures (8, 3, n) of the radiance in these cells.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
-        first_pixel = self.find_pixels(cells)[cell_index][:, None, None]
-        row, column = np.divmod(first_pixel, self.error_bound.shape[1])
+        first_pixel_index = self.find_pixel_index(cells)[cell_index][:, None, None]
+        row, column = np.divmod(first_pixel_index, self.error_bound.shape[1])
         row_offset, column_offset = np.indices((pixels_across, pixels_across))
         pixels = row + row_offset, column + column_offset
         # X and Y run from -1 to 1 in a cell.  Compute the means of 1, X, Y, X^2, X Y and Y^2 over
@@ -489,7 +489,7 @@ class _Picture:
         variance = 1 / (3 * pixels_across * pixels_across)
         term_means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN], term_means, (0, 0)))
+            np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN_Z], term_means, (0, 0)))
         np.add.at(self.error_bound, pixels, area * radiance.radius.max(axis=0)[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
@@ -511,27 +511,27 @@ class _Picture:
         Raises
         ------
         RuntimeError
-            If a sample shows a face that its cell rules out.
+            If a sample shows a face that is not listed for its cell.
         """
         self.cell_count += cells.x.size
         analysis = CellAnalysis(self.faces, cells)
         cells = analysis.cells
-        pair_count = np.bincount(cells.pair_cell, minlength=cells.x.size)
+        pair_count = np.bincount(cells.cell_index, minlength=cells.x.size)
         is_pending = pair_count > 0  # cells without pairs are black
-        is_only_pair = pair_count[cells.pair_cell] == 1
+        is_only_pair = pair_count[cells.cell_index] == 1
         may_finish_cell = cells.covers_cell & is_only_pair & (cells.width <= MAX_WIDTH)
         settled_error = _SETTLED_ERROR * self.permitted_error
         contributions = analysis.shade(may_finish_cell | (cells.width <= 1), settled_error)
-        finished_pair = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
-        is_pending[cells.pair_cell[finished_pair]] = False
-        self.add_cells(cells, cells.pair_cell[finished_pair], cells.radiance[finished_pair])
+        pair_index = np.flatnonzero(may_finish_cell & cells.is_settled.all(axis=1))
+        is_pending[cells.cell_index[pair_index]] = False
+        self.add_cells(cells, cells.cell_index[pair_index], cells.radiance[pair_index])
         if cells.width <= 1:
             estimates = estimate_means(analysis, contributions, ~is_pending)
             is_final = self.find_final_cells(cells, estimates.error, is_pending)
-            finished_cell = np.flatnonzero(is_pending & is_final)
+            finished_cell_index = np.flatnonzero(is_pending & is_final)
             mean_radiance = enclose_constants(estimates.mean, estimates.error)
-            self.add_cells(cells, finished_cell, mean_radiance[finished_cell])
-            is_pending[finished_cell] = False
+            self.add_cells(cells, finished_cell_index, mean_radiance[finished_cell_index])
+            is_pending[finished_cell_index] = False
         return cells.select_cells(is_pending)
 
     def find_final_cells(self, cells: Cells, cell_error: Floats, is_pending: Bools) -> Bools:
@@ -557,10 +557,10 @@ class _Picture:
             Whether to add the cell now.
         """
         pending_area = is_pending * np.float64(cells.width**2)
-        pixel, pixel_number = np.unique(self.find_pixels(cells), return_inverse=True)
-        remaining_error = self.permitted_error - self.error_bound.reshape(-1)[pixel]
-        total_error = sum_by_index(pixel_number, pending_area * cell_error, pixel.size)
-        average_error = remaining_error / sum_by_index(pixel_number, pending_area, pixel.size)
+        pixel_index, pixel_number = np.unique(self.find_pixel_index(cells), return_inverse=True)
+        remaining_error = self.permitted_error - self.error_bound.reshape(-1)[pixel_index]
+        total_error = sum_by_index(pixel_number, pending_area * cell_error, pixel_index.size)
+        average_error = remaining_error / sum_by_index(pixel_number, pending_area, pixel_index.size)
         max_error = np.where(total_error <= remaining_error, np.inf, average_error)
         max_error[np.bincount(pixel_number) >= _MAX_PENDING_CELLS] = np.inf
         return np.asarray((cell_error <= max_error[pixel_number]) | (cells.width <= _MIN_WIDTH))

@@ -10,7 +10,7 @@ A cell has coordinates X and Y from -1 to 1.  An *enclosure* describes a quantit
 coefficients: for some Z between -1 and 1, the quantity differs by at most coef[ERROR] from
 
     coef[CONSTANT] + coef[X] X + coef[Y] Y
-        + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
+        + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN_Z] Z.
 
 Z stands for the unknown part of the inverse distance of a surface.  All enclosures about one
 surface share the same Z, so unknown parts that are linear in the distance cancel.  Enclosures about
@@ -33,7 +33,7 @@ import numpy as np
 
 from reference.judges.arrays import Floats, Index
 
-CONSTANT, X, Y, X_SQUARED, X_TIMES_Y, Y_SQUARED, UNKNOWN, ERROR = range(8)
+CONSTANT, X, Y, X_SQUARED, X_TIMES_Y, Y_SQUARED, UNKNOWN_Z, ERROR = range(8)
 """Rows of the array of an enclosure: coefficients of 1, X, Y, X^2, X Y, Y^2 and of the unknown Z,
 then the error bound."""
 
@@ -56,7 +56,7 @@ class Enclosures:
     same in all enclosures about one surface.  A quantity differs by at most coef[ERROR] from
 
         coef[CONSTANT] + coef[X] X + coef[Y] Y
-            + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN] Z.
+            + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN_Z] Z.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Enclosures:
     @property
     def radius(self) -> Floats:
         """Upper bound (..., n) on the difference between a quantity and its polynomial in X, Y."""
-        return np.asarray(np.abs(self.coef[UNKNOWN]) + self.coef[ERROR])
+        return np.asarray(np.abs(self.coef[UNKNOWN_Z]) + self.coef[ERROR])
 
     @property
     def max_abs(self) -> Floats:
@@ -103,7 +103,7 @@ class Enclosures:
         """
         coef, coef_xx, coef_yy = self.coef, self.coef[X_SQUARED], self.coef[Y_SQUARED]
         # The terms with X^2 and Y^2 have the signs of their coefficients; the others have any sign.
-        spread = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN]]).sum(axis=0) + coef[ERROR]
+        spread = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN_Z]]).sum(axis=0) + coef[ERROR]
         low = coef[CONSTANT] - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
         high = coef[CONSTANT] + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)
         return low, high
@@ -154,7 +154,7 @@ class Enclosures:
             Enclosures (8, n) of the differences, without Z.
         """
         coef = self.coef - other.coef
-        coef[ERROR], coef[UNKNOWN] = self.radius + other.radius, 0
+        coef[ERROR], coef[UNKNOWN_Z] = self.radius + other.radius, 0
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
@@ -290,7 +290,7 @@ class Enclosures:
         return Enclosures(coef)
 
     def split_into_quarters(self) -> Enclosures:
-        """Convert each enclosure to the coordinates of the four quarters of its cell.
+        """Express each enclosure in the coordinates of each quarter of its cell.
 
         In each quarter, X and Y run from -1 to 1.  The term with Z, an unknown number from -1 to 1,
         is dropped, and the absolute value of its coefficient is added to the error bound.
@@ -302,16 +302,17 @@ class Enclosures:
             left, upper right, lower left, lower right.
         """
         constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, _, _ = self.coef.repeat(4, axis=-1)
-        quarter = np.arange(constant.shape[-1]) % 4
+        quarter_index = np.arange(constant.shape[-1]) % 4
         # The quarter's centre, in the coordinates of the cell.
-        center_x, center_y = (quarter & 1) - 0.5, (quarter >> 1) - 0.5
+        center_x, center_y = (quarter_index & 1) - 0.5, (quarter_index >> 1) - 0.5
         # Each new coefficient is a sum of at most six terms.  ROUNDING covers its rounding error.
-        error = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
-        value = constant + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
-        value = value + center_y * (coef_y + center_y * coef_yy)
+        error_bound = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
+        new_constant = constant + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
+        new_constant = new_constant + center_y * (coef_y + center_y * coef_yy)
         slope_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
         slope_y = coef_y / 2 + center_y * coef_yy + center_x * coef_xy / 2
-        coef = [value, slope_x, slope_y, coef_xx / 4, coef_xy / 4, coef_yy / 4, 0 * constant, error]
+        quadratic_coefs = np.divide([coef_xx, coef_xy, coef_yy], 4)
+        coef = new_constant, slope_x, slope_y, *quadratic_coefs, 0 * constant, error_bound
         return Enclosures(np.array(coef))
 
 

@@ -78,7 +78,7 @@ class Faces:
         Whether the face is a side of a box.
     may_be_visible : (f,) bool array
         Whether the face would be visible from the eye if no other object hid it.
-    sheet_face : (n,) int array
+    sheet_face_index : (n,) int array
         For a sheet (a box without extent along one axis), its only face that has area and may be
         visible; for other objects, -1.
     plane_id : (2, f) float array
@@ -158,7 +158,7 @@ class Faces:
 
         They are `face_equation`, `linear_coef`, `root_coef`, `height_half_space`,
         `rim_half_spaces`, `plane_id`, `object_index`, `is_planar`, `bounding_box`, `may_be_visible`
-        and `sheet_face`.  The docstring of the class describes them.
+        and `sheet_face_index`.  The docstring of the class describes them.
 
         Parameters
         ----------
@@ -205,9 +205,9 @@ class Faces:
         may_be_visible = append_sides(np.full(sphere_count, True), faces_eye & has_area)
         self.may_be_visible = may_be_visible & ~scene.is_duplicate[self.object_index]
         is_sheet = np.append(np.zeros(sphere_count, np.bool_), ~has_extent.all(axis=0))
-        sheet_face = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
-        self.sheet_face = np.full(self.object_count, -1)
-        self.sheet_face[self.object_index[sheet_face]] = sheet_face
+        sheet_face_index = np.flatnonzero(self.may_be_visible & is_sheet[self.object_index])
+        self.sheet_face_index = np.full(self.object_count, -1)
+        self.sheet_face_index[self.object_index[sheet_face_index]] = sheet_face_index
 
     def _compute_height_half_spaces(self) -> Floats:
         """Express the heights of the lights, and of the eye, above spheres as half-spaces.
@@ -262,7 +262,7 @@ class Faces:
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)
 
     def find_occluders(
-        self, center: Floats, half_size: Floats, face: Ints, is_requested: Bools
+        self, center: Floats, half_size: Floats, face_index: Ints, is_requested: Bools
     ) -> Ints:
         """List the objects that may shade parts of faces from lights.
 
@@ -272,7 +272,7 @@ class Faces:
         ----------
         center, half_size : (3, k) float arrays
             Centres and half sizes of the parts' bounding boxes, along the scene's axes.
-        face : (k,) int array
+        face_index : (k,) int array
             The face to which each part belongs.
         is_requested : (m, k) bool array
             Whether to list the objects between each light and each part.
@@ -287,10 +287,11 @@ class Faces:
         may_block = ~self.prepared_scene.is_eye_inside & ~self.prepared_scene.is_duplicate
         key_shape = (*is_requested.T.shape, self.object_count)
         if grid is not None and is_requested.any():
-            triples = grid.query(center, half_size[:, None], self.object_index[face], is_requested)
-            for light, part_index, occluder in triples:
-                keys = np.ravel_multi_index((part_index, light, occluder), key_shape)
-                triple_keys.append(keys[may_block[occluder]])
+            object_index = self.object_index[face_index]
+            triples = grid.query(center, half_size[:, None], object_index, is_requested)
+            for light_index, part_index, occluder_index in triples:
+                keys = np.ravel_multi_index((part_index, light_index, occluder_index), key_shape)
+                triple_keys.append(keys[may_block[occluder_index]])
         # The grid may find an object in several octants, so remove duplicates.
         return np.array(np.unravel_index(np.unique(np.concatenate(triple_keys)), key_shape))
 
@@ -308,23 +309,24 @@ class Faces:
             The nearest intersections of the h rays that meet an object.
         sample_index : (h,) int array
             For each hit, the index of its position in `x` and `y`.
-        face : (h,) int array
+        face_index : (h,) int array
             For each hit, the index of its face (a sphere, or a side of a box).
         """
         samples, position_index = Scattered.from_positions(x, y)
         hits = find_nearest_hits(self.prepared_scene, samples)
         box_count = self.object_count - self.sphere_count
-        face = np.empty(hits.sample_index.size, dtype=np.intp)
+        face_index = np.empty(hits.sample_index.size, dtype=np.intp)
         for group in hits.groups:
             is_high_side = (group.normal_sign > 0) ^ hits.scene.is_eye_inside[group.run_object]
-            side = 2 * group.face_axis + is_high_side
-            run_face = group.run_object + group.shape.is_planar * box_count * side
-            face[group.interval] = group.repeat_runs(run_face)
+            side_index = 2 * group.face_axis + is_high_side
+            run_face_index = group.run_object + group.shape.is_planar * box_count * side_index
+            face_index[group.interval] = group.repeat_runs(run_face_index)
         # A ray through the rim of a flat box may hit a side without area: use its visible face.
-        sheet_face = self.sheet_face[self.object_index[face]]
-        return hits, position_index[hits.sample_index], np.where(sheet_face >= 0, sheet_face, face)
+        sheet_face_index = self.sheet_face_index[self.object_index[face_index]]
+        face_index = np.where(sheet_face_index >= 0, sheet_face_index, face_index)
+        return hits, position_index[hits.sample_index], face_index
 
-    def is_lit(self, hits: Hits, is_tested: Bools) -> Bools:
+    def test_lights(self, hits: Hits, is_tested: Bools) -> Bools:
         """Test which lights reach each hit (a point where a camera ray meets a face).
 
         Parameters

@@ -196,14 +196,14 @@ class TracedRays(NamedTuple):
     ----------
     radiance : (n, 3) float array
         Linear RGB radiance that reaches the eye.
-    surface : (n,) int array
+    surface_index : (n,) int array
         Index of the visible surface in `scene.surfaces`, or -1 for the background.
     is_lit : (lights, n) bool array
         Whether the light reaches the visible point; False for the background.
     """
 
     radiance: NDArray[np.float64]
-    surface: NDArray[np.intp]
+    surface_index: NDArray[np.intp]
     is_lit: NDArray[np.bool_]
 
 
@@ -277,7 +277,8 @@ class _PlainTracer:
         self.relative_tolerance = to_precision(relative_tolerance)
         self.scene_size = max(np.abs(array).max() for array in lengths)
         self.tolerance = self.relative_tolerance * self.scene_size
-        distances = [self.compute_signed_distance(i, self.eye) for i in range(len(self.shapes))]
+        surface_indices = range(len(self.shapes))
+        distances = [self.compute_signed_distance(index, self.eye) for index in surface_indices]
         self.is_eye_inside = [bool(distance[0] <= 0) for distance in distances]
 
     def snap_to_zero(self, values: Array, scale: Array) -> Array:
@@ -423,27 +424,29 @@ class _PlainTracer:
             For each ray, the visible surface, the lights that reach this surface, and the radiance.
         """
         direction = self.compute_ray_directions(x, y)
-        closest_t, surface = self.find_closest_hits(direction)
-        ray_index = np.flatnonzero(surface >= 0)
-        hit_surface, direction = surface[ray_index], direction.take(ray_index, 1)
+        closest_t, visible_index = self.find_closest_hits(direction)
+        ray_index = np.flatnonzero(visible_index >= 0)
+        hit_surface_index, direction = visible_index[ray_index], direction.take(ray_index, 1)
         points = self.eye + closest_t[ray_index] * direction
         normals = np.zeros_like(points)
-        for i in np.unique(hit_surface).tolist():
-            hit_index = np.flatnonzero(hit_surface == i)
+        for surface_index in np.unique(hit_surface_index).tolist():
+            hit_index = np.flatnonzero(hit_surface_index == surface_index)
             hits = points.take(hit_index, 1), direction.take(hit_index, 1)
-            points[:, hit_index], normals[:, hit_index] = self.project_onto_surface(i, *hits)
+            projected_hits = self.project_onto_surface(surface_index, *hits)
+            points[:, hit_index], normals[:, hit_index] = projected_hits
         radiance = np.zeros((x.size, 3))
         is_lit = np.zeros((len(self.light_positions), x.size), dtype=np.bool_)
         lights = zip(self.scene.lights, self.light_positions, is_lit, strict=True)
-        for light, light_position, is_reached in lights:
-            is_reached[ray_index] = self.is_lit(hit_surface, points, normals, light_position)
+        for light, light_position, is_lit_by_light in lights:
+            is_hit_lit = self.test_light(hit_surface_index, points, normals, light_position)
+            is_lit_by_light[ray_index] = is_hit_lit
             to_light, to_eye = _normalise(light_position - points), -_normalise(direction)
-            for i in np.unique(hit_surface[is_reached[ray_index]]).tolist():
-                hit_index = np.flatnonzero(is_reached[ray_index] & (hit_surface == i))
+            for surface_index in np.unique(hit_surface_index[is_hit_lit]).tolist():
+                hit_index = np.flatnonzero(is_hit_lit & (hit_surface_index == surface_index))
                 unit_vectors = (vector.take(hit_index, 1) for vector in (normals, to_light, to_eye))
-                reflected = self.compute_reflected_radiance(i, *unit_vectors)
+                reflected = self.compute_reflected_radiance(surface_index, *unit_vectors)
                 radiance[ray_index[hit_index]] += reflected * light.intensity
-        return TracedRays(radiance, surface, is_lit)
+        return TracedRays(radiance, visible_index, is_lit)
 
     def find_closest_hits(self, direction: Array) -> tuple[Array, NDArray[np.intp]]:
         """Find the closest intersection of each camera ray with any surface.
@@ -457,18 +460,19 @@ class _PlainTracer:
         -------
         closest_t : (n,) array
             The smallest t at which each ray, eye + t direction, meets a surface, or infinity.
-        surface : (n,) int array
+        closest_index : (n,) int array
             Index of the surface that the ray meets there, or -1.
         """
-        ray_count, direction_length = direction.shape[1], _norm(direction)
-        closest_t, surface = self.to_precision(np.full(ray_count, np.inf)), np.full(ray_count, -1)
-        for i in range(len(self.shapes))[:: -1 if self.prefers_last else 1]:
-            near, far = self.intersect(i, self.eye, direction, is_closed=True)
-            t = far if self.is_eye_inside[i] else near
+        direction_length, closest_index = _norm(direction), np.full(direction.shape[1], -1)
+        closest_t = self.to_precision(np.full(direction.shape[1], np.inf))
+        for surface_index in range(len(self.shapes))[:: -1 if self.prefers_last else 1]:
+            near, far = self.intersect(surface_index, self.eye, direction, is_closed=True)
+            t = far if self.is_eye_inside[surface_index] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
             is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
-            closest_t, surface = np.where(is_closer, t, closest_t), np.where(is_closer, i, surface)
-        return closest_t, surface
+            closest_t = np.where(is_closer, t, closest_t)
+            closest_index[is_closer] = surface_index
+        return closest_t, closest_index
 
     def project_onto_surface(
         self, surface_index: int, points: Array, direction: Array
@@ -508,12 +512,12 @@ class _PlainTracer:
         normals[axis, ray_index] = self.to_precision(np.where(is_forward, -1, 1))
         return points, normals
 
-    def is_lit(self, surface_index: Array, points: Array, normals: Array, light: Array) -> Array:
+    def test_light(self, own_index: Array, points: Array, normals: Array, light: Array) -> Array:
         """Test whether a light reaches each of n surface points.
 
         Parameters
         ----------
-        surface_index : (n,) int array
+        own_index : (n,) int array
             Index of the surface on which each point lies.
         points, normals : (3, n) arrays
             The points, and the unit normals of the surfaces there.
@@ -527,14 +531,15 @@ class _PlainTracer:
             point to the light.
         """
         is_lit = np.asarray(_dot(normals, light - points) > self.tolerance)
-        for i, is_eye_inside in enumerate(self.is_eye_inside):
+        for occluder_index, is_eye_inside in enumerate(self.is_eye_inside):
             index = np.flatnonzero(is_lit)
             ray_origin, epsilon = self.start_shadow_rays(points[:, index], normals[:, index])
-            is_blocked = self.is_blocking(i, ray_origin, light, epsilon)
+            is_blocked = self.is_blocking(occluder_index, ray_origin, light, epsilon)
             if self.skips_own_object:
                 # A surface shades its own points only if it contains the eye, but not the light.
-                shades_itself = is_eye_inside and self.compute_signed_distance(i, light)[0] >= 0
-                is_blocked = np.where(surface_index[index] == i, shades_itself, is_blocked)
+                is_light_outside = self.compute_signed_distance(occluder_index, light)[0] >= 0
+                shades_itself = is_eye_inside and is_light_outside
+                is_blocked[own_index[index] == occluder_index] = shades_itself
             is_lit[index] = ~is_blocked
         return is_lit
 

@@ -37,7 +37,7 @@ class Strips(NamedTuple):
 
     Attributes
     ----------
-    cell : (n,) int array
+    cell_index : (n,) int array
         The cell that each strip crosses.
     a, b, c : (n,) float arrays
         Coefficients of the strip's centre line.
@@ -47,7 +47,7 @@ class Strips(NamedTuple):
         Upper bound on the change of radiance across the edge, in any channel.
     """
 
-    cell: Ints
+    cell_index: Ints
     a: Floats
     b: Floats
     c: Floats
@@ -88,7 +88,7 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     return scale * slope_x, scale * slope_y
 
 
-def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips:
+def enclose_in_strips(cell_index: Ints, functions: Enclosures, jump: Floats) -> Strips:
     """Enclose the zeros of each edge function in a strip between two parallel lines.
 
     The strip is perpendicular to the function's gradient at a point near the zero.  It is wide
@@ -96,7 +96,7 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
 
     Parameters
     ----------
-    cell : (n,) int array
+    cell_index : (n,) int array
         The cell of each edge function.
     functions : Enclosures
         The edge functions, enclosed by polynomials (8, n) in the cell's coordinates X and Y.
@@ -146,9 +146,9 @@ def enclose_in_strips(cell: Ints, functions: Enclosures, jump: Floats) -> Strips
     half_width = np.where(is_flat, np.inf, half_width * np.abs(scale))
     # The other strips miss the cell.
     kept_index = np.flatnonzero(~(np.abs(center_line[2]) - half_width >= 1))
-    kept_index = kept_index[np.argsort(cell[kept_index], kind="stable")]
+    kept_index = kept_index[np.argsort(cell_index[kept_index], kind="stable")]
     a, b, c = center_line[:, kept_index]
-    return Strips(cell[kept_index], a, b, c, half_width[kept_index], jump[kept_index])
+    return Strips(cell_index[kept_index], a, b, c, half_width[kept_index], jump[kept_index])
 
 
 class Regions(NamedTuple):
@@ -159,7 +159,7 @@ class Regions(NamedTuple):
 
     Attributes
     ----------
-    cell : (n,) int array
+    cell_index : (n,) int array
         The cell of each region.
     side_bits : (n,) int array
         Bit i is set if the region is on the positive side of the i-th centre line in its cell.
@@ -169,7 +169,7 @@ class Regions(NamedTuple):
         Means of 1, X, Y, X^2, X Y and Y^2 over the region.
     """
 
-    cell: Ints
+    cell_index: Ints
     side_bits: Ints
     area: Floats
     moments: Floats
@@ -198,43 +198,43 @@ def divide_into_regions(strips: Strips, cell_count: int) -> Regions:
     regions : Regions
         All regions of all cells.  Regions without area may be missing.
     """
-    strip_start = strips.cell.searchsorted(np.arange(cell_count + 1))
+    strip_start = strips.cell_index.searchsorted(np.arange(cell_count + 1))
     bit_count = int(np.diff(strip_start).max(initial=0))
-    cell, side_bits = np.arange(cell_count).repeat(2), np.zeros(2 * cell_count, dtype=np.intp)
+    cell_index, side_bits = np.arange(cell_count).repeat(2), np.zeros(2 * cell_count, dtype=np.intp)
     # The three corners of each triangle, as complex numbers X + i Y.
     corners = np.tile([[-1 - 1j, -1 - 1j], [1 - 1j, 1 + 1j], [1 + 1j, -1 + 1j]], cell_count)
     for bit in range(bit_count):
-        strip = strip_start[cell] + bit
-        triangle = np.flatnonzero(strip < strip_start[cell + 1])
-        corner, strip = corners[:, triangle], strip[triangle]
-        height = strips.a[strip] * corner.real + strips.b[strip] * corner.imag + strips.c[strip]
+        strip_index = strip_start[cell_index] + bit
+        triangle_index = np.flatnonzero(strip_index < strip_start[cell_index + 1])
+        triangle, strip = corners[:, triangle_index], strips.take(strip_index[triangle_index])
+        height = strip.a * triangle.real + strip.b * triangle.imag + strip.c
         is_above = height > 0
         above_count = is_above.sum(axis=0)
-        side_bits[triangle[above_count == 3]] |= 1 << bit
+        side_bits[triangle_index[above_count == 3]] |= 1 << bit
         cut_index = np.flatnonzero((above_count == 1) | (above_count == 2))
         # Rotate the corners so that the first, a, is alone on its side of the line.
-        is_a_above, triangle = above_count[cut_index] == 1, triangle[cut_index]
-        lone_corner = np.argmax(is_above[:, cut_index] == is_a_above, axis=0)
-        order = (lone_corner + np.arange(3)[:, None]) % 3
-        a, b, c = corners[order, triangle]
-        height_a, height_b, height_c = height[order, cut_index]
+        is_a_above, triangle_index = above_count[cut_index] == 1, triangle_index[cut_index]
+        lone_corner_index = np.argmax(is_above[:, cut_index] == is_a_above, axis=0)
+        corner_index = (lone_corner_index + np.arange(3)[:, None]) % 3
+        a, b, c = corners[corner_index, triangle_index]
+        height_a, height_b, height_c = height[corner_index, cut_index]
         # The line meets the triangle's sides at p and q.
         p = a + height_a / (height_a - height_b) * (b - a)
         q = a + height_a / (height_a - height_c) * (c - a)
-        corners[:, triangle] = a, p, q
+        corners[:, triangle_index] = a, p, q
         corners = np.concatenate([corners, (p, b, c), (p, c, q)], axis=1)
-        old_bits = side_bits[triangle]
-        side_bits[triangle] = old_bits | is_a_above << bit
+        old_bits = side_bits[triangle_index]
+        side_bits[triangle_index] = old_bits | is_a_above << bit
         side_bits = np.concatenate([side_bits, *[old_bits | ~is_a_above << bit] * 2])
-        cell = np.concatenate([cell, cell[triangle], cell[triangle]])
+        cell_index = np.append(cell_index, np.tile(cell_index[triangle_index], 2))
     area, moments = _compute_moments(corners)
-    keys, region = np.unique(cell << bit_count | side_bits, return_inverse=True)
-    region_area = sum_by_index(region, area, keys.size)
-    weight = area / np.maximum(region_area, _MIN_AREA)[region]
-    region_moments = np.array([sum_by_index(region, row, keys.size) for row in weight * moments])
+    keys, region_index = np.unique(cell_index << bit_count | side_bits, return_inverse=True)
+    region_area = sum_by_index(region_index, area, keys.size)
+    moments *= area / np.maximum(region_area, _MIN_AREA)[region_index]
+    region_moments = np.array([sum_by_index(region_index, row, keys.size) for row in moments])
     region_moments[0] = 1
-    cell, side_bits = keys >> bit_count, keys & ((1 << bit_count) - 1)
-    return Regions(cell, side_bits, region_area, region_moments)
+    cell_index, side_bits = keys >> bit_count, keys & ((1 << bit_count) - 1)
+    return Regions(cell_index, side_bits, region_area, region_moments)
 
 
 def _compute_moments(corners: NDArray[np.complex128]) -> tuple[Floats, Floats]:

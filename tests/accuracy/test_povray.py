@@ -32,7 +32,7 @@ def test_povray_renders_the_same_picture(name, tmp_path):
     # their shadows.  The oracle confirms the tracer in all these pixels.
     row, column = np.nonzero(differs)
     exact = plain.trace(scene, column + 0.5, row + 0.5, arithmetic="decimal")
-    assert (exact.surface == 0).all()
+    assert (exact.surface_index == 0).all()
     np.testing.assert_allclose(image[row, column], exact.radiance, rtol=0, atol=1e-12)
 
 
