@@ -343,18 +343,18 @@ class Boxes:
         return occludes
 
     def test_capsules(
-        self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
+        self, object_index: Ints, axis_start: Triple, axis_end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
         """Test whether each of n boxes blocks some or all of the segments in a capsule.
 
-        The segments start at most `capsule_radius` away from the point `start`, and all lead to the
-        point `end` (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
+        The segments start at most `capsule_radius` away from the point `axis_start`, and all lead
+        to the point `axis_end` (Haines and Wallace, Shaft culling, 1991).
 
         Parameters
         ----------
         object_index : (n,) int array
             Index, among all objects of the scene, of the box to test with each capsule.
-        start, end : tuples of three (n,) float arrays
+        axis_start, axis_end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
             Radius of each capsule: the maximum distance of its points from its axis.
@@ -374,7 +374,7 @@ class Boxes:
         enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
         low, high = self.get_corners(object_index)
         # Coordinate i is x in the first pass, then y, then z.
-        for start_i, end_i, low_i, high_i in zip(start, end, low, high, strict=True):
+        for start_i, end_i, low_i, high_i in zip(axis_start, axis_end, low, high, strict=True):
             direction, to_low, to_high = end_i - start_i, low_i - start_i, high_i - start_i
             if np.count_nonzero(direction) < direction.size:
                 length_scale = np.abs(to_low) + np.abs(to_high) + capsule_radius

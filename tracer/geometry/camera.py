@@ -126,14 +126,14 @@ class CameraFrame(NamedTuple):
         Parameters
         ----------
         vector : tuple of three float arrays
-            Rightward, downward and forward components of the vectors, in arrays of equal shape.
+            Rightward, downward and forward components, in arrays that can be broadcast together.
         axis : int
             Axis of the scene: 0 for x, 1 for y, 2 for z.
 
         Returns
         -------
         component : float array
-            Component of each vector along this axis, in an array of the same shape.
+            Component of each vector along this axis, in the shape to which the arrays broadcast.
         """
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))

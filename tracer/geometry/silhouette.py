@@ -56,8 +56,8 @@ def evaluate_box_edges(normals: Triple, ray: Triple) -> Floats:
     ----------
     normals : tuple of three (6, n) float arrays
         Normals of the six planes of each of n boxes, from `find_edge_planes`.
-    ray : tuple of three (m, n) float arrays
-        Directions of m rays for each box, in the same axes as the normals.
+    ray : tuple of three (m, n) or (1, n) float arrays
+        Directions of m rays for each box, in the axes of the normals.  A single row is repeated.
 
     Returns
     -------
@@ -75,8 +75,8 @@ def compute_miss_angles(ray: Triple, center: Triple, radius: Floats) -> Floats:
 
     Parameters
     ----------
-    ray : tuple of three (m, n) float arrays
-        Directions of m rays for each of n spheres.
+    ray : tuple of three (m, n) or (1, n) float arrays
+        Directions of m rays for each of n spheres.  A single row is repeated.
     center : tuple of three (n,) float arrays
         Vectors from the viewpoint to the centres of the spheres, in the same axes.
     radius : (n,) float array

@@ -387,18 +387,18 @@ class Spheres:
         return occludes
 
     def test_capsules(
-        self, object_index: Ints, start: Triple, end: Triple, capsule_radius: Floats
+        self, object_index: Ints, axis_start: Triple, axis_end: Triple, capsule_radius: Floats
     ) -> tuple[Bools, Bools]:
         """Test whether each of n spheres blocks some or all of the segments in a capsule.
 
-        The segments start at most `capsule_radius` away from the point `start`, and all lead to the
-        point `end` (Haines and Wallace, Shaft culling, 1991).  Both tests err on the safe side.
+        The segments start at most `capsule_radius` away from the point `axis_start`, and all lead
+        to the point `axis_end` (Haines and Wallace, Shaft culling, 1991).
 
         Parameters
         ----------
         object_index : (n,) int array
             Index, among all objects of the scene, of the sphere to test with each capsule.
-        start, end : tuples of three (n,) float arrays
+        axis_start, axis_end : tuples of three (n,) float arrays
             Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
         capsule_radius : (n,) float array
             Radius of each capsule: the maximum distance of its points from its axis.
@@ -412,8 +412,8 @@ class Spheres:
         """
         sphere_index = self.objects.to_local(object_index)
         center, radius = take(self.center, sphere_index), self.radius[sphere_index]
-        axis = map_xyz(np.subtract, end, start)
-        to_center = map_xyz(np.subtract, center, start)
+        axis = map_xyz(np.subtract, axis_end, axis_start)
+        to_center = map_xyz(np.subtract, center, axis_start)
         projection, length2 = dot(to_center, axis), dot(axis, axis)
         start_distance2 = dot(to_center, to_center)
         end_distance2 = start_distance2 - 2 * projection + length2

@@ -203,12 +203,12 @@ def _query_grid(
         Row 0 contains light indices, row 1 packet indices, and row 2 indices of objects that may
         lie between the packet and the light.
     """
-    for start in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
-        packet_slice = slice(start, start + _PACKETS_PER_QUERY)
+    for first_packet in range(0, packets.object_index.size, _PACKETS_PER_QUERY):
+        packet_slice = slice(first_packet, first_packet + _PACKETS_PER_QUERY)
         center, radius = packets.center[:, packet_slice], packets.radius[packet_slice]
         owner, is_active = packets.object_index[packet_slice], packets.may_be_lit[:, packet_slice]
         for candidates in grid.query(center, radius, owner, is_active):
-            candidates[1] += start
+            candidates[1] += first_packet
             for shape in shapes:
                 group = candidates.take(find(shape.objects.contains(candidates[2])), axis=1)
                 for batch in split_by_size(packets.child_count[group[1]]):
