@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     exit_status : int
         0, or `FAILED` (1) if a scene could not be read, converted or rendered, or a file could not
-        be written.  After such an error, the other scenes are still processed.
+        be written.  The other scenes are still processed.
 
     Raises
     ------

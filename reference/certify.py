@@ -130,7 +130,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     path : str
         The picture file.
     scene : Scene
-        The scene, which states the size that the picture must have.
+        The scene, whose size in pixels the picture should have.
 
     Returns
     -------

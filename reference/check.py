@@ -208,7 +208,7 @@ def describe_exceeded_tolerances(metrics: Metrics) -> list[str]:
     Returns
     -------
     clauses : list of str
-        One clause per such measure, for example "SSIM 0.99800 is below 0.999".
+        One clause for each of these measures, such as "SSIM 0.99800 is below 0.999".
     """
     clauses = []
     if metrics.ssim < MIN_SSIM:
@@ -397,8 +397,8 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
 def compare(scene: Scene, name: str, rendering: Rendering, limits: Limits = EXACT) -> CheckResult:
     """Render a scene with the tracer, and compare the picture with Mitsuba's.
 
-    Differing pixels whose centre is close to an edge are excluded.  A sample of the others is
-    traced in exact arithmetic to decide which picture is wrong.
+    Differing pixels whose centre is close to an edge are excluded.  Some of the other differing
+    pixels are traced in exact arithmetic, to decide which picture is wrong.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ from threading import Event
 from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_parser
 from reference.figures import compare_codes, write_comparison
 from reference.handins.class_page import make_pair, render_class_page
-from reference.handins.diagnosis import AGREEING, Reference, find_worst_pixel
+from reference.handins.diagnosis import AGREEING_KINDS, Reference, find_worst_pixel
 from reference.handins.folders import HandIn, list_hand_ins, match_hand_ins
 from reference.handins.results import Result, format_csv, format_json, format_text, sort_causes
 from reference.handins.workers import map_in_workers
@@ -360,7 +360,7 @@ def _compare_files(
     if picture.codes.shape != reference.codes.shape:
         return result, None
     ssim, rmse, max_difference, difference = compare_codes(picture.codes, reference.codes)
-    agrees = diagnosis.kind in AGREEING
+    agrees = diagnosis.kind in AGREEING_KINDS
     if options.ssim is not None or options.max is not None:
         agrees = (options.max is None or max_difference <= options.max) and (
             options.ssim is None or ssim >= options.ssim

@@ -33,7 +33,7 @@ from tracer.trace.visibility import find_nearest_hits
 from tracer.world.light_grid import LightGrid
 from tracer.world.prepared_scene import PreparedScene
 
-_FOLDER = REFERENCE_FOLDER / "study"
+_STUDY_FOLDER = REFERENCE_FOLDER / "study"
 
 # Resolution of the pictures, and width of a picture in inches.
 _DOTS_PER_INCH, _WIDTH = 100, 9.0
@@ -255,7 +255,7 @@ def draw_certificate() -> None:
 def _save_figure(name: str) -> None:
     """Save the current figure as a PNG file in the folder of illustrations, and close it."""
     plt.tight_layout()
-    plt.savefig(_FOLDER / f"{name}.png", dpi=_DOTS_PER_INCH, bbox_inches="tight")
+    plt.savefig(_STUDY_FOLDER / f"{name}.png", dpi=_DOTS_PER_INCH, bbox_inches="tight")
     plt.close()
 
 

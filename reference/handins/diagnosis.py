@@ -24,7 +24,7 @@ from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer
 from reference.pictures import Codes, Picture, compare_levels, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 
-AGREEING = ("identical", "rounding", "format")
+AGREEING_KINDS = ("identical", "rounding", "format")
 """Keywords of the diagnoses of right pictures."""
 UNKNOWN = "unknown"
 """Keyword of the diagnosis of a picture that no known mistake explains."""
@@ -33,7 +33,7 @@ _MAX_NAMED = 3
 # A light is named if it is wrong at more than this share of the wrong pixels.
 _MIN_LIGHT_SHARE = 0.1
 # Light computed from the rounded codes of a picture is off by at most this many levels.
-_PICTURE_LEVELS = 3
+_PICTURE_NOISE = 3
 # Functions that turn a picture back, by the keyword of the mistake that turned it.
 _TURN_BACK_FUNCTIONS: dict[str, Callable[[Codes], Codes]] = {
     "transposed": lambda codes: codes.swapaxes(0, 1),
@@ -102,7 +102,7 @@ class Diagnosis:
         keyword, sentence : str
             Keyword of the mistake, and the sentence that describes it.
         """
-        causes = ({},) if self.kind in AGREEING else self.causes
+        causes = ({},) if self.kind in AGREEING_KINDS else self.causes
         return replace(self, causes=tuple({keyword: sentence} | cause for cause in causes))
 
     def sort_by_frequency(self, cause_counts: Counter[str]) -> Diagnosis:
@@ -228,8 +228,8 @@ class Reference:
             return diagnosis
         codes = self.picture.reencode(codes) if self.picture.reencode else codes
         format_noise = max(picture.format_noise, self.picture.format_noise)
-        imprecision = format_noise or _PICTURE_LEVELS * (self.scene is None)
-        submission = Submission(to_columns(codes), renderer, imprecision, picture.reencode)
+        noise = format_noise or _PICTURE_NOISE * (self.scene is None)
+        submission = Submission(to_columns(codes), renderer, noise, picture.reencode)
         if format_noise and submission.is_wrong.mean() < 0.01:
             return _make_verdict("format", "It is the right picture.")
         finding = submission.find_mistakes()

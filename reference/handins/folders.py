@@ -1,7 +1,7 @@
 """Find the pictures that students handed in, and match each with its reference picture.
 
-A *hand-in* is such a picture; a *reference picture* is the picture, or the scene to render, with
-which it is compared.
+A *hand-in* is a picture that a student handed in; its *reference picture* is the picture, or the
+scene to render, with which it is compared.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _is_input(path: Path, suffixes: tuple[str, ...]) -> bool:
 def match_hand_ins(files: Sequence[Path], class_path: Path, reference_path: Path) -> list[HandIn]:
     """Match the pictures of students with their reference pictures, and list missing pictures.
 
-    The file name of a picture of the scene NAME must contain NAME as a whole word, in upper or
+    A picture belongs to the scene NAME if its file name contains NAME as a whole word, in upper or
     lower case: `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.
 
     Parameters

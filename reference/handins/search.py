@@ -70,7 +70,7 @@ class Finding(NamedTuple):
     ----------
     causes : tuple of tuples of str
         The causes that explain the submitted picture.  If there are several, they give nearly the
-        same picture of this scene.  Empty if there is no such cause.
+        same picture of this scene.  Empty if no cause explains it.
     unexplained_count : int
         Number of pixels that the first cause, or otherwise the hint, leaves unexplained.  Without a
         hint, the number of wrong pixels.
@@ -99,7 +99,7 @@ def choose_from_strata(strata: Array, max_count: int) -> Array:
     item_index : (k,) int array
         Indices of the chosen items; k is the smaller of n and `max_count`.
     """
-    candidates = shuffle(len(strata))[:_MAX_CANDIDATES]
+    candidates = shuffle_range(len(strata))[:_MAX_CANDIDATES]
     order = np.argsort(strata[candidates], kind="stable")
     counts = np.unique(strata[candidates], return_counts=True)[1]
     # The first candidate of each stratum has place 0, the second has place 1, and so on.
@@ -107,7 +107,7 @@ def choose_from_strata(strata: Array, max_count: int) -> Array:
     return candidates[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
 
 
-def shuffle(count: int) -> Array:
+def shuffle_range(count: int) -> Array:
     """Return the integers from 0 to `count` - 1 in random order, which is always the same."""
     # Arrays of int64 would take too much memory.
     return np.random.default_rng(1).permutation(np.arange(count, dtype=np.int32))
@@ -292,7 +292,7 @@ class MistakeRenderer:
 
     @cached_property
     def single_causes(self) -> list[Cause]:
-        """All causes that consist of one mistake, some with a variant of a correct tracer."""
+        """All causes of one mistake, some with a variant: another way to write a correct tracer."""
         singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
         return singles + [cause for cause in chain(*self.cause_groups.values()) if cause[1:]]
 
@@ -378,7 +378,7 @@ class Submission:
         self.tolerance = format_noise or int(self.clearly_wrong_count > 2)
         self.is_wrong = differences > self.tolerance
         self.wrong_count, pixel_count = int(self.is_wrong.sum()), renderer.pixel_count
-        order = shuffle(pixel_count)
+        order = shuffle_range(pixel_count)
         red, green, blue = codes[:, order[:MAX_PIXELS]].astype(np.uint32)
         counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)[1]
         foreground_count = pixel_count * (1 - counts.max() / len(red))
@@ -645,8 +645,8 @@ class Submission:
     def _select_best_pairs(self) -> list[Cause]:
         """Select the pairs of mistakes that come closest to explaining the submitted picture.
 
-        If several mistakes give the same picture, only one is tried at first.  The others replace
-        it in the best pairs.
+        If several mistakes give the same picture, only the first of them is tried in all pairs.  In
+        the best pairs, it is then replaced by each of the others.
 
         Returns
         -------

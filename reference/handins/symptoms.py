@@ -25,7 +25,7 @@ _MAX_ROUNDED_SHARE, _SAMPLE_OFFSET, _SHADOW_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3
 # Speckles: the minimum share of the picture that loses light; the maximum number of other wrong
 # pixels, relative to the pixels that lose light; and the minimum frequency with which neighbours in
 # a row or column differ, relative to that of independent pixels.
-_MIN_SPECKLES, _MAX_OTHERS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
+_MIN_SPECKLES, _MAX_OTHER_ERRORS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
 # JPEG: the qualities to try, the minimum share of the wrong pixels that it must explain, and the
 # maximum size of the pictures in pixels.
 _QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
@@ -98,7 +98,7 @@ def is_speckled(submission: Submission) -> bool:
     is_light_missing, is_light_extra = light_errors
     is_dark = is_light_missing.any(axis=0) & ~is_light_extra.any(axis=0)
     dark_count = is_dark.sum()
-    has_other_errors = submission.wrong_count - dark_count > _MAX_OTHERS * dark_count
+    has_other_errors = submission.wrong_count - dark_count > _MAX_OTHER_ERRORS * dark_count
     if has_other_errors or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
         return False
     every_pixel, surface_index = np.arange(renderer.pixel_count), renderer.surface_index
@@ -154,8 +154,8 @@ def is_explained_by_rounding(submission: Submission) -> bool:
 def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool:
     """Test whether a submitted picture is the reference picture after JPEG compression.
 
-    The reference picture is compressed at several qualities, and one result must agree with the
-    submitted picture in most pixels.
+    The reference picture is compressed at several qualities, and each result is compared with the
+    submitted picture.
 
     Parameters
     ----------
@@ -165,7 +165,8 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
     Returns
     -------
     bool
-        False if the pictures are too large to try, or if they already agree within one level.
+        True if one of the results agrees with the submitted picture in most pixels.  False if the
+        pictures are too large to try, or if they agree within one level without compression.
     """
     is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():

@@ -127,8 +127,8 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
 def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
     """Yield warnings about lights that have no effect, at most one for each cause.
 
-    The causes are an intensity of 0, and a surface that encloses the light but not the eye.  Such
-    surfaces are searched for only if there are at most `_MAX_PAIRS` pairs of a light and a surface.
+    The causes are an intensity of 0, and a surface that encloses the light but not the eye.  The
+    second cause is checked only if there are at most `_MAX_PAIRS` pairs of a light and a surface.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def _format_surface_name(scene: Scene, object_indices: Ints) -> str:
 def _check_color_ranges(scene: Scene) -> Iterator[str]:
     """Yield a warning for each colour that seems to be on a scale of 0 to 255 instead of 0 to 1.
 
-    The components of such a colour are integers up to 255, and one is at least `_MIN_PEAK` (10).
+    That is the case if all components are integers up to 255, and one is at least `_MIN_PEAK`.
     The warning names the light, or the first surface with the colour, and suggests a new colour.
     """
     surfaces = scene.surfaces

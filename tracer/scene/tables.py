@@ -146,7 +146,7 @@ class Table:
         In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
     shader_indices, shader_lines : array of int
         In a table of surfaces: for each row, the index of the surface's shader, and the line of the
-        surface's element <shader>.  Both are 0 if the surface has no such element.
+        surface's element <shader>.  Both are 0 if the surface has no <shader>.
     """
 
     def __init__(self, dataclass: type[schema.Validated]) -> None:

@@ -107,8 +107,8 @@ class PreparedScene:
     curvature : (n,) float array
         Curvature of each object's surface: 1 / radius for spheres, and 0 for boxes.
     is_duplicate : (n,) bool array
-        Whether the object is equal to an object earlier in the file.  Such an object is never
-        visible, and its shadow is that of the other object.
+        Whether the object is equal to an object earlier in the file.  A duplicate is never visible,
+        and its shadow is that of the earlier object.
     depth_complexity : float
         Upper bound on the mean number of objects on a ray, for the rays of any row of pixels.
     window : (slice, slice)
