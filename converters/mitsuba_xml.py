@@ -35,8 +35,6 @@ class Document:
 
     Attributes
     ----------
-    comment : str
-        The parameter of this name.
     root : Element
         The root element of the file, which contains the plugins.
     """

@@ -388,7 +388,7 @@ BENCHMARKS = (benchmark_whole_process, benchmark_rendering, benchmark_objects, b
 
 def main() -> None:
     """Run all benchmarks, print each result as soon as it is ready, and write `benchmark.md`."""
-    arguments = make_parser("reference.benchmark", "small sizes").parse_args()
+    arguments = make_parser("reference.benchmark", quick_help="small sizes").parse_args()
     mi.set_log_level(mi.LogLevel.Error)
     sections = [
         "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"

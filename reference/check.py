@@ -387,8 +387,7 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     point_element, rgb_element = next(emitter.iter("point")), next(emitter.iter("rgb"))
     vector_from_light = hit_position - [float(point_element.get(axis, "")) for axis in "xyz"]
     squared_distance: Floats = (vector_from_light**2).sum(axis=2, keepdims=True)
-    # The radiance of a white surface that faces the light at distance 1.  The converted scene has
-    # reflectances divided by `choose_reflectance_divisor(...)`, and Mitsuba divides them by pi.
+    # Mitsuba's radiance of a white surface that faces the light at distance 1.
     divisor = np.pi * choose_reflectance_divisor(diffuse_scene.surfaces)
     radiance_at_distance_1 = float(rgb_element.get("value", "").split()[0]) / divisor
     return radiance * squared_distance / radiance_at_distance_1 * light.intensity

@@ -74,7 +74,7 @@ def _measure_seconds_per_task(task_count: int) -> float:
 
 def main() -> None:
     """Measure the costs and limits of rendering on a cluster; write and print `cluster.md`."""
-    arguments = make_parser("reference.cluster", "few and small frames").parse_args()
+    arguments = make_parser("reference.cluster", quick_help="few and small frames").parse_args()
     frame_count, size = (3, (320, 180)) if arguments.quick else (40, (1280, 720))
     commands = prepare_animation_commands(frame_count, size)
     renderers = [name for name in _RENDERERS if name in commands]

@@ -106,27 +106,27 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     add_format("--json", const=format_json, help="print a list with one object per picture")
     add_format("--csv", const=format_csv, help="print the same as a table")
     options = command_parser.parse_args(arguments)
-    submission, reference = options.hand_in, options.reference
-    for path in (submission, reference):
+    input_path, reference_path = options.hand_in, options.reference
+    for path in (input_path, reference_path):
         if not path.exists():
             raise Failure(str(path), "does not exist", exit_status=FAILED_STATUS)
-    options.is_class = submission.is_dir()
-    options.folder = submission if options.is_class else submission.parent
-    picture_paths = list_hand_ins(submission) if options.is_class else [submission]
-    if submission.suffix.lower() == ".xml" or (not picture_paths and [*submission.glob("*.xml")]):
+    options.is_class = input_path.is_dir()
+    options.folder = input_path if options.is_class else input_path.parent
+    picture_paths = list_hand_ins(input_path) if options.is_class else [input_path]
+    if input_path.suffix.lower() == ".xml" or (not picture_paths and [*input_path.glob("*.xml")]):
         report_error(
-            make_printable(f"{submission}: a hand-in is a picture; put it before the scene")
+            make_printable(f"{input_path}: a hand-in is a picture; put it before the scene")
         )
     if not picture_paths:
-        report_error(make_printable(f"{submission}: contains no pictures"))
+        report_error(make_printable(f"{input_path}: contains no pictures"))
     if options.is_class and options.output and not is_folder(options.output):
         problem = f"several pictures need a folder; end it in {os.sep}"
         report_error(make_printable(f"-o {options.output}: {problem}"))
-    hand_ins = match_hand_ins(picture_paths, submission, reference)
+    hand_ins = match_hand_ins(picture_paths, input_path, reference_path)
     outputs = [_choose_comparison_path(options, path) for path in picture_paths if options.output]
     outputs += [Path(options.html)] if options.html else []
-    reference_paths = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
-    forbid_overwriting_inputs(command_parser, outputs, (*picture_paths, *reference_paths))
+    reference_files = (hand_in.reference for hand_in in hand_ins if hand_in.reference)
+    forbid_overwriting_inputs(command_parser, outputs, (*picture_paths, *reference_files))
     return options, hand_ins
 
 

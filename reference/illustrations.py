@@ -204,19 +204,17 @@ def _clip_lines(classification: Classification) -> Iterable[Floats]:
 
 
 def draw_pixel_classes() -> None:
-    """Draw `classes.png`: which pixels are smooth, crossed by straight edges, or unresolved.
-
-    The edges and the samples are drawn on top of the pixels.
-    """
+    """Draw `classes.png`: which pixels are smooth, crossed by straight edges, or unresolved."""
     scene, prepared_scene, _ = _load_prepared_scene("four-spheres", 64)
     rows, columns = slice(28, 48), slice(20, 48)
     samples, sample_index = PIXEL_CENTERS.place_in_pixels(rows, columns), np.arange(20 * 28)
     row, column, object_index = find_silhouette_pixels(prepared_scene, rows, columns)
     pixel_index = (row - rows.start) * 28 + column - columns.start
+    # The cells are pixels (of width 1), with 4 x 4 samples, and with a tolerance of 1e-3.
     cells = Cells(1.0, 4, 1e-3, *samples.get_positions(sample_index), pixel_index, object_index)
     classification = classify_cells(prepared_scene, cells, samples, sample_index)
     class_index = np.zeros(sample_index.size, dtype=np.intp)
-    class_index[classification.lines.cell_index] = 1
+    class_index[classification.lines.cell_index] = 1  # crossed by straight edges
     class_index[classification.is_unresolved] = 2
     _, (image_axes, class_axes) = plt.subplots(1, 2, figsize=(_WIDTH, 4.1))
     _show_picture(image_axes, to_codes(render(scene)[rows, columns]) / 255, "One sample per pixel")

@@ -126,10 +126,7 @@ def render_page(**content: Any) -> str:
     id_by_png: dict[bytes, str] = {}
 
     def format_image_attributes(png: bytes) -> Markup:
-        """Return the HTML attributes of an image, given the bytes of a PNG file.
-
-        At the first use of the image, these are an id and the data.  Later, they refer to this id.
-        """
+        """Format the id and data of an image or, if it was used before, a reference to its id."""
         if png in id_by_png:
             return Markup('data-same="{}"').format(id_by_png[png])
         id_by_png[png] = f"picture-{len(id_by_png)}"

@@ -300,8 +300,7 @@ class Reference:
         worst_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
         count_text = symptoms.format_count(is_wrong.sum())
         if not self.scene:
-            advice = "Compare with the scene to learn more."
-            return f"{count_text}.{worst_text}. {advice}"
+            return f"{count_text}.{worst_text}. Compare with the scene to learn more."
         surfaces_text = _describe_wrong_surfaces(self.scene, submission, is_wrong)
         is_wrong_background = is_wrong & (renderer.surface_index < 0)
         if hint or is_wrong_background.sum() > 0.02 * is_wrong.sum():
@@ -390,9 +389,9 @@ def _find_visible_surfaces(scene: Scene) -> Array:
     """
     surface_index = np.empty(scene.width * scene.height, dtype=np.int32)
     for start in range(0, len(surface_index), MAX_PIXELS):
-        pixels = np.arange(start, min(start + MAX_PIXELS, len(surface_index)))
-        row, column = np.divmod(pixels, scene.width)
-        surface_index[pixels] = first_hits(scene, column + 0.5, row + 0.5).surface
+        pixel_index = np.arange(start, min(start + MAX_PIXELS, len(surface_index)))
+        row, column = np.divmod(pixel_index, scene.width)
+        surface_index[pixel_index] = first_hits(scene, column + 0.5, row + 0.5).surface
     return surface_index
 
 

@@ -41,19 +41,19 @@ def normalize(vectors: Array, axis: int = 0) -> Array:
     return vectors / np.sqrt((vectors * vectors).sum(axis=axis, keepdims=True))
 
 
-def dot(first: Array, second: Array) -> Array:
+def dot(vectors_a: Array, vectors_b: Array) -> Array:
     """Compute the dot products of pairs of vectors.
 
     Parameters
     ----------
-    first, second : (..., 3, n) arrays
+    vectors_a, vectors_b : (..., 3, n) arrays
         The vectors to multiply.
 
     Returns
     -------
     products : (..., n) array
     """
-    return (first * second).sum(axis=-2)
+    return (vectors_a * vectors_b).sum(axis=-2)
 
 
 def select_vectors(surface_vectors: Array, surface_index: Array) -> Array:
@@ -443,17 +443,17 @@ def guess_hits(reference_picture: Array, x: Array, y: Array, submitted_codes: Ar
     return interpolate_light(reference_picture, x, y).any(axis=0) | ~submitted_codes.any(axis=0)
 
 
-_OWN: tuple[Callable[..., Any], ...] = (
+_OWN_FUNCTIONS: tuple[Callable[..., Any], ...] = (
     normalize, dot, select_vectors, intersect_spheres, intersect_boxes, make_scaled_intersect,
     make_far_intersect, make_intersect, find_first_crossing, intersect_shadow_rays,
     find_blocking_surfaces, select_last_value, compute_box_normals, convert_to_grey,
     find_background_color, compute_median, interpolate_light, guess_hits, len, partial,
 )  # fmt: skip
-_NUMPY = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64 isfinite log
-    logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt take_along_axis trunc uint8
-    where zeros"""
-_FUNCTIONS = {function.__name__: function for function in _OWN}
-_FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY.split()}
+_NUMPY_NAMES = """abs arange arccos array ceil clip cos cross exp floor full_like inf int64
+    isfinite log logical_and maximum minimum nan_to_num pi repeat round sign sin sqrt
+    take_along_axis trunc uint8 where zeros"""
+_FUNCTIONS = {function.__name__: function for function in _OWN_FUNCTIONS}
+_FUNCTIONS |= {name: getattr(np, name) for name in _NUMPY_NAMES.split()}
 
 
 @cache

@@ -99,12 +99,12 @@ def choose_from_strata(strata: Array, max_count: int) -> Array:
     item_index : (k,) int array
         Indices of the chosen items; k is the smaller of n and `max_count`.
     """
-    candidates = shuffle_range(len(strata))[:_MAX_CANDIDATES]
-    order = np.argsort(strata[candidates], kind="stable")
-    counts = np.unique(strata[candidates], return_counts=True)[1]
+    candidate_index = shuffle_range(len(strata))[:_MAX_CANDIDATES]
+    order = np.argsort(strata[candidate_index], kind="stable")
+    counts = np.unique(strata[candidate_index], return_counts=True)[1]
     # The first candidate of each stratum has place 0, the second has place 1, and so on.
     place_in_stratum = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)
-    return candidates[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
+    return candidate_index[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
 
 
 def shuffle_range(count: int) -> Array:
@@ -138,7 +138,7 @@ class MistakeRenderer:
         Number of pixels in the picture, and of surfaces in the scene.
     mistakes : dict of str to Mistake
         The mistakes that can be rendered, by keyword, in the order of the table of mistakes.
-    sample : (m,) int array
+    sample_index : (m,) int array
         Pixel indices in random order.  The first of them show all surfaces, lit and in shadow.
     first_round_size : int
         Number of pixels at which all causes are rendered; smaller in scenes with many surfaces.
@@ -164,13 +164,13 @@ class MistakeRenderer:
             keyword: mistake for keyword, mistake in self.mistakes.items()
             if (changes := self.get_formulas((keyword,))) and first_pixel.can_compute_codes(changes)
         }  # fmt: skip
-        subset = choose_from_strata(surface_index, MAX_PIXELS // 32)
-        strata = surface_index[subset]
+        subset_index = choose_from_strata(surface_index, MAX_PIXELS // 32)
+        strata = surface_index[subset_index]
         if isinstance(source, Scene):
-            for is_lit in self.evaluate([base_formulas], subset, name="lit")[0][:4]:
+            for is_lit in self.evaluate([base_formulas], subset_index, name="lit")[0][:4]:
                 strata = 2 * strata + is_lit
         sample_size = max(500, _MAX_INTERSECTIONS // max(20, 20 * self.surface_count))
-        self.sample = subset[choose_from_strata(strata, sample_size)]
+        self.sample_index = subset_index[choose_from_strata(strata, sample_size)]
 
     def get_formulas(self, cause: Cause) -> Formulas:
         """Collect the formulas that simulate the given mistakes.
@@ -202,32 +202,33 @@ class MistakeRenderer:
         return any(name.startswith("fitted_") for name in names)
 
     def make_cache(
-        self, pixels: Array, submitted_codes: Array, fitting_cache: FormulaCache | None = None
+        self, pixel_index: Array, submitted_codes: Array, fitting_cache: FormulaCache | None = None
     ) -> FormulaCache:
         """Create a cache that evaluates formulas, such as the radiance, at the given pixels.
 
         Parameters
         ----------
-        pixels : (k,) int array
+        pixel_index : (k,) int array
             Indices of the pixels.
         submitted_codes : (3, n) uint8 array
             8-bit codes of all n pixels of the submitted picture.
         fitting_cache : FormulaCache, optional
             The cache whose pixels are used to fit parameters such as gamma.  By default,
-            `pixels` are used.
+            the pixels of the new cache are used.
         """
-        row, column = np.divmod(pixels, self.width)
-        pixel_inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixels]}
+        row, column = np.divmod(pixel_index, self.width)
+        pixel_inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixel_index]}
         return FormulaCache(self._inputs | pixel_inputs, fitting_cache)
 
-    def split_pixels(self, pixels: Array) -> Iterator[Array]:
+    def split_pixels(self, pixel_index: Array) -> Iterator[Array]:
         """Divide an array of pixel indices into batches that take little memory to render."""
         size = max(100, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
-        return (pixels[start : start + size] for start in range(0, len(pixels), size))
+        return (pixel_index[start : start + size] for start in range(0, len(pixel_index), size))
 
     def evaluate(
-        self, formula_maps: Sequence[Formulas], pixels: Array, submitted_codes: Array | None = None,
-        fitting_cache: FormulaCache | None = None, name: str = "codes",
+        self, formula_maps: Sequence[Formulas], pixel_index: Array,
+        submitted_codes: Array | None = None, fitting_cache: FormulaCache | None = None,
+        name: str = "codes",
     ) -> Array:  # fmt: skip
         """Evaluate a formula at some pixels of several pictures, which contain different mistakes.
 
@@ -235,13 +236,13 @@ class MistakeRenderer:
         ----------
         formula_maps : sequence of dict of str to callable
             For each picture, the formulas, by name, that replace those of the reference picture.
-        pixels : (k,) int array
+        pixel_index : (k,) int array
             Indices of the pixels.
         submitted_codes : (3, n) uint8 array, optional
             8-bit codes of all n pixels of the submitted picture; by default, black.
         fitting_cache : FormulaCache, optional
-            The cache whose pixels are used to fit parameters such as gamma.  By default, they are
-            fitted separately for each batch of `pixels`.
+            The cache whose pixels are used to fit parameters such as gamma.  By default, the
+            parameters are fitted separately for each batch of pixels.
         name : str
             Name of the formula to evaluate; by default, the 8-bit codes.
 
@@ -252,7 +253,7 @@ class MistakeRenderer:
         """
         submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
         caches = (self.make_cache(batch, submitted_codes, fitting_cache)
-                  for batch in self.split_pixels(pixels))  # fmt: skip
+                  for batch in self.split_pixels(pixel_index))  # fmt: skip
         values = [[cache.get_value(name, formulas) for formulas in formula_maps]
                   for cache in caches]  # fmt: skip
         return np.concatenate(values, axis=-1)
@@ -276,8 +277,8 @@ class MistakeRenderer:
             and self.get_formulas(cause := (keyword, *variant))
         ]  # fmt: skip
         causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
-        pixels = self.sample[:_GROUPING_PIXELS]
-        pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixels)
+        pixel_index = self.sample_index[:_GROUPING_PIXELS]
+        pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixel_index)
         # Keep these mistakes: they may show only with another one that raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
@@ -287,7 +288,7 @@ class MistakeRenderer:
             group = groups.setdefault(picture.tobytes(), [])
             if cause[:1] not in group:
                 group.append(cause)
-        groups.pop(self.reference_codes[:, pixels].tobytes(), None)
+        groups.pop(self.reference_codes[:, pixel_index].tobytes(), None)
         return {group[0]: group for group in groups.values()}
 
     @cached_property
@@ -303,23 +304,23 @@ class MistakeRenderer:
         Item 0 maps the joint cause of each pair to the pair's two causes.  Item 1 contains the
         rendered 8-bit codes (pairs, 3, k).  Item 2 contains the indices (k,) of the pixels.
         """
-        pixels = self.sample[: self.first_round_size]
+        pixel_index = self.sample_index[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
         skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
         skipped_keys |= {*mistakes.ROUNDINGS}
         causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
-        pairs = {cause: (first, second) for first, second in combinations(causes, 2)
-                 if (cause := self.join_causes(first, second))}  # fmt: skip
-        if not pairs:
-            return pairs, np.zeros((0, 3, len(pixels)), dtype=np.uint8), pixels
-        return pairs, self.evaluate([self.get_formulas(cause) for cause in pairs], pixels), pixels
+        pairs = {cause: (cause_a, cause_b) for cause_a, cause_b in combinations(causes, 2)
+                 if (cause := self.join_causes(cause_a, cause_b))}  # fmt: skip
+        formula_maps = [self.get_formulas(cause) for cause in pairs]
+        no_codes = np.zeros((0, 3, len(pixel_index)), dtype=np.uint8)
+        return pairs, self.evaluate(formula_maps, pixel_index) if pairs else no_codes, pixel_index
 
-    def join_causes(self, first: Cause, second: Cause) -> Cause:
+    def join_causes(self, cause_a: Cause, cause_b: Cause) -> Cause:
         """Join two causes into one.
 
         Parameters
         ----------
-        first, second : tuple of str
+        cause_a, cause_b : tuple of str
             Keywords of mistakes that are made together, perhaps followed by the keyword of a
             variant (another way to write a correct tracer).
 
@@ -329,8 +330,8 @@ class MistakeRenderer:
             The keywords of both causes, with the variant last.  Empty if the mistakes exclude each
             other, or if both causes contain a variant.
         """
-        variants = [keyword for keyword in (*first, *second) if keyword in mistakes.VARIANTS]
-        cause = (*remove_variants((*first, *second)), *variants)
+        variants = [keyword for keyword in (*cause_a, *cause_b) if keyword in mistakes.VARIANTS]
+        cause = (*remove_variants((*cause_a, *cause_b)), *variants)
         return cause if len(variants) < 2 and self.get_formulas(cause) else ()
 
 
@@ -392,8 +393,9 @@ class Submission:
         self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
-        brightest = reference_codes.sum(axis=0, dtype=np.int16).argmax()
-        self.fitting_cache = renderer.make_cache(np.append(renderer.sample, brightest), codes)
+        brightest_pixel = reference_codes.sum(axis=0, dtype=np.int16).argmax()
+        fitting_index = np.append(renderer.sample_index, brightest_pixel)
+        self.fitting_cache = renderer.make_cache(fitting_index, codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
         """Choose random pixels: half of them wrong, half of them right, if there are enough.
@@ -407,7 +409,7 @@ class Submission:
 
         Returns
         -------
-        pixels : (k,) int array
+        pixel_index : (k,) int array
             Indices of the chosen pixels, sorted.
         weights : (k,) float array
             Number of pixels of the picture that each chosen pixel represents.
@@ -415,10 +417,10 @@ class Submission:
         wrong_pixels, right_pixels = self._shuffled_pixels
         chosen_wrong_pixels = wrong_pixels[: max(count // 2, count - len(right_pixels))]
         chosen_right_pixels = right_pixels[: count - len(chosen_wrong_pixels)]
-        pixels = np.sort(np.concatenate([chosen_wrong_pixels, chosen_right_pixels]))
+        pixel_index = np.sort(np.concatenate([chosen_wrong_pixels, chosen_right_pixels]))
         wrong_weight = self.wrong_count / max(1, len(chosen_wrong_pixels))
         right_weight = (len(self.is_wrong) - self.wrong_count) / max(1, len(chosen_right_pixels))
-        return pixels, np.where(self.is_wrong[pixels], wrong_weight, right_weight)
+        return pixel_index, np.where(self.is_wrong[pixel_index], wrong_weight, right_weight)
 
     def _choose_blocks(self, count: int) -> tuple[Array, Array, int]:
         """Choose random blocks of a JPEG picture: half of them with wrong pixels, half without.
@@ -434,7 +436,7 @@ class Submission:
 
         Returns
         -------
-        pixels : (k,) int array
+        pixel_index : (k,) int array
             Indices of the pixels of the chosen blocks, in the order of the mosaic.
         weights : (k,) float array
             Number of pixels of the whole picture that each chosen pixel represents; 0 at the edges
@@ -475,14 +477,14 @@ class Submission:
         """
         return to_columns(self._reencode(to_picture(codes, width))) if self._reencode else codes
 
-    def _compare_levels(self, causes: Sequence[Cause], pixels: Array, width: int = 0) -> Array:
+    def _compare_levels(self, causes: Sequence[Cause], pixel_index: Array, width: int = 0) -> Array:
         """Render a picture with each cause, and compare it with the submitted picture.
 
         Parameters
         ----------
         causes : sequence of tuples of str
             At least one cause: the keywords of mistakes that are made together.
-        pixels : (k,) int array
+        pixel_index : (k,) int array
             Indices of the pixels to compare.
         width : int
             If given, the pixels form a picture of this width, and the rendered pictures are
@@ -494,10 +496,10 @@ class Submission:
             For each cause and pixel, the difference in levels, in the channel that differs most.
         """
         formula_maps = [self.renderer.get_formulas(cause) for cause in causes]
-        pictures = self.renderer.evaluate(formula_maps, pixels, self.codes, self.fitting_cache)
+        pictures = self.renderer.evaluate(formula_maps, pixel_index, self.codes, self.fitting_cache)
         if width and self._reencode:
             pictures = np.array([self._compress(picture, width) for picture in pictures])
-        return compare_levels(pictures, self.codes[:, pixels])
+        return compare_levels(pictures, self.codes[:, pixel_index])
 
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
         """Compute the results of `_count_unexplained` and `_count_inexact`, and cache them.
@@ -593,13 +595,13 @@ class Submission:
             The best causes, the best first.  Empty if each leaves more than `_HOPELESS_SHARE`
             of the wrong pixels unexplained.
         """
-        pixels, weights = self._choose_pixels(pixel_count)
-        differences = self._compare_levels(causes, pixels)
+        pixel_index, weights = self._choose_pixels(pixel_count)
+        differences = self._compare_levels(causes, pixel_index)
         if self.format_noise:  # nearly all pixels differ: select the smallest sums of differences
             order = np.argsort(np.minimum(differences, _MAX_DIFFERENCE) @ weights, kind="stable")
             return [causes[k] for k in order[:max_causes]]
         is_unexplained = differences > self.tolerance
-        if is_unexplained[:, self.is_wrong[pixels]].mean(axis=1).min() > _HOPELESS_SHARE:
+        if is_unexplained[:, self.is_wrong[pixel_index]].mean(axis=1).min() > _HOPELESS_SHARE:
             return []
         unexplained_counts = is_unexplained @ weights
         max_unexplained = 1.5 * unexplained_counts.min() + _CHANCE_MARGIN * weights.max()
@@ -618,8 +620,7 @@ class Submission:
             comes closest to explaining it.
         """
         single_causes = self._add_rounding(self._rank_causes(self.renderer.single_causes))
-        pairs = list[Cause]()
-        causes = self._select_good_causes(single_causes)
+        pairs, causes = list[Cause](), self._select_good_causes(single_causes)
         single_count: float = self._count_unexplained(causes[0]) if causes else np.inf
         if single_count > _MAX_UNEXPLAINED:
             pairs = self._add_rounding(self._select_best_pairs())
@@ -656,8 +657,8 @@ class Submission:
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         groups = {background: [background]} | renderer.cause_groups
-        all_pairs, codes, pixels = renderer.rendered_pairs
-        is_unexplained = compare_levels(codes, self.codes[:, pixels]) > self.tolerance
+        all_pairs, codes, pixel_index = renderer.rendered_pairs
+        is_unexplained = compare_levels(codes, self.codes[:, pixel_index]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
         pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSE_COUNT]}
         if self.codes[:, renderer.surface_index < 0].any():
@@ -666,8 +667,8 @@ class Submission:
         best_pairs = self._rank_causes([*pairs])
         # The best pairs, and all pairs that give the same pictures; a dictionary has no duplicates.
         twin_pairs = {cause: None for pair in best_pairs
-                      for first in groups[pairs[pair][0]] for second in groups[pairs[pair][1]]
-                      if (cause := renderer.join_causes(first, second))}  # fmt: skip
+                      for cause_a in groups[pairs[pair][0]] for cause_b in groups[pairs[pair][1]]
+                      if (cause := renderer.join_causes(cause_a, cause_b))}  # fmt: skip
         return self._rank_causes([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
 
     def _needs_both_mistakes(self, cause: Cause) -> bool:
@@ -696,9 +697,9 @@ class Submission:
         renderer, formulas = self.renderer, self.renderer.get_formulas(cause)
         if not renderer.surface_count or mistakes.CAMERA_FORMULAS.isdisjoint(formulas):
             return True
-        shown_index = renderer.evaluate([formulas], renderer.sample, name="shown_surface")[0]
+        shown_index = renderer.evaluate([formulas], renderer.sample_index, name="shown_surface")[0]
         shown_count, reference_count = (len(np.unique(index[index >= 0])) for index in (
-            shown_index, renderer.surface_index[renderer.sample]))  # fmt: skip
+            shown_index, renderer.surface_index[renderer.sample_index]))  # fmt: skip
         return shown_count >= min(_MIN_SHOWN_SURFACES, reference_count)
 
     def _select_good_causes(self, causes: list[Cause]) -> list[Cause]:

@@ -57,28 +57,28 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     The result is None if the scene is unknown.  It is also None if the number of lights is 0 or
     above `_MAX_LIGHTS`, or if the number of wrong pixels is 0 or above `MAX_PIXELS`.
     """
-    renderer, pixels = submission.renderer, np.flatnonzero(submission.is_wrong)
+    renderer, pixel_index = submission.renderer, np.flatnonzero(submission.is_wrong)
     # Without a scene, the renderer has no mistakes that concern lights.
-    if not 0 < len(pixels) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
+    if not 0 < len(pixel_index) <= MAX_PIXELS or "light-first" not in renderer.mistakes:
         return None
-    should_reach = renderer.evaluate([renderer.base_formulas], pixels, name="lit")[0]
+    should_reach = renderer.evaluate([renderer.base_formulas], pixel_index, name="lit")[0]
     light_count = len(should_reach)
     if not 0 < light_count <= _MAX_LIGHTS:
         return None
     light_sets = [*product((False, True), repeat=light_count)]
     formula_maps = [parse_formulas(f"lit = array({[*light_set]})[:, None] & (distance > 0)")
                     for light_set in light_sets]  # fmt: skip
-    codes = renderer.evaluate(formula_maps, pixels, submission.codes)
+    codes = renderer.evaluate(formula_maps, pixel_index, submission.codes)
     # For each set and pixel, the number of missing and extra lights.
     is_in_set = np.array(light_sets)
     error_count = (should_reach != is_in_set[:, :, None]).sum(axis=1)
     # Sets that do not reproduce the submitted codes get a number larger than any other.
-    error_count[compare_levels(codes, submission.codes[:, pixels]) > 1] = light_count + 1
+    error_count[compare_levels(codes, submission.codes[:, pixel_index]) > 1] = light_count + 1
     does_reach = is_in_set[error_count.argmin(axis=0)].T
     does_reach = np.where(error_count.min(axis=0) <= light_count, does_reach, should_reach)
     is_light_missing, is_light_extra = np.zeros((2, light_count, renderer.pixel_count), np.bool_)
-    is_light_missing[:, pixels] = should_reach & ~does_reach
-    is_light_extra[:, pixels] = does_reach & ~should_reach
+    is_light_missing[:, pixel_index] = should_reach & ~does_reach
+    is_light_extra[:, pixel_index] = does_reach & ~should_reach
     return is_light_missing, is_light_extra
 
 
@@ -137,17 +137,17 @@ def is_explained_by_rounding(submission: Submission) -> bool:
         False if no pixels differ by that much, or too many (see `_MAX_ROUNDED_SHARE`).
     """
     renderer = submission.renderer
-    pixels = np.flatnonzero(compare_levels(renderer.reference_codes, submission.codes) > 1)
-    if not 0 < len(pixels) <= max(1, _MAX_ROUNDED_SHARE * renderer.pixel_count):
+    pixel_index = np.flatnonzero(compare_levels(renderer.reference_codes, submission.codes) > 1)
+    if not 0 < len(pixel_index) <= max(1, _MAX_ROUNDED_SHARE * renderer.pixel_count):
         return False
     positions = 0.5 - _SAMPLE_OFFSET, 0.5, 0.5 + _SAMPLE_OFFSET
     formula_maps = [
         make_sample_formulas(x, y) | parse_formulas(f"shadow_p = p + {lift} * sqrt(dot(p, p)) * n")
         for x, y, lift in product(positions, positions, _SHADOW_LIFTS)
     ]
-    codes = renderer.evaluate(formula_maps, pixels).astype(np.int16)
+    codes = renderer.evaluate(formula_maps, pixel_index).astype(np.int16)
     min_codes, max_codes = codes.min(axis=0) - 1, codes.max(axis=0) + 1
-    submitted_codes = submission.codes[:, pixels]
+    submitted_codes = submission.codes[:, pixel_index]
     return bool(((submitted_codes >= min_codes) & (submitted_codes <= max_codes)).all())
 
 

@@ -67,7 +67,7 @@ def run_chart_command(
     title, note : str
         The chart's title, and a note below the title.
     """
-    command_parser = make_parser(f"reference.{name}", "fewer points")
+    command_parser = make_parser(f"reference.{name}", quick_help="fewer points")
     redraw_help = "draw the stored table again, without measuring"
     command_parser.add_argument("--redraw", action="store_true", help=redraw_help)
     arguments = command_parser.parse_args()

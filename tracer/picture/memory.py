@@ -36,9 +36,8 @@ def keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
-        # Create large arrays and delete them at once, because NumPy requests large pages for them.
-        # They use no memory, because nothing is written to them.  If there is no room for them,
-        # there may be enough for a picture.
+        # Get large pages for the heap: NumPy requests them with madvise(2) for arrays of this size.
+        # The arrays are deleted at once, and use no memory because nothing is written to them.
         with suppress(MemoryError):
             _ = [
                 np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)

@@ -231,11 +231,6 @@ class WorkerPool:
         Number of worker processes.
     initializer : callable, optional
         Called without arguments in each worker before any work.
-
-    Attributes
-    ----------
-    worker_count : int
-        Number of worker processes.
     """
 
     def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:

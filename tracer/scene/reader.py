@@ -280,8 +280,7 @@ class _Reader:
     def read_surface(self, element: Element) -> None:
         """Add a surface to the table for its type, such as "Sphere".
 
-        The surface may contain a shader, or a reference to a shader.  References are checked after
-        the whole file has been read, because the shader may be defined later in the file.
+        The surface may contain a shader, or a reference to a shader, which may be defined later.
 
         Parameters
         ----------
@@ -425,8 +424,7 @@ class _Reader:
         children : dict of str to Element
             For each field name, the child element that gives the field's value.
         intended_names : set of (str or None)
-            For all unknown attributes and tags, the names that were probably meant.  None stands
-            for a name that cannot be guessed.
+            The names probably meant by unknown attributes and tags; None for one that is unclear.
         """
         intended_names: set[str | None] = set()
         if not all(map(attributes.__contains__, element.attrib)):
@@ -553,8 +551,7 @@ class _Reader:
         Returns
         -------
         intended_names : set of (str or None)
-            For all unknown attributes, the names that were probably meant.  None stands for a name
-            that cannot be guessed.
+            The names probably meant by unknown attributes; None for one that is unclear.
         """
         intended_names: set[str | None] = set()
         for name, value in element.attrib.items():
