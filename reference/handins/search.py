@@ -393,9 +393,8 @@ class Submission:
         self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
         self._counts_by_cause = dict[Cause, list[int]]()
-        brightest_pixel = reference_codes.sum(axis=0, dtype=np.int16).argmax()
-        fitting_index = np.append(renderer.sample_index, brightest_pixel)
-        self.fitting_cache = renderer.make_cache(fitting_index, codes)
+        fitting_pixels = np.append(renderer.sample_index, reference_codes.sum(0, np.int16).argmax())
+        self.fitting_cache = renderer.make_cache(fitting_pixels, codes)
 
     def _choose_pixels(self, count: int) -> tuple[Array, Array]:
         """Choose random pixels: half of them wrong, half of them right, if there are enough.
