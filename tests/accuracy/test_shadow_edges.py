@@ -60,12 +60,11 @@ CASES = {
 )
 def test_shadow_in_a_footprint(ground, other, light, expected):
     camera = Camera(view_point=(-0.75, 0.5, 0), view_dir=(0.75, -0.5, 0))
-    scene = scene_of(ground, other, camera=camera, size=(1, 1), lights=light)
-    prepared_scene = PreparedScene(scene)
-    hits = find_nearest_hits(prepared_scene, PIXEL_CENTERS.place_in_pixels(*2 * [slice(0, 1)]))
+    scene = PreparedScene(scene_of(ground, other, camera=camera, size=(1, 1), lights=light))
+    hits = find_nearest_hits(scene, PIXEL_CENTERS.place_in_pixels(slice(0, 1), slice(0, 1)))
     np.testing.assert_allclose(np.ravel(hits.get_points(slice(None))), 0, atol=1e-12)
     faces_light, radius = np.ones((1, 1), dtype=np.bool_), np.full(1, 0.5)
-    (lights,) = prepared_scene.light_batches
+    (lights,) = scene.light_batches
     is_blocked, edges, is_crowded = find_shadow_edges(hits, lights, faces_light, radius)
     assert (is_blocked.item(), edges[0].size > 0) == expected
     assert not is_crowded.any()
