@@ -513,8 +513,8 @@ class CellAnalysis:
         if cells.width == MAX_WIDTH:
             part_boxes = self._bound_visible_parts()
             triples = self.faces.find_occluders(*part_boxes, cells.face_index, ~cells.is_settled.T)
-            self.cells = cells = cells._replace(triples=triples)
-        pair_index, light_index, _ = cells.triples
+            self.cells = cells = cells._replace(shadow_triples=triples)
+        pair_index, light_index, _ = cells.shadow_triples
         # `_decide_claims` updates `casts_no_shadow` after each condition.
         casts_no_shadow = np.zeros(pair_index.size, dtype=np.bool_)
         sphere_conditions = self._make_sphere_shadow_conditions()
@@ -538,8 +538,8 @@ class CellAnalysis:
             a face in it), a light, an occluder.
         """
         faces, cells = self.faces, self.cells
-        triple_index = np.flatnonzero(cells.triples[2] < faces.sphere_count)
-        pair_index, light_index, sphere_index = cells.triples[:, triple_index]
+        triple_index = np.flatnonzero(cells.shadow_triples[2] < faces.sphere_count)
+        pair_index, light_index, sphere_index = cells.shadow_triples[:, triple_index]
         radius, center = faces.radius[sphere_index], faces.center[:, sphere_index]
         position = faces.light_position[light_index].T
         to_center = faces.to_center[:, light_index, sphere_index]
@@ -593,7 +593,7 @@ class CellAnalysis:
         condition : _Condition
             A condition for all triples whose occluder is a box that may cast a shadow.
         """
-        pair_index, light_index, occluder_index = self.cells.triples
+        pair_index, light_index, occluder_index = self.cells.shadow_triples
         # Objects are numbered with spheres first.  Spheres have a negative box index.
         box_index = occluder_index - self.faces.sphere_count
         shadow_planes = self.faces.shadow_volume.swapaxes(0, 1)
@@ -675,12 +675,12 @@ class CellAnalysis:
         """
         contributions, cells = self._enclose_contributions(is_requested), self.cells
         has_edge = np.zeros_like(cells.is_settled)
-        has_edge[cells.triples[0], cells.triples[1]] = True
+        has_edge[cells.shadow_triples[0], cells.shadow_triples[1]] = True
         for pair_index, light_index, _ in self._edges:
             has_edge[pair_index[light_index >= 0], light_index[light_index >= 0]] = True
         max_light_error = permitted_error / cells.is_settled.shape[1]
         is_newly_settled = ~has_edge[contributions.pair_index, contributions.light_index]
-        is_newly_settled &= contributions.radiance.radius.max(axis=0) <= max_light_error
+        is_newly_settled &= contributions.radiance.max_deviation.max(axis=0) <= max_light_error
         pair_index, light_index, radiance = contributions.select(is_newly_settled)
         add_at_sorted_index(cells.radiance.coef, pair_index, radiance.coef)
         cells.is_settled[pair_index, light_index] = True

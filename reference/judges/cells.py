@@ -56,7 +56,7 @@ class Cells(NamedTuple):
         Whether the light is settled for the pair.
     radiance : Enclosures
         Enclosures (8, 3, p) of each pair's radiance due to all settled lights.
-    triples : (3, q) int array
+    shadow_triples : (3, q) int array
         Row 0 contains indices of pairs, row 1 of lights, and row 2 of objects.
     """
 
@@ -68,7 +68,7 @@ class Cells(NamedTuple):
     covers_cell: Bools
     is_settled: Bools
     radiance: Enclosures
-    triples: Ints
+    shadow_triples: Ints
 
     def select_triples(self, is_selected: Bools) -> Cells:
         """Copy all cells and pairs, but only the selected triples.
@@ -86,7 +86,7 @@ class Cells(NamedTuple):
         cells : Cells
             The cells with all pairs and the selected triples.
         """
-        return self._replace(triples=self.triples.compress(is_selected, axis=1))
+        return self._replace(shadow_triples=self.shadow_triples.compress(is_selected, axis=1))
 
     def select_pairs(self, is_selected: Bools) -> tuple[Cells, Ints]:
         """Copy all cells, but only the selected pairs and their triples.
@@ -109,9 +109,9 @@ class Cells(NamedTuple):
         new_index = np.where(is_selected, is_selected.cumsum() - 1, -1)
         pair_fields = "cell_index", "face_index", "covers_cell", "is_settled", "radiance"
         fields: dict[str, Any] = {name: getattr(self, name)[is_selected] for name in pair_fields}
-        triples = np.array([new_index[self.triples[0]], *self.triples[1:]])
-        cells = self._replace(**fields, triples=triples)
-        return cells.select_triples(cells.triples[0] >= 0), new_index
+        triples = np.array([new_index[self.shadow_triples[0]], *self.shadow_triples[1:]])
+        cells = self._replace(**fields, shadow_triples=triples)
+        return cells.select_triples(cells.shadow_triples[0] >= 0), new_index
 
     def select_cells(self, is_selected: Bools) -> Cells:
         """Copy the selected cells with all their pairs and triples.
@@ -158,8 +158,8 @@ class Cells(NamedTuple):
         quarter_index, half_width = np.arange(4), self.width / 4  # half the width of a quarter
         x = np.add.outer(self.x, (2 * (quarter_index & 1) - 1) * half_width).ravel()
         y = np.add.outer(self.y, (quarter_index & 2) * half_width - half_width).ravel()
-        triples = self.triples.repeat(4, axis=1)
-        triples[0] = 4 * triples[0] + np.tile(quarter_index, self.triples.shape[1])
+        triples = self.shadow_triples.repeat(4, axis=1)
+        triples[0] = 4 * triples[0] + np.tile(quarter_index, self.shadow_triples.shape[1])
         quarters = Cells(
             width=self.width / 2,
             x=x,
@@ -169,7 +169,7 @@ class Cells(NamedTuple):
             covers_cell=self.covers_cell.repeat(4),
             is_settled=self.is_settled.repeat(4, axis=0),
             radiance=self.radiance.split_into_quarters(),
-            triples=triples,
+            shadow_triples=triples,
         )
         is_inside = (x - half_width < picture_width) & (y - half_width < picture_height)
         return quarters if is_inside.all() else quarters.select_cells(is_inside)
@@ -217,7 +217,7 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
     -------
     cells : Cells
         The cells.  Each is paired with every face that may be visible to the camera.  Lights are
-        marked as settled for the faces that they certainly do not reach.  `triples` is empty.
+        marked as settled for the faces that they certainly do not reach.  There are no triples yet.
     """
     cell_width = 2.0 ** np.ceil(np.log2(max(2 * MAX_WIDTH, min(width, height))))
     row_count, column_count = int(np.ceil(height / cell_width)), int(np.ceil(width / cell_width))
@@ -233,5 +233,5 @@ def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:
         covers_cell=np.zeros(face_index.size, np.bool_),
         is_settled=faces.is_unlit[:, face_index].T,
         radiance=Enclosures(np.zeros((8, 3, face_index.size))),
-        triples=np.zeros((3, 0), dtype=np.intp),
+        shadow_triples=np.zeros((3, 0), dtype=np.intp),
     )

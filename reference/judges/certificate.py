@@ -185,8 +185,8 @@ def estimate_means(
     max_radiance = _bound_radiance(cells, contributions)
     all_strips = _enclose_edges(analysis, contributions, max_radiance, is_skipped)
     has_many_edges = np.bincount(all_strips.cell_index, minlength=cell_count) > _MAX_LINES
-    is_black = max_radiance.max(axis=0) == 0
-    is_skipped = is_skipped | has_many_edges | is_black
+    # Cells that are certainly black need no samples.
+    is_skipped = is_skipped | has_many_edges | (max_radiance.max(axis=0) == 0)
     strips = all_strips.take(~is_skipped[all_strips.cell_index])
     sampled_cell_index, new_index = np.flatnonzero(~is_skipped), np.cumsum(~is_skipped) - 1
     renumbered_strips = strips._replace(cell_index=new_index[strips.cell_index])
@@ -196,7 +196,7 @@ def estimate_means(
     radiance = _enclose_region_radiance(analysis, contributions, regions)
     region_mean = (radiance.coef[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell_index] - region_mean)
-    region_error = np.minimum(radiance.radius + sample_error, max_error).max(axis=0)
+    region_error = np.minimum(radiance.max_deviation + sample_error, max_error).max(axis=0)
     weighted_mean = regions.area * region_mean
     mean = np.array([sum_by_index(regions.cell_index, row, cell_count) for row in weighted_mean])
     mean[:, is_skipped] = max_radiance[:, is_skipped] / 2
@@ -437,7 +437,7 @@ class _Picture:
             One or two groups.  All cells of a pixel are in the same group.
         """
         unsettled_light_count = np.count_nonzero(~cells.is_settled)
-        item_count = cells.cell_index.size + cells.triples.shape[1] + unsettled_light_count
+        item_count = cells.cell_index.size + cells.shadow_triples.shape[1] + unsettled_light_count
         if item_count <= _MAX_ITEMS_PER_BATCH:
             return [cells]
         pixel_index = self.find_pixel_index(cells)
@@ -446,7 +446,7 @@ class _Picture:
         return groups if is_below_median.any() else [cells]
 
     def find_pixel_index(self, cells: Cells) -> Ints:
-        """Find the pixel that contains each of c cells.
+        """Find the index of the pixel that contains each of c cells.
 
         Parameters
         ----------
@@ -490,7 +490,8 @@ class _Picture:
         term_means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
         for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
             np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN_Z], term_means, (0, 0)))
-        np.add.at(self.error_bound, pixels, area * radiance.radius.max(axis=0)[:, None, None])
+        error_bound = radiance.max_deviation.max(axis=0)
+        np.add.at(self.error_bound, pixels, area * error_bound[:, None, None])
 
     def add_accurate_cells(self, cells: Cells) -> Cells:
         """Add the cells that are accurate enough to the picture, and return the others.

@@ -78,8 +78,8 @@ class Enclosures:
         return Enclosures(self.coef.take(index, axis=-1))
 
     @property
-    def radius(self) -> Floats:
-        """Upper bound (..., n) on the difference between a quantity and its polynomial in X, Y."""
+    def max_deviation(self) -> Floats:
+        """Upper bound (..., n) on the deviation of each quantity from its polynomial in X and Y."""
         return np.asarray(np.abs(self.coef[UNKNOWN_Z]) + self.coef[ERROR])
 
     @property
@@ -154,7 +154,7 @@ class Enclosures:
             Enclosures (8, n) of the differences, without Z.
         """
         coef = self.coef - other.coef
-        coef[ERROR], coef[UNKNOWN_Z] = self.radius + other.radius, 0
+        coef[ERROR], coef[UNKNOWN_Z] = self.max_deviation + other.max_deviation, 0
         return Enclosures(coef)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
@@ -298,15 +298,15 @@ class Enclosures:
         Returns
         -------
         quarters : Enclosures
-            Enclosures (8, ..., 4 n).  The quarters of each cell are adjacent, in the order upper
-            left, upper right, lower left, lower right.
+            Enclosures with coefficients (8, ..., 4 n).  The quarters of each cell are adjacent, in
+            the order upper left, upper right, lower left, lower right.
         """
         constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, _, _ = self.coef.repeat(4, axis=-1)
         quarter_index = np.arange(constant.shape[-1]) % 4
         # The quarter's centre, in the coordinates of the cell.
         center_x, center_y = (quarter_index & 1) - 0.5, (quarter_index >> 1) - 0.5
         # Each new coefficient is a sum of at most six terms.  ROUNDING covers its rounding error.
-        error_bound = (self.radius + ROUNDING * self.max_abs).repeat(4, axis=-1)
+        error_bound = (self.max_deviation + ROUNDING * self.max_abs).repeat(4, axis=-1)
         new_constant = constant + center_x * (coef_x + center_x * coef_xx + center_y * coef_xy)
         new_constant = new_constant + center_y * (coef_y + center_y * coef_yy)
         slope_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
@@ -324,22 +324,22 @@ def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
     return np.asarray(z**exponent)
 
 
-def enclose_constants(constants: Floats, radius: Floats | float = 0.0) -> Enclosures:
+def enclose_constants(constants: Floats, max_deviation: Floats | float = 0.0) -> Enclosures:
     """Enclose quantities that are nearly constant in their cell.
 
     Parameters
     ----------
     constants : (..., n) float array
         One constant for each quantity.
-    radius : float, or array that broadcasts to (..., n)
+    max_deviation : float, or array that broadcasts to (..., n)
         Upper bound on the difference between each quantity and its constant.
 
     Returns
     -------
     enclosures : Enclosures
-        Enclosures (8, ..., n) with the constants in row 0 (CONSTANT), the radius in row 7 (ERROR),
-        and zeros in all other rows.
+        Enclosures (8, ..., n) with the constants in row 0 (CONSTANT), the maximum deviations in row
+        7 (ERROR), and zeros in all other rows.
     """
     coef = np.zeros((8, *constants.shape))
-    coef[CONSTANT], coef[ERROR] = constants, radius
+    coef[CONSTANT], coef[ERROR] = constants, max_deviation
     return Enclosures(coef)

@@ -83,12 +83,12 @@ def intersect_by_projection(origin: Array, direction: Array, center: Array, radi
         The ray meets the sphere at origin + t direction for t = near and far; NaN if it misses.
     """
     to_center = center - origin
-    length2, projection = _dot(direction, direction), _dot(to_center, direction)
-    perpendicular = to_center - projection / length2 * direction
-    half_chord = np.sqrt(length2 * (radius * radius - _dot(perpendicular, perpendicular)))
+    squared_length, projection = _dot(direction, direction), _dot(to_center, direction)
+    perpendicular = to_center - projection / squared_length * direction
+    half_chord = np.sqrt(squared_length * (radius * radius - _dot(perpendicular, perpendicular)))
     # Nothing cancels in this sum (Press et al., Numerical Recipes, 5.6).
     stable_sum = np.where(projection < 0, projection - half_chord, projection + half_chord)
-    t = stable_sum / length2
+    t = stable_sum / squared_length
     other_t = (_dot(to_center, to_center) - radius * radius) / stable_sum
     return np.minimum(t, other_t), np.maximum(t, other_t)
 
@@ -460,10 +460,10 @@ class _PlainTracer:
         -------
         closest_t : (n,) array
             The smallest t at which each ray, eye + t direction, meets a surface, or infinity.
-        closest_index : (n,) int array
+        closest_surface_index : (n,) int array
             Index of the surface that the ray meets there, or -1.
         """
-        direction_length, closest_index = _norm(direction), np.full(direction.shape[1], -1)
+        direction_length, closest_surface_index = _norm(direction), np.full(direction.shape[1], -1)
         closest_t = self.to_precision(np.full(direction.shape[1], np.inf))
         for surface_index in range(len(self.shapes))[:: -1 if self.prefers_last else 1]:
             near, far = self.intersect(surface_index, self.eye, direction, is_closed=True)
@@ -471,8 +471,8 @@ class _PlainTracer:
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
             is_closer = is_ahead & (t < closest_t * (1 - self.relative_tolerance))
             closest_t = np.where(is_closer, t, closest_t)
-            closest_index[is_closer] = surface_index
-        return closest_t, closest_index
+            closest_surface_index[is_closer] = surface_index
+        return closest_t, closest_surface_index
 
     def project_onto_surface(
         self, surface_index: int, points: Array, direction: Array

@@ -132,7 +132,7 @@ def enclose_in_strips(cell_index: Ints, functions: Enclosures, jump: Floats) -> 
     max_e = (np.abs(f_tn) * max_t + 0.5 * np.abs(f_nn) * max_n) / slope
     # The last term differs from f_tt max_t^2 / 6 by at most |f_tt| max_t^2 / 3.
     value += f_tt * max_t * max_t / 6
-    deviation = np.abs(f_tt) * max_t * max_t / 3 + functions.radius
+    deviation = np.abs(f_tt) * max_t * max_t / 3 + functions.max_deviation
     # If the function is 0, |value + slope n (1 + e)| is at most the deviation.  Then
     # |value + slope n| is at most the deviation plus the following bound on |slope n e|.
     max_change = (np.abs(value) + deviation) * max_e / (1 - max_e)

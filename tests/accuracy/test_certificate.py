@@ -41,7 +41,8 @@ class EnclosureSampler:
     ----------
     max_excess : float
         Maximum of a sample's error minus the bound on it.  The bound is the sum of the enclosure's
-        radius, the region's sample error, and the jumps of all strips that contain the point.
+        maximum deviation, the region's sample error, and the jumps of all strips that contain the
+        point.
     sample_count : int
         Number of samples.
     """
@@ -83,7 +84,7 @@ class EnclosureSampler:
         """Compare samples with enclosures whose error bounds are increased by `extra_error`."""
         powers = np.array([np.ones(x.size), x, y, x * x, x * y, y * y])
         estimate = (enclosures.coef[:UNKNOWN_Z] * powers[:, None]).sum(axis=0)
-        excess = np.abs(radiance - estimate) - enclosures.radius - extra_error
+        excess = np.abs(radiance - estimate) - enclosures.max_deviation - extra_error
         self.max_excess = excess.max(initial=self.max_excess)
 
     def check_estimates(self, analysis: CellAnalysis, estimates: CellEstimates) -> None:
@@ -100,8 +101,7 @@ class EnclosureSampler:
         region = find_in_sorted(region_keys, 32 * np.arange(cell_count) + side_bits)
         cell = np.flatnonzero(region >= 0)
         region, extra_error = region[cell], extra_error[cell] + estimates.sample_error[region[cell]]
-        samples = radiance[:, cell], x[cell], y[cell]
-        self.compare(estimates.radiance[region], *samples, extra_error)
+        self.compare(estimates.radiance[region], radiance[:, cell], x[cell], y[cell], extra_error)
         self.max_excess = (radiance - estimates.max_radiance).max(initial=self.max_excess)
         # The error of a cell includes the worst case in its strips.
         strip_error = sum_by_index(strips.cell_index, strips.area * strips.jump, cell_count)
