@@ -158,7 +158,7 @@ def test_the_map_names_every_module_of_the_tracer():
 
 
 def test_each_illustration_of_the_study_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(illustrations, "_FOLDER", tmp_path)
+    monkeypatch.setattr(illustrations, "_STUDY_FOLDER", tmp_path)
     monkeypatch.setattr(sys, "argv", ["reference.illustrations"])
     illustrations.main()
     study = (ROOT / "reference/study.md").read_text(encoding="utf-8")
