@@ -644,8 +644,8 @@ class CellAnalysis:
         pair_index : (n,) int array
             For each function, the index of its pair (a cell and a face in it).
         light_index : (n,) int array
-            For each function, the light that is cut off at the edge, or -1 if the visible face
-            changes there.
+            For each function, the index of the light that is cut off at the edge, or -1 if the
+            visible face changes there.
         functions : Enclosures
             Enclosures (8, n) of the functions in the cells of the pairs.
         """

@@ -73,14 +73,14 @@ class Faces:
     eye_power : (spheres,) float array
         Power of the eye, |center|^2 - radius^2, which is negative if the eye is inside the sphere.
     object_index : (f,) int array
-        The object to which a face belongs.
+        Index of the object to which a face belongs.
     is_planar : (f,) bool array
         Whether the face is a side of a box.
     may_be_visible : (f,) bool array
         Whether the face would be visible from the eye if no other object hid it.
     sheet_face_index : (n,) int array
-        For a sheet (a box without extent along one axis), its only face that has area and may be
-        visible; for other objects, -1.
+        For a sheet (a box without extent along one axis), the index of its only face that has area
+        and may be visible; for other objects, -1.
     plane_id : (2, f) float array
         Two numbers that are equal only for faces in the same plane.  If two such faces overlap, the
         first in the scene file is visible.
@@ -273,7 +273,7 @@ class Faces:
         center, half_size : (3, k) float arrays
             Centres and half sizes of the parts' bounding boxes, along the scene's axes.
         face_index : (k,) int array
-            The face to which each part belongs.
+            Index of the face to which each part belongs.
         is_requested : (m, k) bool array
             Whether to list the objects between each light and each part.
 

@@ -38,7 +38,7 @@ class Strips(NamedTuple):
     Attributes
     ----------
     cell_index : (n,) int array
-        The cell that each strip crosses.
+        Index of the cell that each strip crosses.
     a, b, c : (n,) float arrays
         Coefficients of the strip's centre line.
     half_width : (n,) float array
@@ -97,7 +97,7 @@ def enclose_in_strips(cell_index: Ints, functions: Enclosures, jump: Floats) -> 
     Parameters
     ----------
     cell_index : (n,) int array
-        The cell of each edge function.
+        Index of the cell of each edge function.
     functions : Enclosures
         The edge functions, enclosed by polynomials (8, n) in the cell's coordinates X and Y.
     jump : (n,) float array
@@ -160,7 +160,7 @@ class Regions(NamedTuple):
     Attributes
     ----------
     cell_index : (n,) int array
-        The cell of each region.
+        Index of the cell of each region.
     side_bits : (n,) int array
         Bit i is set if the region is on the positive side of the i-th centre line in its cell.
     area : (n,) float array
