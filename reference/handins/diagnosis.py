@@ -372,7 +372,7 @@ def _describe_light_errors(scene: Scene, submission: Submission, is_wrong: Array
 
 
 def _render_codes(scene: Scene) -> Codes:
-    """Render a scene as 8-bit codes (h, w, 3); suppress warnings."""
+    """Render a scene as 8-bit codes (h, w, 3), and suppress warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         codes: Codes = to_codes(render(scene))

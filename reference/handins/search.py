@@ -598,14 +598,14 @@ class Submission:
         differences = self._compare_levels(causes, pixel_index)
         if self.format_noise:  # nearly all pixels differ: select the smallest sums of differences
             order = np.argsort(np.minimum(differences, _MAX_DIFFERENCE) @ weights, kind="stable")
-            return [causes[k] for k in order[:max_causes]]
+            return [causes[index] for index in order[:max_causes]]
         is_unexplained = differences > self.tolerance
         if is_unexplained[:, self.is_wrong[pixel_index]].mean(axis=1).min() > _HOPELESS_SHARE:
             return []
         unexplained_counts = is_unexplained @ weights
         max_unexplained = 1.5 * unexplained_counts.min() + _CHANCE_MARGIN * weights.max()
         order = np.argsort(unexplained_counts, kind="stable")[:max_causes]
-        return [causes[k] for k in order if unexplained_counts[k] <= max_unexplained]
+        return [causes[index] for index in order if unexplained_counts[index] <= max_unexplained]
 
     def find_mistakes(self) -> Finding:
         """Search for the mistakes that explain the submitted picture.
@@ -659,7 +659,7 @@ class Submission:
         all_pairs, codes, pixel_index = renderer.rendered_pairs
         is_unexplained = compare_levels(codes, self.codes[:, pixel_index]) > self.tolerance
         order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
-        pairs = {causes[k]: all_pairs[causes[k]] for k in order[:_MAX_CAUSE_COUNT]}
+        pairs = {causes[index]: all_pairs[causes[index]] for index in order[:_MAX_CAUSE_COUNT]}
         if self.codes[:, renderer.surface_index < 0].any():
             pairs |= {cause: (background, other) for other in groups
                       if (cause := renderer.join_causes(background, other))}  # fmt: skip
@@ -682,7 +682,7 @@ class Submission:
         Returns
         -------
         bool
-            True if either mistake alone leaves far more pixels unexplained than both together.
+            True if each mistake alone leaves far more pixels unexplained than both together.
             False if a camera mistake leaves few surfaces in the picture, which may match by chance.
         """
         pair_unexplained = self._count_unexplained(cause)

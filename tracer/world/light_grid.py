@@ -208,11 +208,12 @@ class LightGrid(NamedTuple):
                 meets_bound = self.entry_bounds.take(pair_entry, 0) >= bounds.take(pair_part, 0)
                 # The same as meets_bound.all(axis=1), but much faster.
                 match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
-                occluder = self.entry_object.take(pair_entry.take(match_index))
+                occluder_index = self.entry_object.take(pair_entry.take(match_index))
                 match_box = box_index.take(pair_part.take(match_index))
                 light_index, ball_index = np.divmod(match_box, ball_count)
-                others = find(occluder != own_object_index.take(ball_index))
-                yield np.array([row.take(others) for row in (light_index, ball_index, occluder)])
+                kept_index = find(occluder_index != own_object_index.take(ball_index))
+                rows = light_index, ball_index, occluder_index
+                yield np.array([row.take(kept_index) for row in rows])
 
     def _find_entries(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
         """Find the entries that share a cell with each rectangle, as ranges of `listed_entry`.
