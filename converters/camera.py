@@ -123,9 +123,9 @@ def compute_bounding_box(surfaces: Surfaces) -> Floats:
         there are no surfaces, all coordinates are 0.
     """
     radii = surfaces.radius[:, None]
-    low = np.concatenate([surfaces.center - radii, surfaces.min_pt])
-    high = np.concatenate([surfaces.center + radii, surfaces.max_pt])
-    return np.array([low.min(axis=0), high.max(axis=0)]) if len(low) else np.zeros((2, 3))
+    min_points = np.concatenate([surfaces.center - radii, surfaces.min_pt])
+    max_points = np.concatenate([surfaces.center + radii, surfaces.max_pt])
+    return np.array([min_points.min(0), max_points.max(0)]) if len(surfaces) else np.zeros((2, 3))
 
 
 def sample_visible_points(scene: Scene) -> Floats:

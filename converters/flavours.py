@@ -134,9 +134,9 @@ def choose_normalisation(scene: Scene) -> Normalisation:
     """
     visible_points = sample_visible_points(scene)
     points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = float((high - low).max())
-    return Normalisation((low + high) / 2, _SCENE_SIZE / size if size > 0 else 1.0)
+    min_corner, max_corner = points.min(axis=0), points.max(axis=0)
+    size, center = float((max_corner - min_corner).max()), (min_corner + max_corner) / 2
+    return Normalisation(center, _SCENE_SIZE / size if size > 0 else 1.0)
 
 
 def _choose_stock_normalisation(scene: Scene) -> Normalisation:
@@ -323,7 +323,7 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     """
     window = compute_window(scene.camera)
     right, down, _ = window.axes
-    low, high = normalisation(compute_bounding_box(scene.surfaces))
+    min_corner, max_corner = normalisation(compute_bounding_box(scene.surfaces))
     margin = 1e-3 * _SCENE_SIZE  # so that no ray starts on a surface
     return make_plugin(
         "sensor",
@@ -332,8 +332,8 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
         make_vector("vector", "corner", window.compute_vectors_to(0, 0) * normalisation.scale),
         make_vector("vector", "right", right * (window.width * normalisation.scale)),
         make_vector("vector", "down", down * (window.height * normalisation.scale)),
-        make_vector("point", "low", low - margin),
-        make_vector("point", "high", high + margin),
+        make_vector("point", "low", min_corner - margin),
+        make_vector("point", "high", max_corner + margin),
         _make_film(scene),
         make_plugin("sampler", "stratified", sample_count=samples, jitter=samples > 1),
     )

@@ -73,13 +73,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     with convert_errors(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     judged_codes = _read_codes(arguments.judge, scene) if arguments.judge else None
-    start = perf_counter()
+    start_time = perf_counter()
     with (
         convert_errors(scene_path, "certified", error_types=(ValueError, RuntimeError)),
         Progress(1, "pictures") as progress,
     ):
         certificate = certify(scene, float(arguments.error), progress.update)
-    seconds = perf_counter() - start
+    seconds = perf_counter() - start_time
     lines = _summarise_certificate(certificate, arguments.error)
     wrong_count = 0
     if judged_codes is not None:

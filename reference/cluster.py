@@ -67,9 +67,9 @@ def _measure_seconds_per_task(task_count: int) -> float:
     cluster_options = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
     with LocalCluster(1, **cluster_options) as cluster, Client(cluster) as client:
         client.gather(client.map(abs, range(task_count)))
-        start = perf_counter()
+        start_time = perf_counter()
         client.gather(client.map(abs, range(task_count, 2 * task_count)))
-        return (perf_counter() - start) / task_count
+        return (perf_counter() - start_time) / task_count
 
 
 def main() -> None:

@@ -80,21 +80,21 @@ def make_formula_inputs(source: Scene | Codes) -> dict[str, Any]:
 
 
 @cache
-def _list_affected_formulas(names: tuple[str, ...]) -> tuple[str, ...]:
-    """List the formulas whose values change if the given formulas are replaced.
+def _list_affected_formulas(replaced_names: tuple[str, ...]) -> tuple[str, ...]:
+    """List the formulas whose values change if certain formulas are replaced.
 
     Parameters
     ----------
-    names : tuple of str
-        Names of the given formulas.
+    replaced_names : tuple of str
+        Names of the replaced formulas.
 
     Returns
     -------
     tuple of str
-        Names of the given formulas, and of all formulas that depend on them, in the order of
+        Names of the replaced formulas, and of all formulas that depend on them, in the order of
         computation.
     """
-    affected_names = {*names}
+    affected_names = {*replaced_names}
     for name, formula in REFERENCE_FORMULAS.items():
         if not affected_names.isdisjoint(list_parameters(formula)):
             affected_names.add(name)

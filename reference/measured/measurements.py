@@ -86,9 +86,9 @@ def time_alternately(
     """
     warm_up_seconds = {}
     for name, task in tasks.items():
-        start = perf_counter()
+        start_time = perf_counter()
         task()
-        warm_up_seconds[name] = perf_counter() - start
+        warm_up_seconds[name] = perf_counter() - start_time
     seconds: dict[_Name, list[float]] = {name: [] for name in tasks}
     for round_index in range(_MAX_ROUNDS_FACTOR * min_rounds):
         for name, task in tasks.items():
@@ -96,10 +96,10 @@ def time_alternately(
                 sleep(_PAUSE_SECONDS)
                 if warm_up_seconds[name] < _MAX_WARM_UP_SECONDS:
                     task()
-                start = perf_counter()
+                start_time = perf_counter()
                 result = task()
-                elapsed = perf_counter() - start
-                seconds[name].append(result if isinstance(result, float) else elapsed)
+                elapsed_seconds = perf_counter() - start_time
+                seconds[name].append(result if isinstance(result, float) else elapsed_seconds)
     return {name: Timing(median(times), min(times), max(times)) for name, times in seconds.items()}
 
 
