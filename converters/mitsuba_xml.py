@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement
 
-HEAD = "<!--\nWritten by converters.to_mitsuba"
+FILE_START = "<!--\nWritten by converters.to_mitsuba"
 """The beginning of every converted scene."""
 
 _MAX_FLOAT32 = (2 - 2**-23) * 2.0**127
@@ -29,7 +29,7 @@ class Document:
     Parameters
     ----------
     comment : str
-        Text about the conversion, which follows `HEAD` at the beginning of the file.
+        Text about the conversion, which follows `FILE_START` at the beginning of the file.
     elements : iterable of Element
         The plugins of the scene: integrator, sensor, lights, BSDFs and shapes.
 
@@ -44,7 +44,7 @@ class Document:
         self.root.extend(elements)
 
     def __str__(self) -> str:
-        return f"{HEAD}, {self.comment.strip()}\n-->{_format_element(self.root)}\n"
+        return f"{FILE_START}, {self.comment.strip()}\n-->{_format_element(self.root)}\n"
 
 
 def _format_element(element: Element[Any], line_start: str = "\n") -> str:

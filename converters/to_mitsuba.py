@@ -28,7 +28,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from converters.mitsuba_xml import HEAD, ConversionError
+from converters.mitsuba_xml import FILE_START, ConversionError
 from tracer.command.arguments import (
     CommandParser,
     choose_output_paths,
@@ -161,8 +161,8 @@ def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
         with suppress(OSError, ValueError):
             if Path(path).is_file():
                 with Path(path).open("rb") as file:
-                    first_bytes = file.read(len(HEAD))
-        if first_bytes == HEAD.encode():
+                    first_bytes = file.read(len(FILE_START))
+        if first_bytes == FILE_START.encode():
             notice = f"{path}: skipped, because it is a converted scene"
             print_line(sys.stdout, make_printable(notice))
         else:
@@ -247,7 +247,7 @@ def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespa
         text = convert(scene, options.flavour, options.samples)
     with (
         errors_as_failure(output_path, "written", "choose another with -o"),
-        open_atomically(output_path, HEAD.encode()) as file,
+        open_atomically(output_path, FILE_START.encode()) as file,
     ):
         file.write(text.encode())
     print_line(sys.stdout, make_printable(f"{output_path}: {options.flavour} flavour"))

@@ -31,7 +31,7 @@ _LARGE_DIFFERENCE = 1e-3
 # Percentile of the pixels' differences that is reported, and that limits their amplification.
 _PERCENTILE = 99.9
 # Pictures are enlarged, pixel by pixel, to panels at least this wide or high; lengths in pixels.
-_MIN_PANEL, _MARGIN, _LABEL_HEIGHT, _FONT_SIZE = 300, 8, 24, 14
+_MIN_PANEL_SIDE, _MARGIN, _LABEL_HEIGHT, _FONT_SIZE = 300, 8, 24, 14
 _PAPER_COLOR, _INK_COLOR = (250, 250, 250), (30, 30, 30)
 # Colours that colour-blind readers can tell apart (M. Okabe and K. Ito, Color Universal Design,
 # 2008).
@@ -201,8 +201,8 @@ def write_comparison(
     panel_titles = (*titles, f"difference, {gain:,.10g} times" if gain else "no difference")
     legends = ("", "", "orange: the left is brighter, blue: it is darker" if gain else "")
     height, width = difference.shape
-    zoom = -(-_MIN_PANEL // max(width, height))
-    panel_width = max(zoom * width, _MIN_PANEL)  # wide enough for a title
+    zoom = -(-_MIN_PANEL_SIDE // max(width, height))
+    panel_width = max(zoom * width, _MIN_PANEL_SIDE)  # wide enough for a title
     picture_top = _MARGIN + _LABEL_HEIGHT
     size = 3 * panel_width + 4 * _MARGIN, picture_top + zoom * height + _LABEL_HEIGHT + _MARGIN
     sheet, font = Image.new("RGB", size, _PAPER_COLOR), ImageFont.load_default(size=_FONT_SIZE)

@@ -21,7 +21,7 @@ from tracer.files import open_atomically
 TEMPLATE = REFERENCE_FOLDER / "page.html"
 
 # Maximum side of a thumbnail in pixels.
-_MAX_THUMBNAIL = 96
+_MAX_THUMBNAIL_SIDE = 96
 
 # Default values of the optional template variables.
 _DEFAULT_CONTENT = {"source": "", "faults": (), "charts": (), "notes": (), "hide_good_pairs": False}
@@ -182,7 +182,7 @@ def encode_png(codes: Codes, *, as_thumbnail: bool = False) -> bytes:
     """
     buffer, image = io.BytesIO(), Image.fromarray(np.ascontiguousarray(codes))
     if as_thumbnail:
-        image.thumbnail((_MAX_THUMBNAIL, _MAX_THUMBNAIL))
+        image.thumbnail((_MAX_THUMBNAIL_SIDE, _MAX_THUMBNAIL_SIDE))
     image.save(buffer, format="PNG")
     return buffer.getvalue()
 

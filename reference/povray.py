@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tracer import Phong, Scene, Shader, Sphere
 
-WHITE = 4.0
+MAX_RADIANCE = 4.0
 """Maximum radiance in pictures that `read_linear_picture` reads; larger radiance is clipped."""
 
 # Exponents are at least this large, so that their reciprocal is finite.
@@ -135,8 +135,8 @@ def prepare_command(
 def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
     """Write a scene as a POV-Ray scene file, and return the command for a linear picture.
 
-    The command writes linear radiance, clipped at 4 (`WHITE`), with 16 bits per channel.  Read the
-    picture with `read_linear_picture`.
+    The command writes linear radiance, clipped at 4 (`MAX_RADIANCE`), with 16 bits per channel.
+    Read the picture with `read_linear_picture`.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> l
         The program and its arguments.
     """
     linear_options = ("+FP16", "File_Gamma=1.0", *options)
-    return prepare_command(scene, picture_path, *linear_options, exposure=1 / WHITE)
+    return prepare_command(scene, picture_path, *linear_options, exposure=1 / MAX_RADIANCE)
 
 
 def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
@@ -168,7 +168,7 @@ def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
     Returns
     -------
     image : (height, width, 3) float array
-        Linear RGB radiance, clipped at 4 (`WHITE`).
+        Linear RGB radiance, clipped at 4 (`MAX_RADIANCE`).
 
     Raises
     ------
@@ -182,7 +182,7 @@ def read_linear_picture(picture_path: Path) -> NDArray[np.float64]:
     if header is None:
         raise ValueError(f"{picture_path} is not a PPM file with 16 bits per channel")
     codes = np.frombuffer(data, dtype=">u2", offset=header.end())
-    return codes.reshape(int(header[2]), int(header[1]), 3) * (WHITE / 65535)
+    return codes.reshape(int(header[2]), int(header[1]), 3) * (MAX_RADIANCE / 65535)
 
 
 def render_and_time(command: Sequence[str]) -> float:

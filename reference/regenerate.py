@@ -35,7 +35,7 @@ WIDTH = 160
 """Width of Mitsuba's pictures in pixels."""
 
 # Samples per pixel in the tracer's pictures, and the height of the large one.
-_SAMPLES, _LARGE_HEIGHT = 16, 540
+_SAMPLES_PER_PIXEL, _LARGE_HEIGHT = 16, 540
 
 # Lengths in pixels: the width of the sheet, the height of its pictures, the gaps between them, the
 # height of the names below them, and the size of the names' font.
@@ -107,7 +107,7 @@ def render_sheet(paths: Iterable[Path]) -> Image.Image:
 def _render_image(scene: Scene, height: int) -> Image.Image:
     """Render a scene at a given height in pixels, with 16 samples per pixel."""
     resized_scene = replace(scene, width=round(scene.width * height / scene.height), height=height)
-    return Image.fromarray(to_codes(render(resized_scene, _SAMPLES)))
+    return Image.fromarray(to_codes(render(resized_scene, _SAMPLES_PER_PIXEL)))
 
 
 def main() -> None:

@@ -52,7 +52,7 @@ CHARTS = {
 }
 # 8-bit code of excluded pixels, in all channels, in the picture of the difference.
 _EXCLUDED_CODE = 76
-_HEAD = ("scene", "verdict", "SSIM", "largest difference", "excluded", "tracer's time", "Mitsuba's")
+_TITLES = "scene", "verdict", "SSIM", "largest difference", "excluded", "tracer's time", "Mitsuba's"
 _DIFFERENCE_LEGEND = (
     "The difference is amplified: orange where the tracer is brighter, blue where it is darker."
     " Grey pixels are excluded, because an edge is too close to their centre for float32, or"
@@ -93,7 +93,7 @@ def render_report(
         verdict="All agree." if all_agree else f"{agreeing_count} agree.",
         is_good=all_agree,
         table_name="All scenes",
-        column_titles=_HEAD,
+        column_titles=_TITLES,
         rows=[_format_overview_row(index, result) for index, result in enumerate(results)],
         pairs=[_prepare_scene_pair(result, comment) for result, comment in described_results],
         legend=_DIFFERENCE_LEGEND,

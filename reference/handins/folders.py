@@ -15,7 +15,7 @@ from typing import NamedTuple
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".ppm", ".tga", ".tif", ".tiff", ".webp")
 _ARCHIVES = (".zip", ".rar", ".7z", ".tar", ".tgz", ".gz")
 # What operating systems append to the name of a copy.
-_COPY = re.compile(r"[ _-]*(\(\d+\)|copy|kopie)$")
+_COPY_SUFFIX = re.compile(r"[ _-]*(\(\d+\)|copy|kopie)$")
 
 
 class HandIn(NamedTuple):
@@ -167,7 +167,7 @@ def _match_hand_in(
     student = str(subfolder) if subfolder.parts else ""
     if _is_input(picture, _ARCHIVES):
         return HandIn(student or picture.stem, "", picture, None, "is an archive; unpack it first")
-    name = _COPY.sub("", _get_base_name(picture))
+    name = _COPY_SUFFIX.sub("", _get_base_name(picture))
     scenes = [scene for scene in path_by_scene
               if re.search(rf"(?<![^\W_]){re.escape(scene)}(?![^\W_])", name)]  # fmt: skip
     if scenes or not reference_path.is_dir():

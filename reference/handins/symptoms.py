@@ -25,7 +25,7 @@ _MAX_ROUNDED_SHARE, _SAMPLE_OFFSET, _SHADOW_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3
 # Speckles: the minimum share of the picture that loses light; the maximum number of other wrong
 # pixels, relative to the pixels that lose light; and the minimum frequency with which neighbours in
 # a row or column differ, relative to that of independent pixels.
-_MIN_SPECKLES, _MAX_OTHER_ERRORS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
+_MIN_SPECKLE_SHARE, _MAX_OTHER_ERRORS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
 # JPEG: the qualities to try, the minimum share of the wrong pixels that it must explain, and the
 # maximum size of the pictures in pixels.
 _QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
@@ -99,7 +99,7 @@ def is_speckled(submission: Submission) -> bool:
     is_dark = is_light_missing.any(axis=0) & ~is_light_extra.any(axis=0)
     dark_count = is_dark.sum()
     has_other_errors = submission.wrong_count - dark_count > _MAX_OTHER_ERRORS * dark_count
-    if has_other_errors or dark_count <= _MIN_SPECKLES * renderer.pixel_count:
+    if has_other_errors or dark_count <= _MIN_SPECKLE_SHARE * renderer.pixel_count:
         return False
     every_pixel, surface_index = np.arange(renderer.pixel_count), renderer.surface_index
     is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)

@@ -14,7 +14,7 @@ from tracer import load_scene, render
 
 # POV-Ray's picture has 16 bits per channel, up to a radiance of 4.  The tolerance is half a step,
 # and 1 % more for POV-Ray's own rounding errors.
-TOLERANCE = 1.01 * povray.WHITE / 65535 / 2
+TOLERANCE = 1.01 * povray.MAX_RADIANCE / 65535 / 2
 
 
 @pytest.mark.povray

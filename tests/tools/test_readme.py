@@ -168,7 +168,7 @@ def test_each_illustration_of_the_study_is_drawn(tmp_path, monkeypatch):
 
 def test_the_sheet_shows_every_scene(monkeypatch):
     """Five square scenes and nine wide ones make a row and three."""
-    monkeypatch.setattr(regenerate, "_SAMPLES", 1)
+    monkeypatch.setattr(regenerate, "_SAMPLES_PER_PIXEL", 1)
     assert regenerate.render_sheet(list_scene_files()).size == (960, 4 * (175 + 22) + 3 * 12)
 
 

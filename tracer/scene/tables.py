@@ -184,13 +184,13 @@ class Table:
             What is wrong.  It names XML elements, not dataclass fields.
         """
         field_arrays = self.to_arrays()
-        for row, name, message in schema.find_errors(self.dataclass, field_arrays):
+        for row_index, name, message in schema.find_errors(self.dataclass, field_arrays):
             column = self.columns[name]
-            if not np.isnan(field_arrays[name][row]).any():
-                line = column.lines[row] or self.lines[row]
+            if not np.isnan(field_arrays[name][row_index]).any():
+                line = column.lines[row_index] or self.lines[row_index]
                 # For example, view_dir becomes viewDir.
                 message = re.sub("_([a-z])", lambda match: match[1].upper(), message)
-                yield line, column.tags[column.tag_indices[row]], message
+                yield line, column.tags[column.tag_indices[row_index]], message
 
     def make_objects(self) -> Iterator[Any]:
         """Create an object of the dataclass from each row of the table, without validation.
