@@ -174,7 +174,7 @@ def _make_film(scene: Scene) -> Element:
     Parameters
     ----------
     scene : Scene
-        The scene.  Its width and height are those of the picture.
+        The scene.  Its width and height are the size of the picture.
 
     Returns
     -------

@@ -60,8 +60,8 @@ def render_mitsuba(
     Returns
     -------
     image : (h, w, 3) float array
-        Linear RGB radiance.  The size is that of the scene, except that the height h may differ in
-        the flavour "stock".
+        Linear RGB radiance.  The size is given by the scene, but the height h may differ in the
+        flavour "stock".
 
     Raises
     ------

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command-line arguments; by default, those of the process.
+        The command-line arguments; by default, the arguments of this process.
 
     Returns
     -------

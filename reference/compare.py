@@ -75,7 +75,7 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     Parameters
     ----------
     arguments : sequence of str or None
-        The command-line arguments; None for those of this process.
+        The command-line arguments; None for the arguments of this process.
 
     Returns
     -------
@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command-line arguments; by default those of this process.
+        The command-line arguments; by default, the arguments of this process.
 
     Returns
     -------

@@ -199,7 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        The command-line arguments; by default those of the process.
+        The command-line arguments; by default, the arguments of this process.
 
     Returns
     -------

@@ -65,7 +65,7 @@ def render_class_page(results: Sequence[Result], pairs: dict[str, Pair], folder:
     Parameters
     ----------
     results : sequence of Result
-        All results of the class, including those of missing pictures.
+        All results of the class, including results for missing pictures.
     pairs : dict of str to Pair
         The results of `make_pair`, by the path of the submitted picture.
     folder : Path

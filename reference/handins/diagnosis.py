@@ -155,7 +155,7 @@ class Reference:
         Parameters
         ----------
         height, width : int
-            Size of the pictures in pixels.  Without a scene, it is that of the reference picture.
+            Size of the pictures in pixels; without a scene, the size of the reference picture.
 
         Returns
         -------

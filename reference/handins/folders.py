@@ -54,7 +54,7 @@ def list_hand_ins(folder: Path) -> list[Path]:
 
 
 def _is_hidden(name: str) -> bool:
-    """Test whether a name is that of a hidden file or folder, or of a `__MACOSX` folder."""
+    """Test whether a name belongs to a hidden file or folder, or to a `__MACOSX` folder."""
     return name.startswith(".") or name == "__MACOSX"
 
 

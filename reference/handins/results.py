@@ -176,7 +176,7 @@ def format_text(results: Sequence[Result], *, is_class: bool) -> str:
     results : sequence of Result
         The results of the class, or a single result.
     is_class : bool
-        Whether the results are those of a class.
+        True for the results of a class, false for a single result.
 
     Returns
     -------

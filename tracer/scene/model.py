@@ -265,7 +265,7 @@ class Box(Validated):
     Raises
     ------
     SceneError
-        For invalid values, or if a coordinate of `min_pt` exceeds that of `max_pt`.
+        For invalid values, or if `min_pt` exceeds `max_pt` in any coordinate.
     """
 
     min_pt: VectorLike = field(metadata=tag_field(schema.POINT, "minPt"))
@@ -305,7 +305,7 @@ class Box(Validated):
 class Surfaces(Sequence[Sphere | Box]):
     """All surfaces of a scene: a sequence of `Sphere` and `Box` that stores its numbers in arrays.
 
-    The order of the sequence is that of the file.  In the arrays, all spheres come before all
+    The sequence has the order of the file.  In the arrays, all spheres come before all
     boxes.  The arrays are read-only copies of the arguments.  Two instances are equal if they are
     equal as sequences.
 

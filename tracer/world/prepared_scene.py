@@ -108,7 +108,7 @@ class PreparedScene:
         Curvature of each object's surface: 1 / radius for spheres, and 0 for boxes.
     is_duplicate : (n,) bool array
         Whether the object is equal to an object earlier in the file.  A duplicate is never visible,
-        and its shadow is that of the earlier object.
+        and its shadow equals the shadow of the earlier object.
     depth_complexity : float
         Upper bound on the mean number of objects on a ray, for the rays of any row of pixels.
     window : (slice, slice)
