@@ -605,7 +605,7 @@ def _compute_reflectances(shader: Shader) -> tuple[Floats, Floats]:
     -------
     diffuse, specular : (3,) float arrays
         Linear RGB reflectances of the diffuse BSDF, and of the Beckmann BSDF for the highlight.
-        Both may exceed 1.  If there is no highlight, `specular` is black.
+        Reflectances may exceed 1.  If there is no highlight, `specular` is black.
     """
     diffuse = np.array(shader.diffuse)
     if not _has_highlight(shader):

@@ -72,7 +72,7 @@ class Result(NamedTuple):
         dict of str to object
             The values by column name.  The diagnosis takes three columns: "kind" (keywords of the
             mistakes), "hint" (if no cause is known, keywords of the mistakes that come closest to
-            explaining the picture) and "diagnosis" (sentences).  They are None without a diagnosis.
+            explaining the picture) and "diagnosis" (sentences).  All are None without a diagnosis.
         """
         diagnosis, row = self.diagnosis, dict[str, Any]()
         new_columns = {"kind": diagnosis and diagnosis.kind, "hint": diagnosis and diagnosis.hint,
@@ -155,8 +155,8 @@ def summarize_counts(results: Sequence[Result]) -> str:
     Returns
     -------
     str
-        A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  It also counts
-        any pictures that cannot be compared, and any scenes that nobody has handed in.
+        A summary such as "3 pictures: 2 agree, 1 differ; 1 are missing".  Pictures that cannot be
+        compared and scenes that nobody has handed in are also counted.
     """
     counts = Counter("unused" if not result.picture and not result.student else result.verdict
                      for result in results)  # fmt: skip

@@ -470,7 +470,7 @@ def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
     picture_range : slice
         Rows or columns, counted from the start of the picture.
     tile_range : slice
-        All rows or columns of the tile, counted from the start of the picture.  They contain
+        All rows or columns of the tile, counted from the start of the picture.  The tile contains
         `picture_range`.
 
     Returns

@@ -60,8 +60,8 @@ def load_scene(source: FileOrPath) -> Scene:
     Parameters
     ----------
     source : str, bytes, path-like or binary file object
-        Path of a scene file, or a scene file that is open for reading.  It may contain at most
-        256 MiB of XML, in the format described in the README.
+        Path of a scene file, or a scene file that is open for reading.  The file may contain
+        at most 256 MiB of XML, in the format described in the README.
 
     Returns
     -------

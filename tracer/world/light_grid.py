@@ -440,8 +440,8 @@ def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     """Bound the directions and the lengths of the vectors in each of m sets.
 
     Here x, y and z are the absolute values of a vector's components, and x + y + z measures its
-    length.  Maxima are negated, so that all bounds are lower bounds.  They are widened by more than
-    their rounding errors.
+    length.  Maxima are negated, so that all bounds are lower bounds.  Bounds are widened by more
+    than their rounding errors.
 
     Parameters
     ----------
