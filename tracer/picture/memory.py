@@ -37,7 +37,7 @@ def keep_freed_memory() -> None:
         mallopt(_M_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES)
         mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE_PAGE_BYTES)
         # Get large pages for the heap: NumPy requests them with madvise(2) for arrays of this size.
-        # The arrays are deleted at once, and use no memory because nothing is written to them.
+        # The arrays are deleted immediately and use no memory because nothing is written to them.
         with suppress(MemoryError):
             _ = [
                 np.empty(_MAX_HEAP_BLOCK_BYTES - 4096, np.uint8)

@@ -464,7 +464,7 @@ class Surfaces(Sequence[Sphere | Box]):
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
-        """For each surface in the order of the file, its index in arrays such as `shader_index`.
+        """Index of each surface in arrays such as `shader_index`, in the order of the file.
 
         In these arrays, all spheres come before all boxes.  The result is a read-only int array.
         """
