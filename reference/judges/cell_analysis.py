@@ -172,7 +172,7 @@ class CellAnalysis:
         # first axis holds the components (right, down, ahead), the second the coefficients of 1, X
         # and Y.
         self._rays = rays = np.zeros((3, 3, cells.x.size))
-        rays[:2, 0] = frame.to_ray_right(cells.x), frame.to_ray_down(cells.y)
+        rays[:2, 0] = frame.to_ray_x(cells.x), frame.to_ray_y(cells.y)
         rays[2, 0] = frame.depth
         pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
         rays[0, 1], rays[1, 2] = self._half_cell_size = cells.width / 2 * pixel_size

@@ -256,7 +256,7 @@ class Faces:
         products = np.array([normal * low[:, None], normal * high[:, None]])
         b, b_abs_sum = -products.min(axis=0).sum(axis=0), np.abs(products).max(axis=0).sum(axis=0)
         b[:3] -= is_edge_on  # a flat box casts no shadow if the light is in its plane
-        camera_normal = self.frame.vector_to_camera((normal[0], normal[1], normal[2]))
+        camera_normal = self.frame.rotate_to_camera((normal[0], normal[1], normal[2]))
         self.shadow_volume = np.array([*camera_normal, b, b_abs_sum])
         is_cone_edge = np.ones((6, *is_on_plane.shape[1:]), np.bool_)
         self.has_shadow_edge = np.append(is_on_plane, is_cone_edge, axis=0)

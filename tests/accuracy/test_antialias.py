@@ -38,7 +38,7 @@ from tracer.antialias import refine
 from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.arrays import Floats
 from tracer.trace import visibility
-from tracer.trace.radiance import compute_radiance_and_ids
+from tracer.trace.radiance import compute_radiance_and_visibility
 from tracer.world.prepared_scene import PreparedScene
 
 # Maximum error of a reference picture, as certified.
@@ -305,7 +305,7 @@ def test_ids_are_equal_where_object_face_and_lights_are():
     scene = scene_of(ball, slab, cube, camera=camera, size=(16, 12), lights=lights)
     samples = PIXEL_CENTERS.place_in_pixels(slice(0, scene.height), slice(0, scene.width))
     with np.errstate(all="ignore"):  # as where pictures are rendered
-        _, sample_id = compute_radiance_and_ids(PreparedScene(scene), samples)
+        _, sample_id = compute_radiance_and_visibility(PreparedScene(scene), samples)
     id_of = {}
     for (y, x), pixel_id in np.ndenumerate(sample_id.reshape(scene.height, scene.width)):
         pixel = explain(scene, x, y)

@@ -129,7 +129,7 @@ def test_culling_changes_no_scene_however_large(scene, zooms):
         row, column = np.unravel_index(jumps.argmax(), jumps.shape)
         frame = compute_frame(scene.camera, scene.width, scene.height)
         x, y = np.array([column + 1.0]), np.array([row + 0.5])
-        direction = np.array([frame.to_ray_right(x)[0], frame.to_ray_down(y)[0], frame.depth])
+        direction = np.array([frame.to_ray_x(x)[0], frame.to_ray_y(y)[0], frame.depth])
         camera = replace(
             scene.camera,
             view_dir=direction @ frame.axes,

@@ -89,8 +89,8 @@ class Cells(NamedTuple):
         cell_index : (k,) int array
             Index of the cell (a pixel, or a square part of a pixel) that contains each point.
         point_in_cell : (k,) complex array
-            Points x + iy relative to the centre of the cell, with x and y between -1/2 and 1/2 of
-            the cell's width.
+            Points x + iy relative to the centre of the cell, in units of the cell's width: x and y
+            lie between -1/2 and 1/2.
 
         Returns
         -------
@@ -198,7 +198,7 @@ def classify_cells(
         is_unresolved[unresolved_index], is_crowded[crowded_index] = True, True
     radiance[:, sample_cell_index] = shading.compute_radiance()
     # An id encodes the face that is hit, and the lights that are visible; -1 is the background.
-    center_id[hit_cell_index] = shading.ids
+    center_id[hit_cell_index] = shading.visibility_ids
     lines = Lines.concatenate(all_lines).sort_and_deduplicate()
     if scene.light_count > _MAX_DETAILED_LIGHTS:
         is_crowded |= np.bincount(lines.cell_index, minlength=cell_count) > MAX_LINES
@@ -280,8 +280,8 @@ def _find_silhouettes_from_eye(scene: PreparedScene, cells: Cells) -> Iterator[E
     frame = scene.frame
     for batch in split_indices(np.arange(cells.pair_cell_index.size)):
         cell_index, object_index = cells.pair_cell_index[batch], cells.pair_object_index[batch]
-        ray_right = frame.to_ray_right(cells.center_x[cell_index])
-        ray_down = frame.to_ray_down(cells.center_y[cell_index])
-        ray = compute_rays(frame, ray_right, ray_down, cells.width)
+        ray_x = frame.to_ray_x(cells.center_x[cell_index])
+        ray_y = frame.to_ray_y(cells.center_y[cell_index])
+        ray = compute_rays(frame, ray_x, ray_y, cells.width)
         candidates = np.array([np.zeros_like(cell_index), cell_index, object_index])
         yield from evaluate_silhouettes(scene, frame.eye[None], candidates, ray)

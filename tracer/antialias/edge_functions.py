@@ -149,7 +149,7 @@ class Lines(NamedTuple):
 
 
 def compute_rays(
-    frame: CameraFrame, center_ray_right: Floats, center_ray_down: Floats, cell_width: float
+    frame: CameraFrame, center_ray_x: Floats, center_ray_y: Floats, cell_width: float
 ) -> Triple:
     """Compute the rays from the eye through six points of each of n cells.
 
@@ -160,7 +160,7 @@ def compute_rays(
     ----------
     frame : CameraFrame
         The camera.
-    center_ray_right, center_ray_down : (n,) float arrays
+    center_ray_x, center_ray_y : (n,) float arrays
         Rightward and downward components of the ray through the centre of each cell.  The forward
         component is `frame.depth`.
     cell_width : float
@@ -168,19 +168,19 @@ def compute_rays(
 
     Returns
     -------
-    ray_right, ray_down : (6, n) float arrays
+    ray_x, ray_y : (6, n) float arrays
         Rightward and downward components of the rays.
     ray_forward : (1, n) float array
         Forward component of the rays, the same for all six points.
     """
     offset_right = _POINT_X * (frame.pixel_width * cell_width)
     offset_down = _POINT_Y * (frame.pixel_height * cell_width)
-    ray_forward = np.full((1, center_ray_right.size), frame.depth)
-    return center_ray_right + offset_right, center_ray_down + offset_down, ray_forward
+    ray_forward = np.full((1, center_ray_x.size), frame.depth)
+    return center_ray_x + offset_right, center_ray_y + offset_down, ray_forward
 
 
 def bound_variation(values: Floats) -> Floats:
-    """Bound the change of each edge function from the centre of a cell to its other points.
+    """Bound how much each edge function differs, in its cell, from its value at the centre.
 
     An edge function is a function of the position in the picture that is zero on an edge.  In a
     cell (a pixel, or a square part of a pixel), a quadratic polynomial approximates the function.

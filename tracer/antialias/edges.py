@@ -215,7 +215,7 @@ def evaluate_silhouettes(
         pair_viewpoint_index, pair_box_index = np.divmod(distinct_key, box_count)
         corners = boxes.min_pt[:, pair_box_index], boxes.max_pt[:, pair_box_index]
         to_low, to_high = (corner - viewpoint.T[:, pair_viewpoint_index] for corner in corners)
-        normals = frame.vector_to_camera(find_edge_planes(to_low, to_high))
+        normals = frame.rotate_to_camera(find_edge_planes(to_low, to_high))
         box_ray = map_xyz(lambda component: component[:, box_columns], ray)
         box_normals = map_xyz(lambda component: component[:, pair_index], normals)
         values = evaluate_box_edges(box_normals, box_ray)

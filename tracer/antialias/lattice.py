@@ -123,7 +123,8 @@ class Lattice(NamedTuple):
         Parameters
         ----------
         radiance : (3, n) float array
-            Linear RGB radiance of all samples in the rectangle, row by row across its whole width.
+            Linear RGB radiance of all samples: one row of samples after another, each as wide as
+            the rectangle.
         width : int
             Number of pixels in each row of the rectangle.
 

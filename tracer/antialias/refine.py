@@ -46,7 +46,7 @@ from tracer.antialias.lattice import PIXEL_CENTERS, Lattice
 from tracer.antialias.regions import find_samples_in_mixed_regions, place_weighted_points
 from tracer.antialias.smooth import SmoothMeans, estimate_pixel_means, estimate_quarter_means
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Ints, find, split_indices
-from tracer.trace.radiance import compute_radiance_and_ids
+from tracer.trace.radiance import compute_radiance_and_visibility
 from tracer.trace.samples import Scattered
 from tracer.world.prepared_scene import PreparedScene
 
@@ -271,7 +271,7 @@ def _sample_cells(
         x, y = cells.to_picture(cell_index[batch][points.cell_index], points.position)
         samples, order = Scattered.from_positions(x, y)
         local_index, weight = points.cell_index[order], points.weight[order]
-        radiance, sample_id = compute_radiance_and_ids(scene, samples)
+        radiance, sample_id = compute_radiance_and_visibility(scene, samples)
         for channel_mean, channel_radiance in zip(cell_mean, radiance, strict=True):
             channel_mean[batch] = np.bincount(local_index, weight * channel_radiance, batch.size)
         mixed_index = find_samples_in_mixed_regions(points.region_index[order], sample_id)

@@ -38,8 +38,8 @@ class Boxes:
         Corners with the smallest and with the largest coordinates x, y and z.
     planes : tuple of three (6, n) float arrays
         Coefficients a, b and c of six planes for each box, through the eye and silhouette edges.  A
-        ray with the direction (ray_right, ray_down, depth) meets the box only if
-        a * ray_right + b * ray_down + c >= 0 for all six planes.
+        ray with the direction (ray_x, ray_y, depth) meets the box only if
+        a * ray_x + b * ray_y + c >= 0 for all six planes.
     """
 
     is_planar: ClassVar = True
@@ -73,7 +73,7 @@ class Boxes:
         min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
         eye_to_low, eye_to_high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((eye_to_low <= 0) & (eye_to_high >= 0), axis=0)
-        normals = frame.vector_to_camera(find_edge_planes(eye_to_low, eye_to_high))
+        normals = frame.rotate_to_camera(find_edge_planes(eye_to_low, eye_to_high))
         # If the eye is on a face, the plane of that face bounds the rays that enter the box.
         is_eye_on_face = is_eye_inside & (np.concatenate([eye_to_low, eye_to_high]) == 0)
         for normal_component, axis in zip(normals, frame.axes, strict=True):
@@ -116,23 +116,23 @@ class Boxes:
             from the left edge of the picture.  If left > right, the box does not appear in the row.
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
-        ray_down = frame.to_ray_down(top + height / 2)
-        min_ray_right, max_ray_right = np.full((2, box_index.size), [[-np.inf], [np.inf]])
+        ray_y = frame.to_ray_y(top + height / 2)
+        min_ray_x, max_ray_x = np.full((2, box_index.size), [[-np.inf], [np.inf]])
         # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane_index in range(6):
             a, b, c = (coefficients[plane_index].take(box_index) for coefficients in self.planes)
-            # A ray meets the box only if a * ray_right + b * ray_down + c >= 0.  Compute the bound
-            # on `ray_right` for the largest value of the last two terms in the row.
-            max_rest = b * ray_down + np.abs(b) * margin + c
+            # A ray meets the box only if a * ray_x + b * ray_y + c >= 0.  Compute the bound
+            # on `ray_x` for the largest value of the last two terms in the row.
+            max_rest = b * ray_y + np.abs(b) * margin + c
             # If a is 0, the bound is infinite.  Adding 0 turns -0 into 0.
             bound = -max_rest / (a + 0.0)
-            np.fmax(min_ray_right, bound, out=min_ray_right, where=a >= 0)
-            np.fmin(max_ray_right, bound, out=max_ray_right, where=a < 0)
-        return frame.to_picture_x(min_ray_right), frame.to_picture_x(max_ray_right)
+            np.fmax(min_ray_x, bound, out=min_ray_x, where=a >= 0)
+            np.fmin(max_ray_x, bound, out=max_ray_x, where=a < 0)
+        return frame.to_picture_x(min_ray_x), frame.to_picture_x(max_ray_x)
 
     def intersect(
-        self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
+        self, object_index: Ints, ray_y: Floats, ray_x: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Sides]:
         """Compute where rays from the eye hit boxes, and which faces they hit.
 
@@ -140,16 +140,16 @@ class Boxes:
         the space between the planes of two opposite faces.  A ray that lies in one of these planes
         counts as inside the slab.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of one
+        A ray has the direction (ray_x, ray_y, depth), in camera axes.  The rays of one
         row that are tested with the same box form a span.
 
         Parameters
         ----------
         object_index : (spans,) int array
             Index of the box of each span, among all objects of the scene.
-        ray_down : (spans,) float array
+        ray_y : (spans,) float array
             Downward component of the rays in each span.
-        ray_right : (n,) float array
+        ray_x : (n,) float array
             Rightward component of each ray, span by span.
         ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
@@ -167,8 +167,8 @@ class Boxes:
         enter_ts, leave_ts, face_codes = [], [], []
         for axis in range(3):
             axis_right, axis_down, axis_ahead = frame.axes[:, axis].tolist()
-            span_term = ray_down * axis_down + frame.depth * axis_ahead
-            direction = ray_right * axis_right + repeat_runs(span_term, ray_count)
+            span_term = ray_y * axis_down + frame.depth * axis_ahead
+            direction = ray_x * axis_right + repeat_runs(span_term, ray_count)
             low = self.min_pt[axis, box_index] - frame.eye[axis]
             high = self.max_pt[axis, box_index] - frame.eye[axis]
             is_eye_above = high < 0
@@ -362,9 +362,9 @@ class Boxes:
         Returns
         -------
         may_block : (n,) bool array
-            False only if the box certainly blocks no segment.
+            Whether the box may block a segment: false only if it certainly blocks none.
         blocks_all : (n,) bool array
-            True only if the box certainly blocks all segments.
+            Whether the box blocks all segments: true only if this is certain.
         """
         # Allow for the distance by which `occludes` moves the ends of a segment.
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
@@ -491,7 +491,7 @@ def _find_screen_bounds(frame: CameraFrame, low: Floats, high: Floats) -> Screen
     """
     # Bit `axis` of i is 1 if corner i has the coordinate `high` along this axis, and 0 for `low`.
     x, y, z = (np.array([(low, high)[i >> axis & 1][axis] for i in range(8)]) for axis in range(3))
-    right, down, depth = frame.vector_to_camera((x, y, z))
+    right, down, depth = frame.rotate_to_camera((x, y, z))
     has_corner_behind, has_corner_ahead = depth.min(axis=0) <= 0, depth.max(axis=0) >= 0
 
     def find_slope_range(offset: Floats) -> tuple[Floats, Floats]:

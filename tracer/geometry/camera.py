@@ -2,12 +2,12 @@
 
 The camera has its own axes, which point to the right, down and ahead.  In these axes, the ray
 through the position (x, y) of the picture, in pixels from the upper left corner, has the direction
-(ray_right, ray_down, depth) with
+(ray_x, ray_y, depth) with
 
-    ray_right = center_right + (x - width / 2) pixel_width,
-    ray_down = center_down + (y - height / 2) pixel_height.
+    ray_x = center_right + (x - width / 2) pixel_width,
+    ray_y = center_down + (y - height / 2) pixel_height.
 
-So only `ray_right` changes along a row of the picture.  The window is the rectangle in the scene
+So only `ray_x` changes along a row of the picture.  The window is the rectangle in the scene
 that the picture shows.
 """
 
@@ -69,38 +69,38 @@ class CameraFrame(NamedTuple):
             Rightward, downward and forward components of the vectors from the eye to the points.
         """
         x, y, z = (points - self.eye).T
-        return self.vector_to_camera((x, y, z))
+        return self.rotate_to_camera((x, y, z))
 
-    def vector_to_camera(self, vector: Triple) -> Triple:
+    def rotate_to_camera(self, vectors: Triple) -> Triple:
         """Rotate vectors from scene axes to camera axes.
 
         Parameters
         ----------
-        vector : tuple of three float arrays
-            Components x, y and z of the vectors, in arrays of equal shape.
+        vectors : tuple of three float arrays
+            Components x, y and z, in arrays of equal shape.
 
         Returns
         -------
-        rotated_vector : tuple of three float arrays
+        rotated_vectors : tuple of three float arrays
             Rightward, downward and forward components, in arrays of the same shape.
         """
-        right, down, ahead = (dot(vector, (x, y, z)) for x, y, z in self.axes.tolist())
+        right, down, ahead = (dot(vectors, (x, y, z)) for x, y, z in self.axes.tolist())
         return right, down, ahead
 
-    def vector_to_scene(self, vector: Triple) -> Triple:
+    def rotate_to_scene(self, vectors: Triple) -> Triple:
         """Rotate vectors from camera axes to scene axes.
 
         Parameters
         ----------
-        vector : tuple of three float arrays
+        vectors : tuple of three float arrays
             Rightward, downward and forward components, in arrays of equal shape.
 
         Returns
         -------
-        rotated_vector : tuple of three float arrays
+        rotated_vectors : tuple of three float arrays
             Components x, y and z, in arrays of the same shape.
         """
-        x, y, z = (self.project_onto_axis(vector, axis) for axis in range(3))
+        x, y, z = (self.project_onto_axis(vectors, axis) for axis in range(3))
         return x, y, z
 
     def point_to_scene(self, from_eye: Triple) -> Triple:
@@ -117,7 +117,7 @@ class CameraFrame(NamedTuple):
             Coordinates x, y and z of the points.
         """
         eye_x, eye_y, eye_z = self.eye.tolist()
-        x, y, z = self.vector_to_scene(from_eye)
+        x, y, z = self.rotate_to_scene(from_eye)
         return eye_x + x, eye_y + y, eye_z + z
 
     def project_onto_axis(self, vector: Triple, axis: int) -> Floats:
@@ -138,10 +138,10 @@ class CameraFrame(NamedTuple):
         right, down, ahead = self.axes[:, axis].tolist()
         return dot(vector, (right, down, ahead))
 
-    def to_ray_right(self, x: Floats) -> Floats:
+    def to_ray_x(self, x: Floats) -> Floats:
         """Compute the rightward component of the ray through each position in the picture.
 
-        Every ray has the direction (ray_right, ray_down, depth), in camera axes.
+        Every ray has the direction (ray_x, ray_y, depth), in camera axes.
 
         Parameters
         ----------
@@ -150,15 +150,15 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        ray_right : float array
+        ray_x : float array
             Rightward component of each ray's direction; same shape as `x`.
         """
         return self.center_right + (x - self.width / 2) * self.pixel_width
 
-    def to_ray_down(self, y: Floats) -> Floats:
+    def to_ray_y(self, y: Floats) -> Floats:
         """Compute the downward component of the ray through each position in the picture.
 
-        Every ray has the direction (ray_right, ray_down, depth), in camera axes.
+        Every ray has the direction (ray_x, ray_y, depth), in camera axes.
 
         Parameters
         ----------
@@ -167,46 +167,46 @@ class CameraFrame(NamedTuple):
 
         Returns
         -------
-        ray_down : float array
+        ray_y : float array
             Downward component of each ray's direction; same shape as `y`.
         """
         return self.center_down + (y - self.height / 2) * self.pixel_height
 
-    def to_picture_x(self, ray_right: Floats) -> Floats:
+    def to_picture_x(self, ray_x: Floats) -> Floats:
         """Compute the x coordinate of the position in the picture through which each ray passes.
 
-        This is the inverse of `to_ray_right`.
+        This is the inverse of `to_ray_x`.
 
         Parameters
         ----------
-        ray_right : float array
-            Rightward component of each ray's direction (ray_right, ray_down, depth).
+        ray_x : float array
+            Rightward component of each ray's direction (ray_x, ray_y, depth).
 
         Returns
         -------
         x : float array
             Distance of this position from the left edge of the picture, in pixels; same shape as
-            `ray_right`.
+            `ray_x`.
         """
-        return (ray_right - self.center_right) / self.pixel_width + self.width / 2
+        return (ray_x - self.center_right) / self.pixel_width + self.width / 2
 
-    def to_picture_y(self, ray_down: Floats) -> Floats:
+    def to_picture_y(self, ray_y: Floats) -> Floats:
         """Compute the y coordinate of the position in the picture through which each ray passes.
 
-        This is the inverse of `to_ray_down`.
+        This is the inverse of `to_ray_y`.
 
         Parameters
         ----------
-        ray_down : float array
-            Downward component of each ray's direction (ray_right, ray_down, depth).
+        ray_y : float array
+            Downward component of each ray's direction (ray_x, ray_y, depth).
 
         Returns
         -------
         y : float array
             Distance of this position from the top edge of the picture, in pixels; same shape as
-            `ray_down`.
+            `ray_y`.
         """
-        return (ray_down - self.center_down) / self.pixel_height + self.height / 2
+        return (ray_y - self.center_down) / self.pixel_height + self.height / 2
 
     def assign_layer(self, depth: Floats, packet_width: float) -> Ints:
         """Assign each of n points to a depth layer.
@@ -234,7 +234,7 @@ class CameraFrame(NamedTuple):
 
     @property
     def max_ray_size(self) -> float:
-        """Upper bound on |ray_right| + |ray_down| + depth for the directions of all camera rays."""
+        """Upper bound on |ray_x| + |ray_y| + depth for the directions of all camera rays."""
         center_size = abs(self.center_right) + abs(self.center_down) + self.depth
         return center_size + self.width * self.pixel_width + self.height * self.pixel_height
 

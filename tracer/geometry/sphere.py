@@ -3,8 +3,8 @@
 `Spheres` and `Boxes` have the same methods and attributes.  All methods take indices of objects
 among all objects of the scene (see `ObjectRange`).
 
-Rays start at the eye.  A ray has the direction (ray_right, ray_down, depth) in camera axes:
-`ray_right` changes along a row of the picture, `ray_down` from row to row, and `depth` is the same
+Rays start at the eye.  A ray has the direction (ray_x, ray_y, depth) in camera axes:
+`ray_x` changes along a row of the picture, `ray_y` from row to row, and `depth` is the same
 for all rays (see `CameraFrame`).  The result for a pair of a ray and an object depends on this pair
 only.  It is the same to the last bit whatever else the scene contains, and however pairs are
 arranged in batches.
@@ -154,18 +154,18 @@ class Spheres:
         max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
         grown_radius = radius + slope_margin * max_depth
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
-        discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_down(top + height / 2))
+        discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_y(top + height / 2))
         ray_ahead, center_right, center_ahead, disc_radius2 = discs
         low_slope, high_slope = _find_slope_range(center_right, center_ahead, disc_radius2, power)
         return frame.to_picture_x(low_slope * ray_ahead), frame.to_picture_x(high_slope * ray_ahead)
 
     def _cut_discs(
-        self, sphere_index: Ints, radius: Floats, ray_down: Floats
+        self, sphere_index: Ints, radius: Floats, ray_y: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Compute the disc that a plane of rays cuts from each of n spheres.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  All rays with the
-        same `ray_down` lie in one plane through the eye.  A point in this plane has a rightward
+        A ray has the direction (ray_x, ray_y, depth), in camera axes.  All rays with the
+        same `ray_y` lie in one plane through the eye.  A point in this plane has a rightward
         and a forward coordinate.
 
         Parameters
@@ -174,40 +174,40 @@ class Spheres:
             Index of each sphere among all spheres.
         radius : (n,) float array
             Radius to use instead of the sphere's own radius.
-        ray_down : (n,) float array
+        ray_y : (n,) float array
             Downward component of the rays in the plane that cuts each sphere.
 
         Returns
         -------
         ray_ahead : (n,) float array
-            Forward component of the rays in the plane: sqrt(ray_down^2 + depth^2).
+            Forward component of the rays in the plane: sqrt(ray_y^2 + depth^2).
         center_right, center_ahead : (n,) float arrays
             Coordinates of the disc's centre in the plane, relative to the eye.
         disc_radius2 : (n,) float array
             Squared radius of the disc; negative if the plane misses the sphere.
         """
         (center_right, down, forward), depth = take(self.from_eye, sphere_index), self.frame.depth
-        ray_ahead = np.sqrt(ray_down * ray_down + depth * depth)
-        plane_distance = (down * depth - forward * ray_down) / ray_ahead
-        center_ahead = (down * ray_down + forward * depth) / ray_ahead
+        ray_ahead = np.sqrt(ray_y * ray_y + depth * depth)
+        plane_distance = (down * depth - forward * ray_y) / ray_ahead
+        center_ahead = (down * ray_y + forward * depth) / ray_ahead
         disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
         return ray_ahead, center_right, center_ahead, disc_radius2
 
     def intersect(
-        self, object_index: Ints, ray_down: Floats, ray_right: Floats, ray_count: Ints | None
+        self, object_index: Ints, ray_y: Floats, ray_x: Floats, ray_count: Ints | None
     ) -> tuple[Floats, Floats]:
         """Compute where rays from the eye hit spheres.
 
-        A ray has the direction (ray_right, ray_down, depth), in camera axes.  The rays of one
+        A ray has the direction (ray_x, ray_y, depth), in camera axes.  The rays of one
         row that are tested with the same sphere form a span.
 
         Parameters
         ----------
         object_index : (spans,) int array
             Index of the sphere of each span, among all objects of the scene.
-        ray_down : (spans,) float array
+        ray_y : (spans,) float array
             Downward component of the rays in each span.
-        ray_right : (n,) float array
+        ray_x : (n,) float array
             Rightward component of each ray, span by span.
         ray_count : (spans,) int array or None
             Number of rays in each span; None if each span has one ray.
@@ -222,18 +222,18 @@ class Spheres:
             the hit.
         """
         sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
-        discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_down)
+        discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_y)
         ray_ahead, center_right, center_ahead, disc_radius2 = discs
-        length2 = repeat_runs(ray_down * ray_down + depth * depth, ray_count)
-        length2 = ray_right * ray_right + length2
+        length2 = repeat_runs(ray_y * ray_y + depth * depth, ray_count)
+        length2 = ray_x * ray_x + length2
         # Solve A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The
         # nearer root is C / (B + sqrt(B^2 - A C)).  For precision, the square root is computed from
         # the disc in the plane of the span (Haines, Günther and Akenine-Möller, Precision
         # improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
         cross_product = repeat_runs(center_right * ray_ahead, ray_count)
-        cross_product -= repeat_runs(center_ahead, ray_count) * ray_right
+        cross_product -= repeat_runs(center_ahead, ray_count) * ray_x
         radial_dot = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
-        dot_product = repeat_runs(center_right, ray_count) * ray_right
+        dot_product = repeat_runs(center_right, ray_count) * ray_x
         dot_product += repeat_runs(center_ahead * ray_ahead, ray_count)
         divisor = dot_product + radial_dot
         power = self.power[sphere_index]
@@ -406,9 +406,9 @@ class Spheres:
         Returns
         -------
         may_block : (n,) bool array
-            False only if the sphere certainly blocks no segment.
+            Whether the sphere may block a segment: false only if it certainly blocks none.
         blocks_all : (n,) bool array
-            True only if the sphere certainly blocks all segments.
+            Whether the sphere blocks all segments: true only if this is certain.
         """
         sphere_index = self.objects.to_local(object_index)
         center, radius = take(self.center, sphere_index), self.radius[sphere_index]

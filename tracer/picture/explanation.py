@@ -255,14 +255,14 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
     scene_hit = FirstHits.from_hits(hits)
     surface_index = scene_hit.surface.item()
-    ray = samples.compute_ray_right(frame), frame.to_ray_down(samples.y), np.array([frame.depth])
+    ray = samples.compute_ray_x(frame), frame.to_ray_y(samples.y), np.array([frame.depth])
     has_hit = surface_index >= 0
     shader = scene.surfaces[surface_index].shader if has_hit else Lambertian(diffuse=(0, 0, 0))
     return Explanation(
         x=x,
         y=y,
         eye=_to_vector(frame.eye),
-        direction=_to_vector(normalize(np.ravel(frame.vector_to_scene(ray)))),
+        direction=_to_vector(normalize(np.ravel(frame.rotate_to_scene(ray)))),
         surface=SurfaceRef.from_index(scene, surface_index) if has_hit else None,
         distance=scene_hit.distance.item(),
         point=_to_vector(scene_hit.point[0]),
@@ -344,7 +344,7 @@ def _find_occluders(hit: Hits, light: Lights) -> Ints:
         # Repeat the hit and the light for each object.
         hit_position = hit.get_points(np.zeros_like(object_index))
         light_position = take(light.position.T, np.zeros_like(object_index))
-        light_side = light.side[0, object_index]
+        light_side = light.side[0, object_index]  # outside, on or inside the object
         is_blocking = shape.occludes(object_index, hit_position, light_position, light_side)
         occluder_indices.append(object_index[is_blocking])
     return np.concatenate(occluder_indices)

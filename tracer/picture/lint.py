@@ -221,7 +221,8 @@ def _find_visible_objects(scene: PreparedScene) -> Ints:
     visible_index : (k,) int array
         Indices of the objects, in ascending order.
     """
-    (rows, columns), index_batches = scene.window, [np.zeros(0, dtype=np.intp)]
+    rows, columns = scene.window
+    index_batches = [np.zeros(0, dtype=np.intp)]
     column_count = columns.stop - columns.start
     if column_count > 0:
         rows_per_batch = max(1, scene.choose_batch_size(BATCH_SIZE) // column_count)

@@ -281,10 +281,10 @@ class WorkerPool:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def _create_executor(self) -> ProcessPoolExecutor:
-        """Create an executor that forks its processes if this is safe, and spawns them otherwise.
+        """Create an executor that forks its processes if that is safe, and spawns them otherwise.
 
         Also suppress, in this process, the warnings of Python's resource tracker and the tracebacks
-        of threads.
+        of exceptions that end a thread.
 
         Returns
         -------

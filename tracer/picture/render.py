@@ -455,7 +455,8 @@ def _intersect_ranges(range_a: slice, range_b: slice) -> slice:
     Returns
     -------
     overlap : slice
-        The range of the numbers in both ranges.  If there are none, its stop is at most its start.
+        The range of the numbers in both ranges.  If the ranges do not overlap, the result is empty:
+        stop <= start.
     """
     return slice(max(range_a.start, range_b.start), min(range_a.stop, range_b.stop))
 

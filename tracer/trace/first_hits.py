@@ -67,7 +67,7 @@ class FirstHits:
                 face_axis, sign = map(group.repeat_runs, (group.face_axis, group.normal_sign))
                 normal[group.sample_index, face_axis] = sign
             else:
-                normal[group.sample_index] = np.transpose(frame.vector_to_scene(group.normal))
+                normal[group.sample_index] = np.transpose(frame.rotate_to_scene(group.normal))
         return cls(surface, distance, normal, point)
 
 

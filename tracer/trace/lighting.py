@@ -112,7 +112,8 @@ def _compute_accurate_highlight(
     Parameters
     ----------
     normal, light_direction, eye_direction : tuples of three (n,) float arrays
-        Unit normals, and unit vectors to the light and to the eye, all in the same axes.
+        Unit normals, and unit vectors to the light and to the eye, all in the same coordinate
+        system.
     exponent : (n,) float array
         Exponent p of each highlight.
 
@@ -124,8 +125,9 @@ def _compute_accurate_highlight(
     direction_sum = map_xyz(np.add, light_direction, eye_direction)
     squared_length = dot(direction_sum, direction_sum)
     # The cosine n.h is 1 - |n - h|^2 / 2.  log1p keeps the digits that n.h would lose.
-    difference = map_xyz(np.subtract, normal, scale(direction_sum, 1 / np.sqrt(squared_length)))
-    log_cosine = np.log1p(-0.5 * dot(difference, difference))
+    half = scale(direction_sum, 1 / np.sqrt(squared_length))
+    normal_minus_half = map_xyz(np.subtract, normal, half)
+    log_cosine = np.log1p(-0.5 * dot(normal_minus_half, normal_minus_half))
     # With the exponent 0, the highlight is 1 everywhere, even if the logarithm is infinite.
     strength = np.where(exponent == 0, 1.0, np.exp(exponent * log_cosine))
     # If the directions are opposite, their sum consists of rounding errors.  Both then lie in the
@@ -141,11 +143,11 @@ class Shading:
     hits : Hits
         The hits.
     with_ids : bool
-        Whether to compute `ids`.
+        Whether to compute `visibility_ids`.
 
     Attributes
     ----------
-    ids : (n,) int array
+    visibility_ids : (n,) int array
         For each hit, a number that encodes the object, its face, and the lights that are visible
         from the hit.  The array is empty if `with_ids` is False.
     """
@@ -164,10 +166,12 @@ class Shading:
         # I is the light's intensity; None before the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
-        self.ids: Ints = 4 * hits.hit_object + hits.face_axis if with_ids else hits.sample_index[:0]
+        self.visibility_ids: Ints = (
+            4 * hits.hit_object + hits.face_axis if with_ids else hits.sample_index[:0]
+        )
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the reflected light of one batch of lights, and update the ids of the hits.
+        """Add the reflected light of one batch of lights, and update `visibility_ids`.
 
         Parameters
         ----------
@@ -180,7 +184,7 @@ class Shading:
             if self._with_ids:
                 # Multiplying by an odd number never shifts a light's bit out of the integer, so
                 # all lights affect the id, even if there are more lights than bits.
-                self.ids = self.ids * 3 + is_hit_lit
+                self.visibility_ids = self.visibility_ids * 3 + is_hit_lit
             if not is_hit_lit.any():
                 continue
             cosine, intensity = np.zeros(is_hit_lit.size), geometry.lights.intensity[light_index]

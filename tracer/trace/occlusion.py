@@ -113,7 +113,7 @@ class Packets(NamedTuple):
     may_be_lit: Bools
 
     def replace_by_children(self, packet_columns: Ints) -> Ints:
-        """Replace the index of each packet by the indices of its children.
+        """Replace the index of each packet with the indices of its children.
 
         A packet is a group of neighbouring hits.  Its children are hits or smaller packets.
 
@@ -139,7 +139,7 @@ class Packets(NamedTuple):
 def _find_occluders(
     hits: Hits, lights: Lights, faces_light: Bools, margin: Floats | None = None
 ) -> Iterator[tuple[Shape, Ints, Ints]]:
-    """Find the objects that may block the light at each hit, in batches.
+    """Find, in batches, the objects that may block the light at each hit.
 
     Some hits are certainly in shadow, because a single object shades their whole packet (a group of
     neighbouring hits).  These hits are yielded separately.
@@ -151,7 +151,8 @@ def _find_occluders(
     lights : Lights
         The lights that cast the shadows.
     faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Other pairs may be skipped.
+        Whether the surface at the hit faces the light.  Where it does not, occluders may be
+        skipped.
     margin : (n,) float array, optional
         If given, also find objects that may block the light at any surface point within this
         distance of the hit.

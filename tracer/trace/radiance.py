@@ -36,11 +36,11 @@ def compute_radiance(scene: PreparedScene, samples: Samples, out: Floats | None 
     return shade(hits, scene.light_batches).compute_radiance(out)
 
 
-def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
-    """Compute the radiance and the id of each sample.
+def compute_radiance_and_visibility(scene: PreparedScene, samples: Samples) -> tuple[Floats, Ints]:
+    """Compute the radiance of each sample, and an id of what is visible there.
 
-    Two samples have the same id if their rays hit the same face of the same object, and the same
-    lights are visible from both hits.
+    Two samples have the same visibility id if their rays hit the same face of the same object, and
+    the same lights are visible from both hits.
 
     Parameters
     ----------
@@ -53,18 +53,18 @@ def compute_radiance_and_ids(scene: PreparedScene, samples: Samples) -> tuple[Fl
     -------
     radiance : (3, n) float array
         Linear RGB radiance towards the eye, as from `compute_radiance`.
-    ids : (n,) int array
-        Id of each sample; -1 if the ray meets no surface.
+    visibility_ids : (n,) int array
+        Visibility id of each sample; -1 if the ray meets no surface.
     """
     hits = find_nearest_hits(scene, samples)
     shading = shade(hits, scene.light_batches, with_ids=True)
-    ids = np.full(samples.size, -1)
-    ids[hits.sample_index] = shading.ids
-    return shading.compute_radiance(), ids
+    visibility_ids = np.full(samples.size, -1)
+    visibility_ids[hits.sample_index] = shading.visibility_ids
+    return shading.compute_radiance(), visibility_ids
 
 
 def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False) -> Shading:
-    """Compute the light that hits reflect towards the eye, taking shadows into account.
+    """Compute the light reflected towards the eye at each hit, taking shadows into account.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def shade(hits: Hits, light_batches: Iterable[Lights], *, with_ids: bool = False
     light_batches : iterable of Lights
         The lights, in batches.
     with_ids : bool
-        Whether to compute `Shading.ids`: one id for each hit.
+        Whether to compute `Shading.visibility_ids`: one id for each hit.
 
     Returns
     -------

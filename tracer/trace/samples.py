@@ -118,21 +118,21 @@ class Rows(NamedTuple):
         x_count, y_count = self.per_pixel
         return float(x_count**0.75 * y_count**0.25)
 
-    def compute_ray_right(self, frame: CameraFrame) -> Floats:
+    def compute_ray_x(self, frame: CameraFrame) -> Floats:
         """Compute the rightward component of the ray through each of n samples.
 
         Parameters
         ----------
         frame : CameraFrame
-            The camera.  Rays have the directions (ray_right, ray_down, frame.depth) in camera axes,
+            The camera.  Rays have the directions (ray_x, ray_y, frame.depth) in camera axes,
             which point to the right, down and ahead.
 
         Returns
         -------
-        ray_right : (n,) float array
+        ray_x : (n,) float array
             Rightward component of each ray's direction.
         """
-        return np.add.outer(self.shift * frame.pixel_width, frame.to_ray_right(self.x)).ravel()
+        return np.add.outer(self.shift * frame.pixel_width, frame.to_ray_x(self.x)).ravel()
 
     def get_positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.
@@ -241,21 +241,21 @@ class Scattered(NamedTuple):
         """Assumed number of samples across a pixel: 1, because the actual number is unknown."""
         return 1.0
 
-    def compute_ray_right(self, frame: CameraFrame) -> Floats:
+    def compute_ray_x(self, frame: CameraFrame) -> Floats:
         """Compute the rightward component of the ray through each of n samples.
 
         Parameters
         ----------
         frame : CameraFrame
-            The camera.  Rays have the directions (ray_right, ray_down, frame.depth) in camera axes,
+            The camera.  Rays have the directions (ray_x, ray_y, frame.depth) in camera axes,
             which point to the right, down and ahead.
 
         Returns
         -------
-        ray_right : (n,) float array
+        ray_x : (n,) float array
             Rightward component of each ray's direction.
         """
-        return frame.to_ray_right(self.x)
+        return frame.to_ray_x(self.x)
 
     def get_positions(self, sample_index: Ints) -> tuple[Floats, Floats]:
         """Return the positions of selected samples in the picture.

@@ -77,7 +77,7 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
 class _Intersections(NamedTuple):
     """Intersections of rays with objects of one shape, for n (sample, object) pairs.
 
-    The ray through a sample has the direction (ray_right, ray_down, depth), in camera axes.  The
+    The ray through a sample has the direction (ray_x, ray_y, depth), in camera axes.  The
     pairs are arranged in spans: consecutive samples in one row, paired with the same object.
 
     Attributes
@@ -88,11 +88,11 @@ class _Intersections(NamedTuple):
         Number of samples in each span; None if each span has one sample.
     object_index : (spans,) int array
         Index of each span's object, among all objects of the scene.
-    ray_down : (spans,) float array
+    ray_y : (spans,) float array
         Downward component of the rays in each span.
     sample_index : (n,) int array
         Index of each pair's sample.
-    ray_right : (n,) float array
+    ray_x : (n,) float array
         Rightward component of the ray through the sample.
     t : (n,) float array
         Ray parameter of the intersection: its distance from the eye, divided by the length of the
@@ -104,9 +104,9 @@ class _Intersections(NamedTuple):
     shape: Shape
     sample_count: Ints | None
     object_index: Ints
-    ray_down: Floats
+    ray_y: Floats
     sample_index: Ints
-    ray_right: Floats
+    ray_x: Floats
     t: Floats
     hit_data: NDArray[Any]
 
@@ -131,13 +131,13 @@ class _Intersections(NamedTuple):
         pair_index = find(is_selected)
         if pair_index.size == is_selected.size:
             return self
-        shape, sample_count, object_index, ray_down, *pair_fields = self
+        shape, sample_count, object_index, ray_y, *pair_fields = self
         if sample_count is None:
-            object_index, ray_down = object_index.take(pair_index), ray_down.take(pair_index)
+            object_index, ray_y = object_index.take(pair_index), ray_y.take(pair_index)
         else:
             sample_count = np.diff(pair_index.searchsorted(sample_count.cumsum()), prepend=0)
         pair_fields = [field.take(pair_index) for field in pair_fields]
-        return _Intersections(shape, sample_count, object_index, ray_down, *pair_fields)
+        return _Intersections(shape, sample_count, object_index, ray_y, *pair_fields)
 
     def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
         """Find the first hit of each run.
@@ -189,13 +189,13 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
         ray misses the object.
     """
     frame, groups = scene.frame, []
-    sample_ray_right, row_ray_down = samples.compute_ray_right(frame), frame.to_ray_down(samples.y)
+    sample_ray_x, row_ray_y = samples.compute_ray_x(frame), frame.to_ray_y(samples.y)
     for shape in scene.shapes:
         object_index, row, span_start, sample_count = samples.find_spans(shape, scene)
         sample_index = span_start if sample_count is None else join_ranges(sample_count, span_start)
-        ray_down, ray_right = row_ray_down.take(row), sample_ray_right.take(sample_index)
-        t, hit_data = shape.intersect(object_index, ray_down, ray_right, sample_count)
-        fields = sample_count, object_index, ray_down, sample_index, ray_right, t, hit_data
+        ray_y, ray_x = row_ray_y.take(row), sample_ray_x.take(sample_index)
+        t, hit_data = shape.intersect(object_index, ray_y, ray_x, sample_count)
+        fields = sample_count, object_index, ray_y, sample_index, ray_x, t, hit_data
         groups.append(_Intersections(shape, *fields))
     return groups
 
@@ -278,9 +278,9 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
     from_eye, shape_hits, no_hits = np.empty((3, group_starts[-1])), [], np.zeros(0, dtype=np.intp)
     for group, start, end in zip(groups, group_starts, group_starts[1:], strict=False):
         group_from_eye = from_eye[:, start:end]
-        ray_down = repeat_runs(group.ray_down, group.sample_count)
-        np.multiply(group.t, group.ray_right, out=group_from_eye[0])
-        np.multiply(group.t, ray_down, out=group_from_eye[1])
+        ray_y = repeat_runs(group.ray_y, group.sample_count)
+        np.multiply(group.t, group.ray_x, out=group_from_eye[0])
+        np.multiply(group.t, ray_y, out=group_from_eye[1])
         np.multiply(group.t, frame.depth, out=group_from_eye[2])
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         run_length = np.diff(run_start, append=end - start)

@@ -326,7 +326,8 @@ def _choose_patches(
     octant_index : (n,) int array
         Index of the octant of each rectangle, in ascending order.
     rectangles : (4, n) float array
-        Minimum u, maximum u, minimum v and maximum v of a visible object's part in the octant.
+        Minimum u, maximum u, minimum v and maximum v of the part of each visible object that lies
+        in the octant.
     octant_count : int
         Total number of octants: 8 for each light.
 
@@ -520,10 +521,10 @@ def _choose_cells_per_side(
 def _build_lists(
     rectangles: Floats, patch_index: Ints, cells_per_side: int, patch_count: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Build lists of the entries whose bounding rectangles overlap each cell.
+    """Build, for each cell, lists of the entries whose bounding rectangles overlap the cell.
 
     An entry is a part of an object, and a patch is a square array of cells.  Each cell has four
-    lists: see `_LIST_BY_FLAGS`.
+    lists; `_LIST_BY_FLAGS` defines which entry is in which of them.
 
     Parameters
     ----------
