@@ -121,12 +121,12 @@ def _enclose_cone(
         The cross products c x q, with the same axes as `points`.
     """
     (size, shifted_size), r2, c2 = sizes, radius * radius, (center * center).sum(axis=0)
-    cross, coef = compute_cross_product(center, shifted_points), np.zeros((8, radius.size))
-    coef[:UNKNOWN_Z] = r2 * compute_squared_length(points) - compute_squared_length(cross)
+    cross, coefficients = compute_cross_product(center, shifted_points), np.zeros((8, radius.size))
+    coefficients[:UNKNOWN_Z] = r2 * compute_squared_length(points) - compute_squared_length(cross)
     error_bound = r2 * size * np.abs(points).sum(axis=(0, 1))
     error_bound += c2 * shifted_size * np.abs(shifted_points).sum(axis=(0, 1))
-    coef[ERROR] = 8 * ROUNDING * error_bound
-    return Enclosures(coef), cross
+    coefficients[ERROR] = 8 * ROUNDING * error_bound
+    return Enclosures(coefficients), cross
 
 
 class CellAnalysis:
@@ -176,10 +176,10 @@ class CellAnalysis:
         rays[2, 0] = frame.depth
         pixel_size = np.array([[frame.pixel_width], [frame.pixel_height]])
         rays[0, 1], rays[1, 2] = self._half_cell_size = cells.width / 2 * pixel_size
-        coef = np.zeros((8, cells.x.size))
-        coef[:UNKNOWN_Z] = compute_squared_length(rays)
-        coef[ERROR] = ROUNDING * coef[CONSTANT]
-        self.squared_ray_length = Enclosures(coef)
+        coefficients = np.zeros((8, cells.x.size))
+        coefficients[:UNKNOWN_Z] = compute_squared_length(rays)
+        coefficients[ERROR] = ROUNDING * coefficients[CONSTANT]
+        self.squared_ray_length = Enclosures(coefficients)
         # Indices of pairs and of lights (or -1), and enclosures of edge functions.
         self._edges: list[tuple[Ints, Ints, Enclosures]] = []
         self._find_visible_faces()
@@ -204,11 +204,11 @@ class CellAnalysis:
             Enclosures (8, n) of the dot products.  Only rows 0 to 2 (the coefficients of 1, X and
             Y) and row 7 (ERROR) are not zero.
         """
-        coef, max_ray_size = np.zeros((8, cell_index.size)), self.faces.frame.max_ray_size
-        coef[CONSTANT] = (vectors * self._rays[:, 0].take(cell_index, axis=1)).sum(axis=0)
-        coef[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_cell_size
-        coef[ERROR] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
-        return Enclosures(coef)
+        coefficients, max_ray_size = np.zeros((8, cell_index.size)), self.faces.frame.max_ray_size
+        coefficients[CONSTANT] = (vectors * self._rays[:, 0].take(cell_index, axis=1)).sum(axis=0)
+        coefficients[CONSTANT + 1 : X_SQUARED] = vectors[:2] * self._half_cell_size
+        coefficients[ERROR] = ROUNDING * max_ray_size * np.abs(vectors).sum(axis=0)
+        return Enclosures(coefficients)
 
     def _express_half_space(self, pair_index: Ints, half_space: Floats) -> _RayFunctions:
         """Express half-spaces as functions of the camera ray.
@@ -233,7 +233,7 @@ class CellAnalysis:
         *normal, b, b_abs_sum = half_space
         smooth_part = self._dot_with_rays(np.array(normal), self.cells.cell_index[pair_index])
         smooth_part += self._linear_term[pair_index] * b
-        smooth_part.coef[ERROR] += ROUNDING * b_abs_sum * self._max_inverse_distance[pair_index]
+        smooth_part.widen(ROUNDING * b_abs_sum * self._max_inverse_distance[pair_index])
         return _RayFunctions(pair_index, smooth_part, b)
 
     def _enclose_functions(self, functions: _RayFunctions) -> Enclosures:
@@ -250,12 +250,12 @@ class CellAnalysis:
         enclosures : Enclosures
             Enclosures (8, n) of the functions, each in the cell of its pair.
         """
-        coef = functions.smooth_part.coef.copy()
-        face_index = self.cells.face_index[functions.pair_index]
-        function_index = np.flatnonzero(~self.faces.is_planar[face_index])
-        root_term = self.root_term[functions.pair_index[function_index]]
-        coef[:, function_index] += (root_term * functions.root_factor[function_index]).coef
-        return Enclosures(coef)
+        pair_index, smooth_part, root_factor = functions
+        coefficients = smooth_part.coefficients.copy()
+        function_index = np.flatnonzero(~self.faces.is_planar[self.cells.face_index[pair_index]])
+        root_part = self.root_term[pair_index[function_index]] * root_factor[function_index]
+        coefficients[:, function_index] += root_part.coefficients
+        return Enclosures(coefficients)
 
     def _decide_claims(
         self, light_index: Ints | int, is_false: Bools, conditions: Iterable[_Condition]
@@ -319,13 +319,13 @@ class CellAnalysis:
             The same enclosures, each replaced if the replacement has a smaller `relative_width`.
         """
         # On sides of boxes, there is no unknown Z: its coefficient is 0.
-        function_index = np.flatnonzero(enclosures.coef[UNKNOWN_Z])
+        function_index = np.flatnonzero(enclosures.coefficients[UNKNOWN_Z])
         if function_index.size:
             pair_index, smooth_part, root_factor = functions.take(function_index)
             squared_root_part = self.squared_root_term[pair_index] * root_factor * root_factor
             replacement = smooth_part * smooth_part - squared_root_part
             is_narrower = replacement.relative_width < enclosures[function_index].relative_width
-            enclosures.coef[:, function_index[is_narrower]] = replacement.coef[:, is_narrower]
+            enclosures[function_index[is_narrower]] = replacement[is_narrower]
         return enclosures
 
     def _find_visible_faces(self) -> None:
@@ -339,28 +339,28 @@ class CellAnalysis:
         """
         faces, face_index, cell_index = self.faces, self.cells.face_index, self.cells.cell_index
         pair_index = np.flatnonzero(~faces.is_planar[face_index])
-        discriminants, sizes = np.zeros((8, face_index.size)), np.full(2, faces.frame.max_ray_size)
+        sizes, zeros = np.full(2, faces.frame.max_ray_size), np.zeros((8, face_index.size))
+        self.root_term, discriminants = Enclosures(zeros), Enclosures(zeros.copy())
         rays, sphere_index = self._rays[:, :, cell_index[pair_index]], face_index[pair_index]
         center, radius = faces.center[:, sphere_index], faces.radius[sphere_index]
-        discriminants[:, pair_index] = _enclose_cone(center, radius, rays, rays, sizes)[0].coef
+        discriminants[pair_index], _ = _enclose_cone(center, radius, rays, rays, sizes)
         # The root term is the sphere's `root_coef` times the square root of its discriminant.
-        self.squared_root_term = Enclosures(discriminants * faces.root_coef[face_index] ** 2)
-        self.root_term = Enclosures(np.zeros((8, face_index.size)))
+        self.squared_root_term = discriminants * faces.root_coef[face_index] ** 2
         self._linear_term = self._dot_with_rays(faces.linear_coef[:, face_index], cell_index)
         self._max_inverse_distance = self._linear_term.max_abs
         is_outside = np.zeros(face_index.size, np.bool_)
-        conditions = self._make_hit_conditions(Enclosures(discriminants))
-        covers_cell = self._decide_claims(-1, is_outside, conditions)
-        self.inverse_distance = Enclosures(self._linear_term.coef.copy())
+        covers_cell = self._decide_claims(-1, is_outside, self._make_hit_conditions(discriminants))
+        self.inverse_distance = Enclosures(self._linear_term.coefficients.copy())
         hit_pair_index = pair_index[~is_outside[pair_index]]
-        coef = self.squared_root_term[hit_pair_index].power(0.5).coef
-        rounding_error = self.inverse_distance.coef[ERROR, hit_pair_index]
+        coefficients = self.squared_root_term[hit_pair_index].power(0.5).coefficients
+        rounding_error = self.inverse_distance.coefficients[ERROR, hit_pair_index]
         # The error bound of the root term becomes the coefficient of the unknown Z, which the
         # inverse distance shares.  The new error bound covers only rounding errors.
-        coef[UNKNOWN_Z], coef[ERROR] = coef[ERROR] + rounding_error, rounding_error
-        self.root_term.coef[:, hit_pair_index] = coef
-        self.inverse_distance.coef[:, hit_pair_index] += coef
-        self.inverse_distance.coef[ERROR, hit_pair_index] = 0
+        coefficients[UNKNOWN_Z] = coefficients[ERROR] + rounding_error
+        coefficients[ERROR] = rounding_error
+        self.root_term.coefficients[:, hit_pair_index] = coefficients
+        self.inverse_distance.coefficients[:, hit_pair_index] += coefficients
+        self.inverse_distance.coefficients[ERROR, hit_pair_index] = 0
         may_be_visible = ~(is_outside | self._find_hidden_pairs(covers_cell))
         cells = self.cells._replace(covers_cell=covers_cell)
         self.cells, new_index = cells.select_pairs(may_be_visible)
@@ -553,7 +553,7 @@ class CellAnalysis:
         #     u = r^2 q^2 - |c x w|^2 + (r^2 L^2 - |c x C|^2) s^2,
         #     v = 2 ((c x C).(c x w) - r^2 L.q).
         rays = self._rays[:, :, cells.cell_index[pair_index]]
-        linear_term = self._linear_term.coef[:X_SQUARED, pair_index]
+        linear_term = self._linear_term.coefficients[:X_SQUARED, pair_index]
         linear_size = 2 * np.abs(faces.linear_coef[:, cells.face_index[pair_index]]).sum(axis=0)
         q, w = (rays - point[:, None] * linear_term for point in (position, center))
         lengths, radius2 = np.sqrt([position2, center2]), radius**2
@@ -566,7 +566,7 @@ class CellAnalysis:
         v[ERROR] = 16 * ROUNDING * v_size
         s2 = self.squared_root_term[pair_index]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
-        u.coef[ERROR] += 16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs
+        u.widen(16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs)
         yield _Condition(triple_index, _RayFunctions(pair_index, u, Enclosures(v)))
         # The second condition is c.(p - L) >= |c|^2 - r^2, which is c.p - c.C + r^2 >= 0.  The
         # plane is no edge: inside the cone, it lies inside the sphere.
@@ -650,8 +650,8 @@ class CellAnalysis:
             Enclosures (8, n) of the functions in the cells of the pairs.
         """
         pair_indices, light_indices, functions = zip(*self._edges, strict=True)
-        coef = np.concatenate([enclosures.coef for enclosures in functions], axis=1)
-        return np.concatenate(pair_indices), np.concatenate(light_indices), Enclosures(coef)
+        coefficients = np.concatenate([enclosures.coefficients for enclosures in functions], axis=1)
+        return np.concatenate(pair_indices), np.concatenate(light_indices), Enclosures(coefficients)
 
     def shade(self, is_requested: Bools, permitted_error: float) -> Contributions:
         """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
@@ -682,7 +682,7 @@ class CellAnalysis:
         is_newly_settled = ~has_edge[contributions.pair_index, contributions.light_index]
         is_newly_settled &= contributions.radiance.max_deviation.max(axis=0) <= max_light_error
         pair_index, light_index, radiance = contributions.select(is_newly_settled)
-        add_at_sorted_index(cells.radiance.coef, pair_index, radiance.coef)
+        add_at_sorted_index(cells.radiance.coefficients, pair_index, radiance.coefficients)
         cells.is_settled[pair_index, light_index] = True
         return contributions.select(~is_newly_settled)
 
@@ -719,7 +719,7 @@ class CellAnalysis:
         light_height = self._enclose_functions(self._express_light_height(pair_index, light_index))
         n_dot_l = (light_height * inverse_light_distance).fall_back_to_unit_interval()
         intensity = faces.prepared_lights.intensity[light_index].T
-        radiance = n_dot_l.coef[:, None] * (intensity * scene.diffuse[:, object_index])
+        radiance = n_dot_l.coefficients[:, None] * (intensity * scene.diffuse[:, object_index])
         # Let n be the unit normal, l and v the unit vectors to the light and to the eye, and h the
         # unit vector halfway between them.  Then n.h = (n.l + n.v) / |l + v|, and
         # |l + v|^2 = 2 + 2 l.v.  Only glossy faces have this term.
@@ -736,5 +736,5 @@ class CellAnalysis:
         exponent = scene.exponent[object_index[glossy_index]]
         cosine_power = n_dot_h.power(exponent, 0.0, 1.0).fall_back_to_unit_interval()
         specular = intensity[:, glossy_index] * scene.specular[:, object_index[glossy_index]]
-        radiance[..., glossy_index] += cosine_power.coef[:, None] * specular
+        radiance[..., glossy_index] += cosine_power.coefficients[:, None] * specular
         return Contributions(pair_index, light_index, Enclosures(radiance))

@@ -194,7 +194,7 @@ def estimate_means(
     regions = regions._replace(cell_index=sampled_cell_index[regions.cell_index])
     sample_error = _bound_sample_errors(strips, regions, cell_count)
     radiance = _enclose_region_radiance(analysis, contributions, regions)
-    region_mean = (radiance.coef[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
+    region_mean = (radiance.coefficients[:UNKNOWN_Z] * regions.moments[:, None]).sum(axis=0)
     max_error = np.maximum(region_mean, max_radiance[:, regions.cell_index] - region_mean)
     region_error = np.minimum(radiance.max_deviation + sample_error, max_error).max(axis=0)
     weighted_mean = regions.area * region_mean
@@ -333,14 +333,15 @@ def _enclose_region_radiance(
         If a sample shows a face that is not listed for its cell.
     """
     pair_index, is_lit = _trace_samples(analysis, regions)
-    radiance = analysis.cells.radiance[pair_index].coef
+    radiance = analysis.cells.radiance[pair_index].coefficients
     radiance[..., pair_index < 0] = 0
     light_count = analysis.cells.is_settled.shape[1]
     region_index, light_index = np.nonzero(is_lit.T)
     # Each combination of a light and a pair (a cell and a face in it) has its own key.
     keys = contributions.pair_index * light_count + contributions.light_index
     contribution_index = find_in_sorted(keys, pair_index[region_index] * light_count + light_index)
-    add_at_sorted_index(radiance, region_index, contributions.radiance[contribution_index].coef)
+    added_radiance = contributions.radiance[contribution_index].coefficients
+    add_at_sorted_index(radiance, region_index, added_radiance)
     return Enclosures(radiance)
 
 
@@ -488,8 +489,9 @@ class _Picture:
         x, y = ((2 * position + 1) / pixels_across - 1 for position in (column_offset, row_offset))
         variance = 1 / (3 * pixels_across * pixels_across)
         term_means = np.array([x * 0 + 1, x, y, x * x + variance, x * y, y * y + variance])
-        for channel, coef in zip(self.image, radiance.coef.swapaxes(0, 1), strict=True):
-            np.add.at(channel, pixels, area * np.tensordot(coef[:UNKNOWN_Z], term_means, (0, 0)))
+        for index, channel in enumerate(self.image):
+            pixel_means = np.tensordot(radiance.coefficients[:UNKNOWN_Z, index], term_means, (0, 0))
+            np.add.at(channel, pixels, area * pixel_means)
         error_bound = radiance.max_deviation.max(axis=0)
         np.add.at(self.error_bound, pixels, area * error_bound[:, None, None])
 

@@ -7,17 +7,17 @@ arithmetic (Comba and Stolfi, 1993) keeps the linear dependence on the position.
 keeps the quadratic dependence.
 
 A cell has coordinates X and Y from -1 to 1.  An *enclosure* describes a quantity by eight
-coefficients: for some Z between -1 and 1, the quantity differs by at most coef[ERROR] from
+coefficients a: for some Z between -1 and 1, the quantity differs by at most a[ERROR] from
 
-    coef[CONSTANT] + coef[X] X + coef[Y] Y
-        + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN_Z] Z.
+    a[CONSTANT] + a[X] X + a[Y] Y
+        + a[X_SQUARED] X^2 + a[X_TIMES_Y] X Y + a[Y_SQUARED] Y^2 + a[UNKNOWN_Z] Z.
 
 Z stands for the unknown part of the inverse distance of a surface.  All enclosures about one
 surface share the same Z, so unknown parts that are linear in the distance cancel.  Enclosures about
 different surfaces have different Z: see `Enclosures.subtract_independent`.
 
 Why the result is right: some terms of a result cannot be represented, such as those of degree three
-or four, and products with Z.  Their largest absolute values are added to coef[ERROR], and so are
+or four, and products with Z.  Their largest absolute values are added to a[ERROR], and so are
 bounds on the rounding errors.
 
 Rounding.  With e = 2^-53, an operation on floats errs by at most e times its result.  The rounding
@@ -53,44 +53,53 @@ class Enclosures:
     """n quantities, each enclosed in one cell by a quadratic polynomial with an error bound.
 
     X and Y are the coordinates in the cell, from -1 to 1.  Z is an unknown number from -1 to 1, the
-    same in all enclosures about one surface.  A quantity differs by at most coef[ERROR] from
+    same in all enclosures about one surface.  A quantity with the coefficients a differs by at most
+    a[ERROR] from
 
-        coef[CONSTANT] + coef[X] X + coef[Y] Y
-            + coef[X_SQUARED] X^2 + coef[X_TIMES_Y] X Y + coef[Y_SQUARED] Y^2 + coef[UNKNOWN_Z] Z.
+        a[CONSTANT] + a[X] X + a[Y] Y
+            + a[X_SQUARED] X^2 + a[X_TIMES_Y] X Y + a[Y_SQUARED] Y^2 + a[UNKNOWN_Z] Z.
 
     Attributes
     ----------
-    coef : (8, n) float array, or (8, 3, n) for the three channels of radiance
+    coefficients : (8, n) float array, or (8, 3, n) for the three channels of radiance
         Rows 0 to 6 hold the coefficients of 1, X, Y, X^2, X Y, Y^2 and Z.  Row 7 (ERROR) holds the
         error bound, which is at least 0.
     """
 
-    __slots__ = ("coef",)
+    __slots__ = ("coefficients",)
 
-    def __init__(self, coef: Floats) -> None:
+    def __init__(self, coefficients: Floats) -> None:
         """Store the array of coefficients (8, ..., n), without copying it."""
-        self.coef = coef
+        self.coefficients = coefficients
 
     def __getitem__(self, index: Index) -> Enclosures:
         """Copy the enclosures selected along the last axis by indices (k,) or a mask (n,)."""
         # `take` is twice as fast as indexing.
         index = np.flatnonzero(index) if index.dtype == np.bool_ else index
-        return Enclosures(self.coef.take(index, axis=-1))
+        return Enclosures(self.coefficients.take(index, axis=-1))
+
+    def __setitem__(self, index: Index, enclosures: Enclosures) -> None:
+        """Replace the enclosures at the given indices (k,) along the last axis."""
+        self.coefficients[..., index] = enclosures.coefficients
+
+    def widen(self, error: Floats) -> None:
+        """Add an error (..., n) of at least 0 to each error bound."""
+        self.coefficients[ERROR] += error
 
     @property
     def max_deviation(self) -> Floats:
         """Upper bound (..., n) on the deviation of each quantity from its polynomial in X and Y."""
-        return np.asarray(np.abs(self.coef[UNKNOWN_Z]) + self.coef[ERROR])
+        return np.asarray(np.abs(self.coefficients[UNKNOWN_Z]) + self.coefficients[ERROR])
 
     @property
     def max_abs(self) -> Floats:
         """Upper bound (..., n) on the absolute value of each quantity."""
-        return np.asarray(np.abs(self.coef).sum(axis=0))
+        return np.asarray(np.abs(self.coefficients).sum(axis=0))
 
     @property
     def relative_width(self) -> Floats:
         """Estimated width (n,) of the strip of the cell in which each quantity may be zero."""
-        abs_coef = np.abs(self.coef)
+        abs_coef = np.abs(self.coefficients)
         return np.asarray(abs_coef[X_SQUARED:].sum(axis=0) / np.maximum(abs_coef[X], abs_coef[Y]))
 
     def find_bounds(self) -> tuple[Floats, Floats]:
@@ -101,11 +110,11 @@ class Enclosures:
         low, high : (..., n) float arrays
             A lower and an upper bound on each quantity.
         """
-        coef, coef_xx, coef_yy = self.coef, self.coef[X_SQUARED], self.coef[Y_SQUARED]
+        constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, coef_z, error = self.coefficients
         # The terms with X^2 and Y^2 have the signs of their coefficients; the others have any sign.
-        spread = np.abs(coef[[X, Y, X_TIMES_Y, UNKNOWN_Z]]).sum(axis=0) + coef[ERROR]
-        low = coef[CONSTANT] - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
-        high = coef[CONSTANT] + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)
+        spread = np.abs([coef_x, coef_y, coef_xy, coef_z]).sum(axis=0) + error
+        low = constant - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
+        high = constant + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)
         return low, high
 
     def __add__(self, other: Enclosures | Floats | float) -> Enclosures:
@@ -126,11 +135,11 @@ class Enclosures:
             Enclosures (8, ..., n) of the sums.
         """
         if isinstance(other, Enclosures):
-            return Enclosures(self.coef + other.coef)
-        coef = self.coef.copy()
-        coef[CONSTANT] += other
-        coef[ERROR] += ROUNDING * np.abs(other)
-        return Enclosures(coef)
+            return Enclosures(self.coefficients + other.coefficients)
+        coefficients = self.coefficients.copy()
+        coefficients[CONSTANT] += other
+        coefficients[ERROR] += ROUNDING * np.abs(other)
+        return Enclosures(coefficients)
 
     def __sub__(self, other: Enclosures) -> Enclosures:
         """Subtract enclosures with the same unknown Z."""
@@ -153,9 +162,9 @@ class Enclosures:
         difference : Enclosures
             Enclosures (8, n) of the differences, without Z.
         """
-        coef = self.coef - other.coef
-        coef[ERROR], coef[UNKNOWN_Z] = self.max_deviation + other.max_deviation, 0
-        return Enclosures(coef)
+        coefficients = self.coefficients - other.coefficients
+        coefficients[ERROR], coefficients[UNKNOWN_Z] = self.max_deviation + other.max_deviation, 0
+        return Enclosures(coefficients)
 
     def __mul__(self, other: Enclosures | Floats | float) -> Enclosures:
         """Multiply by numbers, or by enclosures with the same unknown Z.
@@ -175,25 +184,25 @@ class Enclosures:
             Enclosures (8, ..., n) of the products.
         """
         if not isinstance(other, Enclosures):
-            coef = self.coef * other
-            coef[ERROR] = np.abs(coef[ERROR])
-            return Enclosures(coef)
-        a, b = self.coef, other.coef
-        coef = b * a[CONSTANT]
-        coef += a * b[CONSTANT]
-        coef[CONSTANT] = a[CONSTANT] * b[CONSTANT]
-        coef[X_SQUARED] += a[X] * b[X]
-        coef[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
-        coef[Y_SQUARED] += a[Y] * b[Y]
+            coefficients = self.coefficients * other
+            coefficients[ERROR] = np.abs(coefficients[ERROR])
+            return Enclosures(coefficients)
+        a, b = self.coefficients, other.coefficients
+        coefficients = b * a[CONSTANT]
+        coefficients += a * b[CONSTANT]
+        coefficients[CONSTANT] = a[CONSTANT] * b[CONSTANT]
+        coefficients[X_SQUARED] += a[X] * b[X]
+        coefficients[X_TIMES_Y] += a[X] * b[Y] + a[Y] * b[X]
+        coefficients[Y_SQUARED] += a[Y] * b[Y]
         # The error bound covers all other products of two terms with X, Y or Z.  The polynomial `a`
         # differs from its constant by at most `a_spread`, and from 0 by at most `a_max`.
         a, b = np.abs(a), np.abs(b)
         a_spread, b_spread = a[X:ERROR].sum(axis=0), b[X:ERROR].sum(axis=0)
         a_max, b_max = a[CONSTANT] + a_spread, b[CONSTANT] + b_spread
-        coef[ERROR] = a_spread * b_spread - (a[X] + a[Y]) * (b[X] + b[Y])
-        coef[ERROR] += a[ERROR] * (b_max + b[ERROR]) + b[ERROR] * a_max
-        coef[ERROR] += ROUNDING * a_max * b_max
-        return Enclosures(coef)
+        coefficients[ERROR] = a_spread * b_spread - (a[X] + a[Y]) * (b[X] + b[Y])
+        coefficients[ERROR] += a[ERROR] * (b_max + b[ERROR]) + b[ERROR] * a_max
+        coefficients[ERROR] += ROUNDING * a_max * b_max
+        return Enclosures(coefficients)
 
     def power(
         self, exponent: Floats | float, min_z: float = 0.0, max_z: float = np.inf
@@ -228,15 +237,15 @@ class Enclosures:
         polynomial = z_offset * z_offset * quadratic_coef + z_offset * linear_coef + f_center
         # The power and all coefficients have relative errors of a few times 2^-53.
         rounding_error = ROUNDING * (np.maximum(f_low, f_high) + np.abs(linear_coef) * high)
-        polynomial.coef[ERROR] += remainder + rounding_error
+        polynomial.widen(remainder + rounding_error)
         is_coarse = ~(remainder < np.abs(f_high - f_low) * _MAX_REMAINDER_RATIO)
         is_coarse = is_coarse & (half_width > _MIN_CHORD_WIDTH * center) | ~(remainder < np.inf)
         coarse_index = np.flatnonzero(is_coarse)
         low, high, f_low, f_high = (values[coarse_index] for values in (low, high, f_low, f_high))
         exponents = np.broadcast_to(exponent, half_width.shape)[coarse_index]
         line = self[coarse_index]._enclose_power_by_line(exponents, low, high, f_low, f_high)
-        is_narrower = ~(polynomial.coef[ERROR, coarse_index] < line.coef[ERROR])
-        polynomial.coef[:, coarse_index[is_narrower]] = line.coef[:, is_narrower]
+        is_narrower = ~(polynomial.coefficients[ERROR, coarse_index] < line.coefficients[ERROR])
+        polynomial[coarse_index[is_narrower]] = line[is_narrower]
         return polynomial
 
     def _enclose_power_by_line(
@@ -267,9 +276,9 @@ class Enclosures:
         # The heights of both lines at z = 0.
         chord_at_0, tangent_at_0 = f_low - slope * low, tangent_z**exponent - slope * tangent_z
         line = self * slope
-        line.coef[CONSTANT] += (chord_at_0 + 2 * tangent_at_0) / 3
-        line.coef[ERROR] += np.abs(chord_at_0 - tangent_at_0) * (2 / 3)
-        line.coef[ERROR] += ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high)
+        line.coefficients[CONSTANT] += (chord_at_0 + 2 * tangent_at_0) / 3
+        line.widen(np.abs(chord_at_0 - tangent_at_0) * (2 / 3))
+        line.widen(ROUNDING * (np.maximum(f_low, f_high) + np.abs(slope) * high))
         return line
 
     def fall_back_to_unit_interval(self) -> Enclosures:
@@ -285,9 +294,9 @@ class Enclosures:
             coefficients add up to 2 or more, or to NaN.  Other enclosures are unchanged.
         """
         is_too_wide = ~(self.max_abs < 2)
-        coef = np.where(is_too_wide, 0, self.coef)
-        coef[CONSTANT, is_too_wide] = coef[ERROR, is_too_wide] = 0.5
-        return Enclosures(coef)
+        coefficients = np.where(is_too_wide, 0, self.coefficients)
+        coefficients[CONSTANT, is_too_wide] = coefficients[ERROR, is_too_wide] = 0.5
+        return Enclosures(coefficients)
 
     def split_into_quarters(self) -> Enclosures:
         """Express each enclosure in the coordinates of each quarter of its cell.
@@ -301,7 +310,7 @@ class Enclosures:
             Enclosures with coefficients (8, ..., 4 n).  The quarters of each cell are adjacent, in
             the order upper left, upper right, lower left, lower right.
         """
-        constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, _, _ = self.coef.repeat(4, axis=-1)
+        constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, *_ = self.coefficients.repeat(4, -1)
         quarter_index = np.arange(constant.shape[-1]) % 4
         # The quarter's centre, in the coordinates of the cell.
         center_x, center_y = (quarter_index & 1) - 0.5, (quarter_index >> 1) - 0.5
@@ -312,8 +321,8 @@ class Enclosures:
         slope_x = coef_x / 2 + center_x * coef_xx + center_y * coef_xy / 2
         slope_y = coef_y / 2 + center_y * coef_yy + center_x * coef_xy / 2
         quadratic_coefs = np.divide([coef_xx, coef_xy, coef_yy], 4)
-        coef = new_constant, slope_x, slope_y, *quadratic_coefs, 0 * constant, error_bound
-        return Enclosures(np.array(coef))
+        coefficients = new_constant, slope_x, slope_y, *quadratic_coefs, 0 * constant, error_bound
+        return Enclosures(np.array(coefficients))
 
 
 def _raise_to_power(z: Floats, exponent: Floats | float) -> Floats:
@@ -340,6 +349,6 @@ def enclose_constants(constants: Floats, max_deviation: Floats | float = 0.0) ->
         Enclosures (8, ..., n) with the constants in row 0 (CONSTANT), the maximum deviations in row
         7 (ERROR), and zeros in all other rows.
     """
-    coef = np.zeros((8, *constants.shape))
-    coef[CONSTANT], coef[ERROR] = constants, max_deviation
-    return Enclosures(coef)
+    coefficients = np.zeros((8, *constants.shape))
+    coefficients[CONSTANT], coefficients[ERROR] = constants, max_deviation
+    return Enclosures(coefficients)

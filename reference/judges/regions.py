@@ -65,14 +65,14 @@ class Strips(NamedTuple):
         return np.asarray(np.fmin(self.half_width / max_slope, 1))
 
 
-def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
+def _take_newton_step(coefficients: Floats) -> tuple[Floats, Floats]:
     """Take one Newton step from the cell's centre towards a zero of each polynomial.
 
     The step is shortened if it would leave the cell.
 
     Parameters
     ----------
-    coef : (8, n) float array
+    coefficients : (8, n) float array
         Coefficients of polynomials in X and Y, which run from -1 to 1 in the cell.  Only rows 0 to
         2, the coefficients of 1, X and Y, are used.
 
@@ -81,7 +81,7 @@ def _take_newton_step(coef: Floats) -> tuple[Floats, Floats]:
     x, y : (n,) float arrays
         The points, with coordinates from -1 to 1; (0, 0) where the gradient is 0.
     """
-    value, slope_x, slope_y = coef[:X_SQUARED]
+    value, slope_x, slope_y = coefficients[:X_SQUARED]
     max_scale = 1 / np.maximum(np.abs(slope_x), np.abs(slope_y))
     scale = np.clip(-value / (slope_x**2 + slope_y**2), -max_scale, max_scale)
     scale = np.nan_to_num(scale, posinf=0, neginf=0)
@@ -109,15 +109,15 @@ def enclose_in_strips(cell_index: Ints, functions: Enclosures, jump: Floats) -> 
         Strips that contain all zeros, sorted by cell.  An edge function without a zero in its cell
         may get no strip.
     """
-    coef = functions.coef
-    constant, coef_xx, coef_xy, coef_yy = coef[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
+    coefficients = functions.coefficients
+    constant, coef_xx, coef_xy, coef_yy = coefficients[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
     # Compute the value and the gradient (a, b) at a point (x, y).  The closer the point is to a
     # zero, the narrower is the strip.
-    x, y = _take_newton_step(coef)
-    value = constant + coef[X] * x + coef[Y] * y
+    x, y = _take_newton_step(coefficients)
+    value = constant + coefficients[X] * x + coefficients[Y] * y
     value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
-    a = coef[X] + 2 * coef_xx * x + coef_xy * y
-    b = coef[Y] + coef_xy * x + 2 * coef_yy * y
+    a = coefficients[X] + 2 * coef_xx * x + coef_xy * y
+    b = coefficients[Y] + coef_xy * x + 2 * coef_yy * y
     slope = np.hypot(a, b)
     p, q = a / slope, b / slope
     # Relative to the point (x, y), let n be the coordinate along the gradient (p, q), and t the one

@@ -83,7 +83,7 @@ class EnclosureSampler:
     ) -> None:
         """Compare samples with enclosures whose error bounds are increased by `extra_error`."""
         powers = np.array([np.ones(x.size), x, y, x * x, x * y, y * y])
-        estimate = (enclosures.coef[:UNKNOWN_Z] * powers[:, None]).sum(axis=0)
+        estimate = (enclosures.coefficients[:UNKNOWN_Z] * powers[:, None]).sum(axis=0)
         excess = np.abs(radiance - estimate) - enclosures.max_deviation - extra_error
         self.max_excess = excess.max(initial=self.max_excess)
 
@@ -163,12 +163,12 @@ def scale_field(name: str, factor: float) -> Callable[..., Strips]:
 
 
 def narrow_enclosures(enclosures: Enclosures, *_: object) -> Enclosures:
-    enclosures.coef[ERROR] *= 0.7
+    enclosures.coefficients[ERROR] *= 0.7
     return enclosures
 
 
 def narrow_cones(result: tuple[Enclosures, Floats], *_: object) -> tuple[Enclosures, Floats]:
-    result[0].coef[CONSTANT] -= 1e-4 * np.abs(result[0].coef[CONSTANT])
+    result[0].coefficients[CONSTANT] -= 1e-4 * np.abs(result[0].coefficients[CONSTANT])
     return result
 
 
@@ -185,7 +185,7 @@ def remove_some_occluders(triples: Ints, *_: object) -> Ints:
 
 
 def lower_enclosures(enclosures: Enclosures, *_: object) -> Enclosures:
-    return Enclosures(enclosures.coef - 0.3 * np.abs(enclosures.coef[:1]))
+    return Enclosures(enclosures.coefficients - 0.3 * np.abs(enclosures.coefficients[:1]))
 
 
 DEFECTS: dict[str, tuple[object, str, Callable[..., object]]] = {
