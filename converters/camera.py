@@ -32,7 +32,7 @@ class Window(NamedTuple):
     axes : (3, 3) float array
         Unit vectors in rows: right and down, along the window's edges, and forward, perpendicular
         to the window.
-    center : (3,) float array
+    offset : (3,) float array
         Vector from the eye to the window's centre, in components along the axes.
     width, height : float
         Size of the window.
@@ -40,11 +40,11 @@ class Window(NamedTuple):
 
     eye: Floats
     axes: Floats
-    center: Floats
+    offset: Floats
     width: float
     height: float
 
-    def compute_vectors_to(self, x: Floats | float, y: Floats | float) -> Floats:
+    def compute_vectors_from_eye(self, x: Floats | float, y: Floats | float) -> Floats:
         """Compute the vectors from the eye to points in the window.
 
         Parameters
@@ -59,9 +59,9 @@ class Window(NamedTuple):
             The vectors, in the coordinate system of the scene.
         """
         right, down, forward = self.axes
-        offset_right = self.center[0] + (np.asarray(x)[..., None] - 0.5) * self.width
-        offset_down = self.center[1] + (np.asarray(y)[..., None] - 0.5) * self.height
-        vectors: Floats = offset_right * right + offset_down * down + self.center[2] * forward
+        offset_right = self.offset[0] + (np.asarray(x)[..., None] - 0.5) * self.width
+        offset_down = self.offset[1] + (np.asarray(y)[..., None] - 0.5) * self.height
+        vectors: Floats = offset_right * right + offset_down * down + self.offset[2] * forward
         return vectors
 
 
@@ -79,15 +79,15 @@ def compute_window(camera: Camera) -> Window:
     Returns
     -------
     window : Window
-        The position of the eye, and the axes, centre and size of the window.
+        The position of the eye, and the axes, offset and size of the window.
     """
     view_direction = _normalize(camera.view_dir)
     normal = _normalize(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
     forward = normal if normal @ view_direction > 0 else -normal
     right = _normalize(np.cross(forward, _normalize(camera.view_up)))
     axes = np.array([right, np.cross(forward, right), forward])
-    center = axes @ view_direction * camera.proj_distance
-    return Window(np.array(camera.view_point), axes, center, camera.view_width, camera.view_height)
+    offset = axes @ view_direction * camera.proj_distance
+    return Window(np.array(camera.view_point), axes, offset, camera.view_width, camera.view_height)
 
 
 def _normalize(vector: Sequence[float] | Floats) -> Floats:
@@ -131,8 +131,8 @@ def compute_bounding_box(surfaces: Surfaces) -> Floats:
 def sample_visible_points(scene: Scene) -> Floats:
     """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
 
-    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a finer grid is tried.  Three
-    grids are tried at most.
+    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a finer grid is tried.  At most
+    three grids are tried.
 
     Parameters
     ----------

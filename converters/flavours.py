@@ -84,14 +84,13 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
         If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
     """
     sample_count = DEFAULT_SAMPLES[flavour] if samples is None else samples
-    return str({"stock": convert_stock, "exact": convert_exact}[flavour](scene, sample_count))
+    return str({"stock": convert_to_stock, "exact": convert_to_exact}[flavour](scene, sample_count))
 
 
-class Normalisation(NamedTuple):
+class Normalization(NamedTuple):
     """A translation and scaling that maps each point p of a scene to (p - center) * scale.
 
-    Normalisation does not change the picture; it moves the coordinates into the range where float32
-    is accurate.
+    The picture stays the same, and the coordinates move into the range where float32 is accurate.
 
     Attributes
     ----------
@@ -116,7 +115,7 @@ class Normalisation(NamedTuple):
         )
 
 
-def choose_normalisation(scene: Scene) -> Normalisation:
+def choose_normalization(scene: Scene) -> Normalization:
     """Choose a translation and scaling that fit the visible part of a scene into a cube.
 
     The cube is centred at the origin, and its edges are 10 units long.  If no surface is visible,
@@ -129,21 +128,21 @@ def choose_normalisation(scene: Scene) -> Normalisation:
 
     Returns
     -------
-    normalisation : Normalisation
+    normalization : Normalization
         The translation and scaling.  The scale is 1 if the fitted part is a single point.
     """
     visible_points = sample_visible_points(scene)
     points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
     min_corner, max_corner = points.min(axis=0), points.max(axis=0)
     size, center = float((max_corner - min_corner).max()), (min_corner + max_corner) / 2
-    return Normalisation(center, _SCENE_SIZE / size if size > 0 else 1.0)
+    return Normalization(center, _SCENE_SIZE / size if size > 0 else 1.0)
 
 
-def _choose_stock_normalisation(scene: Scene) -> Normalisation:
-    """Choose the translation and scaling of a scene for Mitsuba's built-in plugins.
+def _choose_stock_normalization(scene: Scene) -> Normalization:
+    """Choose the translation and scaling of a scene for the "stock" flavour (built-in plugins).
 
-    The scene keeps its coordinates if its visible part is neither very small, nor very large, nor
-    far from the origin.  A scene with very large spheres is scaled down.
+    The scene keeps its coordinates unless its visible part is very small, very large or far from
+    the origin.  A scene with very large spheres is scaled down.
 
     Parameters
     ----------
@@ -152,20 +151,20 @@ def _choose_stock_normalisation(scene: Scene) -> Normalisation:
 
     Returns
     -------
-    normalisation : Normalisation
+    normalization : Normalization
         The translation and scaling.  If the scene keeps its coordinates, the scale is 1, and the
         centre is the origin.
     """
-    normalisation = choose_normalisation(scene)
-    visible_size = _SCENE_SIZE / normalisation.scale
-    is_near_origin = np.abs(normalisation.center).max() <= _MAX_KEPT_DISTANCE * visible_size
+    normalization = choose_normalization(scene)
+    visible_size = _SCENE_SIZE / normalization.scale
+    is_near_origin = np.abs(normalization.center).max() <= _MAX_KEPT_DISTANCE * visible_size
     if is_near_origin and _MIN_KEPT_SIZE <= visible_size <= _MAX_KEPT_SIZE:
-        normalisation = Normalisation(np.zeros(3), 1.0)
-    largest_radius = normalisation.scale * float(scene.surfaces.radius.max(initial=0))
+        normalization = Normalization(np.zeros(3), 1.0)
+    largest_radius = normalization.scale * float(scene.surfaces.radius.max(initial=0))
     if largest_radius > _MAX_RADIUS:
         shrink_factor = max(_MAX_RADIUS / largest_radius, _MIN_SHRINK_FACTOR)
-        normalisation = normalisation._replace(scale=normalisation.scale * shrink_factor)
-    return normalisation
+        normalization = normalization._replace(scale=normalization.scale * shrink_factor)
+    return normalization
 
 
 def _make_film(scene: Scene) -> Element:
@@ -188,7 +187,7 @@ def _make_film(scene: Scene) -> Element:
 
 
 def _convert_surfaces(
-    surfaces: Surfaces, normalisation: Normalisation, bsdf_names: Sequence[str]
+    surfaces: Surfaces, normalization: Normalization, bsdf_names: Sequence[str]
 ) -> list[Element]:
     """Convert all surfaces of a scene to Mitsuba shapes.
 
@@ -198,7 +197,7 @@ def _convert_surfaces(
     ----------
     surfaces : Surfaces
         The surfaces: spheres and boxes.
-    normalisation : Normalisation
+    normalization : Normalization
         The translation and scaling to apply to all points and lengths.
     bsdf_names : sequence of str
         For each shader of the scene, the name of its BSDF.
@@ -208,16 +207,16 @@ def _convert_surfaces(
     shapes : list of Element
         A plugin of type "sphere" or "cube" for each surface, in the order of the scene file.
     """
-    radii = (surfaces.radius * normalisation.scale).tolist()
+    radii = (surfaces.radius * normalization.scale).tolist()
     shapes = [
         make_plugin("shape", "sphere", make_vector("point", "center", center), radius=radius)
-        for center, radius in zip(normalisation(surfaces.center).tolist(), radii, strict=True)
+        for center, radius in zip(normalization(surfaces.center).tolist(), radii, strict=True)
     ]
-    half_sizes = (surfaces.max_pt - surfaces.min_pt) * (normalisation.scale / 2)
-    largest_coordinate = np.abs(normalisation(compute_bounding_box(surfaces))).max()
+    half_sizes = (surfaces.max_pt - surfaces.min_pt) * (normalization.scale / 2)
+    largest_coordinate = np.abs(normalization(compute_bounding_box(surfaces))).max()
     half_sizes[half_sizes == 0] = _MIN_HALF_THICKNESS * largest_coordinate
     # Scale and move Mitsuba's cube, which extends from -1 to 1 along each axis.
-    centers = (normalisation(surfaces.min_pt) + normalisation(surfaces.max_pt)) / 2
+    centers = (normalization(surfaces.min_pt) + normalization(surfaces.max_pt)) / 2
     for half_size, center in zip(half_sizes.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
         to_world.append(make_vector("scale", None, half_size))
@@ -256,11 +255,11 @@ in the exact flavour.
 Shading, lights and camera are exactly those of the scene format, thanks to Mitsuba plugins of this
 project. To load the file in Python, set a Mitsuba variant that ends in _rgb, import
 converters.plugins, and call mitsuba.load_file.
-{normalisation}"""
+{normalization}"""
 
 
 @_IGNORE_OVERFLOW
-def convert_exact(scene: Scene, samples: int = 1) -> Document:
+def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
     """Convert a scene to a Mitsuba scene that reproduces the tracer's picture.
 
     This is the "exact" flavour.  It needs this project's Mitsuba plugins (`converters.plugins`).
@@ -282,16 +281,16 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
     ConversionError
         If the scene contains numbers that Mitsuba cannot represent.
     """
-    normalisation = choose_normalisation(scene)
+    normalization = choose_normalization(scene)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
-    largest_radius = float(scene.surfaces.radius.max(initial=0)) * normalisation.scale
+    largest_radius = float(scene.surfaces.radius.max(initial=0)) * normalization.scale
     tolerance = _TOLERANCE_ROUNDINGS * max(_SCENE_SIZE, largest_radius) * 2.0**-24
     elements = [
         make_plugin("integrator", "every_light", tolerance=tolerance),
-        _make_exact_sensor(scene, normalisation, samples),
+        _make_exact_sensor(scene, normalization, samples),
     ]
     for light in scene.lights:
-        position = make_vector("point", "position", normalisation(np.array(light.position)))
+        position = make_vector("point", "position", normalization(np.array(light.position)))
         intensity = make_vector("vector", "intensity", light.intensity)
         elements.append(make_plugin("emitter", "unattenuated_point", position, intensity))
     for name, shader in shader_of_name.items():
@@ -300,18 +299,18 @@ def convert_exact(scene: Scene, samples: int = 1) -> Document:
         bsdf.append(make_vector("vector", "diffuse", phong.diffuse))
         bsdf.append(make_vector("vector", "specular", phong.specular))
         elements.append(bsdf)
-    elements += _convert_surfaces(scene.surfaces, normalisation, bsdf_names)
-    return Document(_EXACT_COMMENT.format(normalisation=normalisation), elements)
+    elements += _convert_surfaces(scene.surfaces, normalization, bsdf_names)
+    return Document(_EXACT_COMMENT.format(normalization=normalization), elements)
 
 
-def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
-    """Create this project's Mitsuba sensor, "window", for the camera of a scene.
+def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
+    """Create this project's Mitsuba sensor, "window", for a scene's camera ("exact" flavour).
 
     Parameters
     ----------
     scene : Scene
         The scene, with its camera.
-    normalisation : Normalisation
+    normalization : Normalization
         The translation and scaling to apply to all points and lengths.
     samples : int
         Number of samples per pixel.
@@ -322,16 +321,16 @@ def _make_exact_sensor(scene: Scene, normalisation: Normalisation, samples: int)
         The sensor.  Its rays start on a box around the scene, because float32 is accurate there.
     """
     window = compute_window(scene.camera)
-    right, down, _ = window.axes
-    min_corner, max_corner = normalisation(compute_bounding_box(scene.surfaces))
+    corner_vector, (right, down, _) = window.compute_vectors_from_eye(0, 0), window.axes
+    min_corner, max_corner = normalization(compute_bounding_box(scene.surfaces))
     margin = 1e-3 * _SCENE_SIZE  # so that no ray starts on a surface
     return make_plugin(
         "sensor",
         "window",
-        make_vector("point", "eye", normalisation(window.eye)),
-        make_vector("vector", "corner", window.compute_vectors_to(0, 0) * normalisation.scale),
-        make_vector("vector", "right", right * (window.width * normalisation.scale)),
-        make_vector("vector", "down", down * (window.height * normalisation.scale)),
+        make_vector("point", "eye", normalization(window.eye)),
+        make_vector("vector", "corner", corner_vector * normalization.scale),
+        make_vector("vector", "right", right * (window.width * normalization.scale)),
+        make_vector("vector", "down", down * (window.height * normalization.scale)),
         make_vector("point", "low", min_corner - margin),
         make_vector("point", "high", max_corner + margin),
         _make_film(scene),
@@ -395,7 +394,7 @@ divided by {:g}, and the intensities of the lights are multiplied by it.
 
 
 @_IGNORE_OVERFLOW
-def convert_stock(scene: Scene, samples: int = 64) -> Document:
+def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
     """Approximate a scene by a Mitsuba scene that needs only Mitsuba's built-in plugins.
 
     This is the "stock" flavour.  The pixels become square, the lights fall off with distance, and
@@ -418,7 +417,7 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     ConversionError
         If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
     """
-    normalisation, square_scene = _choose_stock_normalisation(scene), make_pixels_square(scene)
+    normalization, square_scene = _choose_stock_normalization(scene), make_pixels_square(scene)
     divisor = choose_reflectance_divisor(scene.surfaces)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
     visible_points = sample_visible_points(scene)
@@ -428,26 +427,26 @@ def convert_stock(scene: Scene, samples: int = 64) -> Document:
     elements = [
         # Direct light only; for each sample, Mitsuba chooses one light.
         make_plugin("integrator", "direct", emitter_samples=1, bsdf_samples=0),
-        _make_stock_sensor(square_scene, normalisation, sample_count),
-        *(_convert_light(light, normalisation, divisor, visible_points) for light in scene.lights),
+        _make_stock_sensor(square_scene, normalization, sample_count),
+        *(_convert_light(light, normalization, divisor, visible_points) for light in scene.lights),
         *(_convert_shader(shader, name, divisor) for name, shader in shader_of_name.items()),
-        *_convert_surfaces(scene.surfaces, normalisation, bsdf_names),
+        *_convert_surfaces(scene.surfaces, normalization, bsdf_names),
     ]
     notes = ""
     if square_scene.height != scene.height:
         notes += _SQUARE_PIXELS_NOTE.format(scene.width, square_scene.height, scene.height)
     if divisor != 1:
         notes += _DIVISOR_NOTE.format(divisor)
-    if normalisation.scale != 1 or normalisation.center.any():
-        notes += str(normalisation)
+    if normalization.scale != 1 or normalization.center.any():
+        notes += str(normalization)
     return Document(_STOCK_COMMENT.format(notes=notes), elements)
 
 
 def _round_up_samples(min_samples: int, light_count: int) -> int:
     """Round up the number of samples per pixel, so that all lights get the same number of samples.
 
-    For Mitsuba's "multijitter" sampler, the number of samples must be a multiple of the number of
-    lights, and of its own square root, rounded down.
+    The result is a multiple of the number of lights.  It is also a multiple of its own square root,
+    rounded down, as Mitsuba's "multijitter" sampler requires.
 
     Parameters
     ----------
@@ -459,7 +458,7 @@ def _round_up_samples(min_samples: int, light_count: int) -> int:
     Returns
     -------
     samples : int
-        The smallest number that meets both conditions and is at least `min_samples`.  If there are
+        The smallest such number that is at least `min_samples`.  If there are
         no lights, or more lights than requested samples, it is `min_samples`.
     """
     samples = min_samples
@@ -468,14 +467,14 @@ def _round_up_samples(min_samples: int, light_count: int) -> int:
     return samples
 
 
-def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int) -> Element:
-    """Create Mitsuba's built-in sensor, "perspective", for the camera of a scene.
+def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
+    """Create Mitsuba's built-in sensor, "perspective", for a scene's camera ("stock" flavour).
 
     Parameters
     ----------
     scene : Scene
         A scene with square pixels.
-    normalisation : Normalisation
+    normalization : Normalization
         The translation and scaling to apply to all points and lengths.
     samples : int
         Number of samples per pixel.
@@ -493,8 +492,8 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
     window = compute_window(scene.camera)
     right, down, forward = window.axes
     # Mitsuba's camera looks along +z, with +x to the left and +y up.
-    to_world = np.column_stack([-right, -down, forward, normalisation(window.eye)])
-    offset_right, offset_down, distance = window.center
+    to_world = np.column_stack([-right, -down, forward, normalization(window.eye)])
+    offset_right, offset_down, distance = window.offset
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
         raise ConversionError(
@@ -502,7 +501,7 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
     farthest_offset = np.abs(compute_bounding_box(scene.surfaces) - window.eye).max(axis=0)
-    far_distance = normalisation.scale * float(np.linalg.norm(farthest_offset)) or 1.0
+    far_distance = normalization.scale * float(np.linalg.norm(farthest_offset)) or 1.0
     return make_plugin(
         "sensor",
         "perspective",
@@ -521,31 +520,31 @@ def _make_stock_sensor(scene: Scene, normalisation: Normalisation, samples: int)
 
 
 def _convert_light(
-    light: PointLight, normalisation: Normalisation, divisor: float, points: Floats
+    light: PointLight, normalization: Normalization, divisor: float, visible_points: Floats
 ) -> Element:
     """Convert a light to a Mitsuba point light, which falls off with the squared distance.
 
     The Mitsuba light is as strong as the original at one distance only.  This distance is chosen to
-    minimise the sum of the squared errors of the irradiance at the given points.
+    minimise the sum of the squared errors of the irradiance at visible points.
 
     Parameters
     ----------
     light : PointLight
         The light to convert.
-    normalisation : Normalisation
-        The translation and scaling to apply to the light and to the points.
+    normalization : Normalization
+        The translation and scaling to apply to the light and to the visible points.
     divisor : float
         Number by which all reflectances are divided.  The intensity is multiplied by it.
-    points : (n, 3) float array
+    visible_points : (n, 3) float array
         Points of visible surfaces, in the coordinates of the scene.
 
     Returns
     -------
     emitter : Element
-        A plugin of type "point", with a comment that states this distance.
+        A plugin of type "point", with a comment that states the distance at which it is exact.
     """
-    position = normalisation(np.array(light.position))
-    squared_distances = ((normalisation(points) - position) ** 2).sum(axis=1)
+    position = normalization(np.array(light.position))
+    squared_distances = ((normalization(visible_points) - position) ** 2).sum(axis=1)
     # Divide by the largest square to avoid overflow.  The minimum of 1e-12 avoids division by 0.
     largest_square = float(squared_distances.max()) or 1.0
     falloff = 1 / np.maximum(squared_distances / largest_square, 1e-12)

@@ -108,10 +108,10 @@ def make_plugin(
         If a number is beyond the range of float32.
     """
     element = Element(tag, {"type": plugin_type} | ({} if name is None else {"id": name}))
-    for parameter, value in parameters.items():
-        text = _format_number(parameter, value) if isinstance(value, float) else str(value)
+    for parameter_name, value in parameters.items():
+        text = _format_number(parameter_name, value) if isinstance(value, float) else str(value)
         text = text.lower() if isinstance(value, bool) else text
-        SubElement(element, _PARAMETER_TAGS[type(value)], name=parameter, value=text)
+        SubElement(element, _PARAMETER_TAGS[type(value)], name=parameter_name, value=text)
     element.extend(children)
     return element
 
@@ -192,12 +192,12 @@ def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element
     return element
 
 
-def _format_number(name: str, value: float) -> str:
+def _format_number(parameter_name: str, value: float) -> str:
     """Format a number as text, after checking that float32 can represent it.
 
     Parameters
     ----------
-    name : str
+    parameter_name : str
         Name of the plugin parameter, for the error message.
     value : float
         The number.
@@ -214,18 +214,18 @@ def _format_number(name: str, value: float) -> str:
     """
     if not abs(value) <= _MAX_FLOAT32:
         raise ConversionError(
-            f"{name} would be {value:g}, but Mitsuba's numbers end at {_MAX_FLOAT32:.2g};"
+            f"{parameter_name} would be {value:g}, but Mitsuba's numbers end at {_MAX_FLOAT32:.2g};"
             " keep the numbers of the scene closer to 1"
         )
     return repr(float(value))
 
 
-def _format_numbers(name: str, values: Iterable[float]) -> str:
+def _format_numbers(parameter_name: str, values: Iterable[float]) -> str:
     """Format several numbers as one string, separated by spaces.
 
     Parameters
     ----------
-    name : str
+    parameter_name : str
         Name of the plugin parameter, for the error message.
     values : iterable of float
         The numbers.
@@ -240,4 +240,4 @@ def _format_numbers(name: str, values: Iterable[float]) -> str:
     ConversionError
         If a number is NaN, or beyond the range of float32.
     """
-    return " ".join(_format_number(name, value) for value in values)
+    return " ".join(_format_number(parameter_name, value) for value in values)

@@ -25,9 +25,9 @@ from converters.variant import ensure_variant
 ensure_variant()
 
 
-def _to_vector(value: mi.ScalarVector3d) -> mi.Vector3d:
+def _to_vector(vector: mi.ScalarVector3d) -> mi.Vector3d:
     """Convert a vector of Python numbers to a float64 vector of the current Mitsuba variant."""
-    return mi.Vector3d(value[0], value[1], value[2])
+    return mi.Vector3d(vector[0], vector[1], vector[2])
 
 
 class Window(mi.Sensor):
@@ -181,7 +181,7 @@ class BlinnPhong(mi.BSDF):
     def eval(self, context, hit, to_light, active=True):
         """Compute the Blinn-Phong shading of a point that is lit from a given direction.
 
-        Mitsuba calls this method, and expects the product of the BSDF and the cosine n.l, which is
+        Mitsuba calls this method, and expects the BSDF times the cosine n.l.  This product is
         kd n.l + ks (n.h)^exponent.  Here kd and ks are the diffuse and specular colours, n is the
         normal, l is the direction to the light, and h is the unit vector halfway between l and the
         direction to the eye.

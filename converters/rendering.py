@@ -40,7 +40,7 @@ class Rendering(NamedTuple):
     seconds: float
 
 
-def render_mitsuba(
+def render_with_mitsuba(
     scene: Scene, samples: int | None = None, variant: str | None = None, flavour: str = "exact"
 ) -> Floats:
     """Render a scene with Mitsuba.
@@ -80,19 +80,19 @@ def render_mitsuba(
     return load_into_mitsuba(convert(scene, flavour, samples), variant)().image
 
 
-def load_into_mitsuba(text: str, variant: str | None = None) -> Callable[[], Rendering]:
+def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[], Rendering]:
     """Load a converted scene into Mitsuba, and return a function that renders it.
 
     Parameters
     ----------
-    text : str
-        Text of a Mitsuba scene file, such as `convert` returns.
+    scene_xml : str
+        Content of a Mitsuba scene file, such as `convert` returns.
     variant : str, optional
         Name of the Mitsuba variant; by default, the fastest that works on this machine.
 
     Returns
     -------
-    render_loaded : callable
+    render_scene : callable
         A function that takes no arguments, renders the scene, and returns a `Rendering`.  It can
         be called repeatedly.
 
@@ -106,14 +106,14 @@ def load_into_mitsuba(text: str, variant: str | None = None) -> Callable[[], Ren
 
     # Suppress Mitsuba's warning that Python plugins are slow in scalar variants.
     mi.set_log_level(mi.LogLevel.Error)
-    scene = mi.load_string(text)
+    scene = mi.load_string(scene_xml)
 
-    def render_loaded() -> Rendering:
+    def render_scene() -> Rendering:
         start_time = perf_counter()
         image = np.array(mi.render(scene), dtype=np.float64)
         return Rendering(image, chosen_variant, perf_counter() - start_time)
 
-    return render_loaded
+    return render_scene
 
 
 def write_exr(path: str | os.PathLike[str], image: Floats) -> None:

@@ -31,9 +31,9 @@ from pathlib import Path
 from converters.mitsuba_xml import FILE_START, ConversionError
 from tracer.command.arguments import (
     CommandParser,
+    check_path,
     choose_output_paths,
     make_output_folder,
-    parse_path,
     parse_positive_int,
 )
 from tracer.command.failure import Failure, describe_cause, errors_as_failure
@@ -67,23 +67,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     process_scene = _render_file if options.render else _convert_file
     default_flavour = "exact" if options.render else "stock"
-    ending = ".mitsuba.png" if options.render else ".mitsuba.xml"
     list_files = _derive_picture_paths if options.render else lambda path: (path,)
     options.flavour = options.flavour or default_flavour
-    suffix = ending if options.flavour == default_flavour else f".{options.flavour}{ending}"
-    scenes = skip_converted_scenes(options.scenes)
+    suffix = "" if options.flavour == default_flavour else f".{options.flavour}"
+    suffix += ".mitsuba.png" if options.render else ".mitsuba.xml"
+    scene_paths = skip_converted_scenes(options.scenes)
     # A path such as / has no name, but is accepted here: reading it fails with a clear message.
-    default_paths = [str(scene.parent / f"{scene.stem}{suffix}") for scene in scenes]
-    paths = [*map(str, scenes)]
-    output_paths = choose_output_paths(parser, paths, options.output, default_paths, list_files)
+    default_paths = [str(path.parent / f"{path.stem}{suffix}") for path in scene_paths]
+    inputs = [*map(str, scene_paths)]
+    output_paths = choose_output_paths(parser, inputs, options.output, default_paths, list_files)
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     if options.render:
         set_up_mitsuba(options.variant)
     make_output_folder(options.output)
     results = [
-        attempt(process_scene, scene, Path(output_path), options)
-        for scene, output_path in zip(scenes, output_paths, strict=True)
+        attempt(process_scene, scene_path, Path(output_path), options)
+        for scene_path, output_path in zip(scene_paths, output_paths, strict=True)
     ]
     return FAILED if any(isinstance(result, Failure) for result in results) else 0
 
@@ -141,7 +141,7 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Remove converted scenes from a list of paths, and print a line for each of them.
+    """Remove converted scenes from a list of paths, and print a line for each one removed.
 
     Converted scenes are not an error, because the shell pattern *.xml matches them, too.
 
@@ -200,10 +200,10 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser : argparse.ArgumentParser
         The command-line parser, to which SCENE.xml, -o and --variant are added.
     """
-    parser.add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml")
+    parser.add_argument("scenes", nargs="+", type=check_path, metavar="SCENE.xml")
     output_help = "the file to write, or a folder for the results of several scenes;"
     output_help += " a missing folder is created if PATH ends in /"
-    parser.add_argument("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
+    parser.add_argument("-o", "--output", type=check_path, metavar="PATH", help=output_help)
     variant_help = "Mitsuba's variant (default: the fastest that works on this machine)"
     parser.add_argument("--variant", help=variant_help)
 
@@ -271,13 +271,13 @@ def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespac
     Failure
         If the scene cannot be read, converted or rendered, or a picture cannot be written.
     """
-    from converters.rendering import render_mitsuba, write_exr
+    from converters.rendering import render_with_mitsuba, write_exr
     from tracer import load_scene, write_png
 
     with errors_as_failure(scene_path, "read", memory_remedy="split the scene"):
         scene = load_scene(scene_path)
     with mitsuba_errors_as_failure(scene_path, "rendered"):
-        image = render_mitsuba(scene, options.samples, options.variant, options.flavour)
+        image = render_with_mitsuba(scene, options.samples, options.variant, options.flavour)
     png_path, exr_path = _derive_picture_paths(str(output_path))
     for picture_path, write_picture in ((png_path, write_png), (exr_path, write_exr)):
         with errors_as_failure(picture_path, "written", "choose another with -o"):

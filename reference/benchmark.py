@@ -27,7 +27,7 @@ from time import perf_counter
 import numpy as np
 
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-from converters.flavours import convert_exact, convert_stock
+from converters.flavours import convert
 from converters.variant import SCALAR, mi, use_variant
 from reference import povray
 from reference.command import REFERENCE_FOLDER, SCENES, build_path, list_scene_files, make_parser
@@ -38,7 +38,7 @@ from reference.measured.measurements import (
     make_command_task,
     time_alternately,
 )
-from reference.measured.workloads import build_field, copy_with_picture_size
+from reference.measured.workloads import build_field_scene, copy_with_picture_size
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import count_processors
 
@@ -73,7 +73,7 @@ if __name__ == "__main__":
             open(f"{path}.png", "wb").write(png)
 """
 
-ROUNDS = 3
+MIN_ROUNDS = 3
 """Minimum number of rounds in which each task is timed."""
 
 
@@ -134,7 +134,7 @@ def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Ti
     loaded_scene = mi.load_string(mitsuba_xml)
     tasks: dict[str, Task] = {"tracer": partial(render, scene)}
     tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
-    timings = time_alternately(tasks, ROUNDS)
+    timings = time_alternately(tasks, MIN_ROUNDS)
     return timings["tracer"], timings["Mitsuba"]
 
 
@@ -159,8 +159,8 @@ def benchmark_whole_process(quick: bool) -> str:
     for size, scene_name in cases[:1] if quick else cases:
         scene = copy_with_picture_size(load_scene(SCENES / f"{scene_name}.xml"), *size)
         save_scene(scene, scene_file := build_path("tracer.xml"))
-        (exact_file := build_path("exact.xml")).write_text(str(convert_exact(scene)))
-        (stock_file := build_path("stock.xml")).write_text(str(convert_stock(scene, 1)))
+        (exact_file := build_path("exact.xml")).write_text(convert(scene, "exact"))
+        (stock_file := build_path("stock.xml")).write_text(convert(scene, "stock", 1))
         commands = {
             "import numpy": [sys.executable, "-c", "import numpy"],
             "tracer": [*tracer_command, str(scene_file)],
@@ -171,7 +171,7 @@ def benchmark_whole_process(quick: bool) -> str:
         if povray.is_installed():
             commands["POV-Ray"] = povray.prepare_command(scene, Path(png_path))
         tasks = {name: make_command_task(command) for name, command in commands.items()}
-        timings = time_alternately(tasks, ROUNDS, min_seconds=2.0)
+        timings = time_alternately(tasks, MIN_ROUNDS, min_seconds=2.0)
         fastest_stock_timing = min(timings["Mitsuba stock"], timings["the same, scalar"])
         baselines = timings["Mitsuba exact"], fastest_stock_timing
         speedups = [compute_speedup(timings["tracer"], baseline) for baseline in baselines]
@@ -205,10 +205,10 @@ def benchmark_rendering(quick: bool) -> str:
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
         speedups: list[tuple[float, float]] = []
         scenes = {path.stem: load_scene(path) for path in list_scene_files()}
-        scenes |= {f"field-{count}": build_field(count) for count in (1000, 10_000)}
+        scenes |= {f"field-{count}": build_field_scene(count) for count in (1000, 10_000)}
         for name in _SELECTED_SCENES if quick else scenes:
             scene = copy_with_picture_size(scenes[name], *size)
-            exact_xml, stock_xml = str(convert_exact(scene)), str(convert_stock(scene, 1))
+            exact_xml, stock_xml = convert(scene, "exact"), convert(scene, "stock", 1)
             tracer_timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_xml)
             second_tracer_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_xml)
             exact_speedup = compute_speedup(tracer_timing, exact_timing)
@@ -242,20 +242,20 @@ def benchmark_objects(quick: bool) -> str:
     section : str
         A section of a Markdown page, with these times.
     """
-    use_variant()
+    use_variant()  # the fastest that works here
     rows: list[tuple[object, ...]] = []
     for object_count in (10, 100) if quick else (100, 1000, 10_000, 100_000):
-        save_scene(build_field(object_count), scene_file := build_path("objects.xml"))
+        save_scene(build_field_scene(object_count), scene_file := build_path("objects.xml"))
         scene = load_scene(scene_file)
-        mitsuba_xml = str(convert_exact(scene))
+        mitsuba_xml = convert(scene, "exact")
         tasks: dict[str, Task] = {"parse": partial(ET.parse, scene_file)}
         tasks |= {"load": partial(load_scene, scene_file), "render": partial(render, scene)}
         # Exempt Mitsuba's many objects from garbage collection, which would distort the timings.
         gc.collect()
         gc.freeze()
-        timings = time_alternately(tasks, ROUNDS)
+        timings = time_alternately(tasks, MIN_ROUNDS)
         gc.unfreeze()
-        rows.append((f"{object_count:,}", *timings.values(), *_time_mitsuba_once(mitsuba_xml)))
+        rows.append((f"{object_count:,}", *timings.values(), *_time_mitsuba_stages(mitsuba_xml)))
     return format_section(
         "Many objects",
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
@@ -268,7 +268,7 @@ def benchmark_objects(quick: bool) -> str:
     )  # fmt: skip
 
 
-def _time_mitsuba_once(mitsuba_xml: str) -> list[Timing]:
+def _time_mitsuba_stages(mitsuba_xml: str) -> list[Timing]:
     """Time how long Mitsuba takes to load a scene and to render it twice.
 
     Parameters
@@ -322,10 +322,9 @@ def prepare_animation_commands(
         frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
         save_scene(frame_scene, scene_file := build_path(f"frame-{frame_index}.xml"))
         scene_files.append(str(scene_file))
-        documents = {"exact": convert_exact(frame_scene), "stock": convert_stock(frame_scene, 1)}
-        for flavour, document in documents.items():
+        for flavour in mitsuba_paths:
             mitsuba_file = build_path(f"frame-{frame_index}.{flavour}.xml")
-            mitsuba_file.write_text(str(document))
+            mitsuba_file.write_text(convert(frame_scene, flavour, 1))
             mitsuba_paths[flavour] += [str(mitsuba_file), f"{mitsuba_file}.png"]
         povray_picture = build_path(f"frame-{frame_index}.png")
         povray_commands.append(povray.prepare_command(frame_scene, povray_picture))
@@ -363,7 +362,7 @@ def benchmark_frames(quick: bool) -> str:
     frame_count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     renderer_commands = prepare_animation_commands(frame_count, size)
     tasks = {name: partial(run_commands, commands) for name, commands in renderer_commands.items()}
-    total_timings = time_alternately(tasks, ROUNDS)
+    total_timings = time_alternately(tasks, MIN_ROUNDS)
     timings = {name: timing.divided_by(frame_count) for name, timing in total_timings.items()}
     baseline = timings["tracer, 1 process"]
     return format_section(
@@ -392,8 +391,8 @@ def main() -> None:
     mi.set_log_level(mi.LogLevel.Error)
     sections = [
         "# Benchmark\n\nWritten by `python -m reference.benchmark`: median (minimum–maximum) of at"
-        f" least {ROUNDS} rounds. A speedup above 1 means that the tracer is faster. Measured on"
-        f" {describe_origin()}."
+        f" least {MIN_ROUNDS} rounds. A speedup above 1 means that the tracer is faster. Measured"
+        f" on {describe_origin()}."
     ]
     for benchmark in BENCHMARKS:
         sections.append(benchmark(arguments.quick))

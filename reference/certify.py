@@ -33,7 +33,7 @@ from reference.command import FAILED_STATUS, forbid_overwriting_inputs, make_par
 from reference.judges.certificate import Certificate, certify
 from reference.pictures import Codes, read_picture
 from tracer import Scene, load_scene, to_codes, write_png
-from tracer.command.arguments import CommandParser, parse_path
+from tracer.command.arguments import CommandParser, check_path
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_or_raise
 from tracer.command.progress import Progress
@@ -80,31 +80,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     ):
         certificate = certify(scene, float(arguments.error), progress.update)
     seconds = perf_counter() - start_time
-    lines = _summarise_certificate(certificate, arguments.error)
-    wrong_count = 0
+    lines = _summarize_certificate(certificate, arguments.error)
+    wrong_code_count = 0
     if judged_codes is not None:
-        wrong_count, verdict = count_wrong_codes(certificate, judged_codes)
+        wrong_code_count, verdict = count_wrong_codes(certificate, judged_codes)
         lines.append(f"{arguments.judge}: {verdict}")
     lines.append(f"{output_path}: {certificate.cell_count} cells in {seconds:.2f} s")
     with convert_errors(output_path, "written", "choose another with -o"):
         write_png(output_path, certificate.image)
     with convert_errors("standard output", "written"):
         print_or_raise(sys.stdout, "\n".join(map(make_printable, lines)))
-    return 1 if wrong_count else 0
+    return 1 if wrong_code_count else 0
 
 
 def _make_command_parser() -> CommandParser:
     """Make the command-line parser of `python -m reference.certify`."""
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
-    add_argument("scene", type=parse_path, metavar="SCENE.xml", help="the scene file")
+    add_argument("scene", type=check_path, metavar="SCENE.xml", help="the scene file")
     keywords: Any = {"type": _parse_positive_fraction, "default": _DEFAULT_ERROR, "metavar": "E"}
     help_text = f"permitted error of a pixel's mean radiance ({_DEFAULT_ERROR})"
     add_argument("--error", help=help_text, **keywords)
     help_text = "the picture to write (SCENE.xml.certified.png)"
-    add_argument("-o", "--output", type=parse_path, metavar="OUT.png", help=help_text)
+    add_argument("-o", "--output", type=check_path, metavar="OUT.png", help=help_text)
     help_text = "count the 8-bit codes that are certainly wrong in this picture of the scene"
-    add_argument("--judge", type=parse_path, metavar="PICTURE.png", help=help_text)
+    add_argument("--judge", type=check_path, metavar="PICTURE.png", help=help_text)
     return command_parser
 
 
@@ -130,7 +130,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     path : str
         The picture file.
     scene : Scene
-        The scene, whose size in pixels the picture should have.
+        The scene.  The picture must have its width and height.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def _read_codes(path: str, scene: Scene) -> Codes:
     return codes
 
 
-def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) -> list[str]:
+def _summarize_certificate(certificate: Certificate, permitted_error: Fraction) -> list[str]:
     """Summarise what a certificate proves about a picture.
 
     Parameters
@@ -167,17 +167,17 @@ def _summarise_certificate(certificate: Certificate, permitted_error: Fraction) 
         Two or three lines to print.
     """
     pixel_count = certificate.error.size
-    imprecise_count = np.count_nonzero(certificate.error > float(permitted_error))
+    imprecise_pixel_count = np.count_nonzero(certificate.error > float(permitted_error))
     certain_pixel_count = np.count_nonzero(certificate.is_certain)
     lines = [
-        f"{pixel_count - imprecise_count} of {pixel_count} pixels are within {permitted_error};"
-        f" all are within {certificate.error.max():.2g}",
+        f"{pixel_count - imprecise_pixel_count} of {pixel_count} pixels are within"
+        f" {permitted_error}; all are within {certificate.error.max():.2g}",
         f"8-bit codes are certain in {certain_pixel_count} of {pixel_count} pixels,"
         f" {certain_pixel_count / pixel_count:.2%}",
     ]
-    if imprecise_count:
+    if imprecise_pixel_count:
         reason = "because edges touch there"
-        lines.append(f"{imprecise_count} pixels have larger error bounds, {reason}")
+        lines.append(f"{imprecise_pixel_count} pixels have larger error bounds, {reason}")
     return lines
 
 

@@ -39,8 +39,8 @@ import numpy as np
 
 from converters.flavours import (
     choose_reflectance_divisor,
-    convert_exact,
-    convert_stock,
+    convert_to_exact,
+    convert_to_stock,
     make_pixels_square,
 )
 from converters.mitsuba_xml import make_plugin
@@ -304,7 +304,7 @@ def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckRes
     ValueError
         If a radiance is not finite.
     """
-    render_with_mitsuba = load_into_mitsuba(str(convert_exact(scene)), variant)
+    render_with_mitsuba = load_into_mitsuba(str(convert_to_exact(scene)), variant)
     if use_variant(variant).variant == LLVM:
         render_with_mitsuba()  # compiles the kernel
     return compare(scene, name, render_with_mitsuba())
@@ -375,7 +375,7 @@ def _render_diffuse_light(diffuse_scene: Scene, variant: str | None) -> Floats:
     """
     light = diffuse_scene.lights[0]
     white_light = replace(light, intensity=(1.0, 1.0, 1.0))
-    mitsuba_document = convert_stock(replace(diffuse_scene, lights=(white_light,)), 1)
+    mitsuba_document = convert_to_stock(replace(diffuse_scene, lights=(white_light,)), 1)
     plugins = {element.get("type"): element for element in mitsuba_document.root.iter()}
     integrator, sampler, emitter = plugins["direct"], plugins["multijitter"], plugins["point"]
     mitsuba_document.root.remove(integrator)

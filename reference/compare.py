@@ -41,7 +41,7 @@ from reference.handins.workers import map_in_workers
 from reference.page import Pair, write_page
 from reference.pictures import read_picture
 from tracer import load_scene
-from tracer.command.arguments import OUTPUT_REMEDY, is_folder, parse_path
+from tracer.command.arguments import OUTPUT_REMEDY, check_path, is_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import print_or_raise
 from tracer.command.progress import Progress, track
@@ -99,8 +99,8 @@ def _parse_command_line(arguments: Sequence[str] | None) -> tuple[argparse.Names
     add_argument("--ssim", type=parse_tolerance, metavar="S", help="minimum SSIM")
     add_argument("--max", type=parse_tolerance, metavar="M", help="maximum linear difference")
     output_help = "write a comparison picture: a file, or a folder, which may end in /"
-    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=output_help)
-    add_argument("--html", type=parse_path, metavar="OUT.html", help="write a page of all pictures")
+    add_argument("-o", "--output", type=check_path, metavar="PATH", help=output_help)
+    add_argument("--html", type=check_path, metavar="OUT.html", help="write a page of all pictures")
     formats = command_parser.add_mutually_exclusive_group()
     add_format = partial(formats.add_argument, action="store_const", dest="format_results")
     add_format("--json", const=format_json, help="print a list with one object per picture")

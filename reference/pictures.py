@@ -121,7 +121,7 @@ def _decode_picture(image: ImageFile.ImageFile, path: Path) -> Picture:
         return Picture(np.repeat(grey_codes[:, :, None], 3, axis=2))
     if image.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
         raise ValueError(f"has pixels of mode {image.mode}; 8-bit RGB is needed")
-    loses_bits = _has_more_than_8_bits(image)  # must precede decoding, which discards the depth
+    has_extra_bits = _has_more_than_8_bits(image)  # must precede decoding, which discards the depth
     rgba_image = image.convert("RGBA")
     black_image = Image.new("RGBA", rgba_image.size, (0, 0, 0, 255))
     codes = np.asarray(Image.alpha_composite(black_image, rgba_image).convert("RGB"))
@@ -133,7 +133,7 @@ def _decode_picture(image: ImageFile.ImageFile, path: Path) -> Picture:
         return Picture(codes, _FORMAT_NOTE.format("WEBP"), format_noise=12)
     if image.mode in ("P", "PA"):
         return Picture(codes, _PALETTE_NOTE, format_noise=12)
-    if loses_bits:
+    if has_extra_bits:
         return Picture(codes, _DEPTH_NOTE, format_noise=1)
     is_opaque = rgba_image.getchannel("A").getextrema() == (255, 255)
     return Picture(codes, "" if is_opaque else _ALPHA_NOTE)

@@ -25,7 +25,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from converters.camera import Floats
-from converters.rendering import render_mitsuba, write_exr
+from converters.rendering import render_with_mitsuba, write_exr
 from converters.variant import ensure_variant, mi, use_variant
 from reference.command import REFERENCE_FOLDER, SCENES, list_scene_files, make_parser
 from tracer import Scene, load_scene, render, to_codes
@@ -117,7 +117,7 @@ def main() -> None:
     large_picture = _render_image(load_scene(SCENES / "sunflower.xml"), _LARGE_HEIGHT)
     large_picture.save(REFERENCE_FOLDER / "sunflower.png", optimize=True)
     for path in list_scene_files():
-        image = render_mitsuba(load_small_scene(path))
+        image = render_with_mitsuba(load_small_scene(path))
         rounded_image = np.round(image / _RADIANCE_STEP) * _RADIANCE_STEP
         write_exr(MITSUBA_FOLDER / f"{path.stem}.exr", rounded_image)
     manifest = {

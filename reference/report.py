@@ -38,7 +38,7 @@ from reference.figures import amplify_difference, get_largest_difference
 from reference.measured.measurements import describe_origin
 from reference.page import TEMPLATE, Cell, Pair, prepare_pair, render_page, write_page
 from tracer import to_codes
-from tracer.command.arguments import is_folder, parse_path
+from tracer.command.arguments import check_path, is_folder
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import FAILED, MISUSED, attempt, print_line
 from tracer.command.progress import track
@@ -218,7 +218,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     help_text = "scene files (all in scenes/)"
     add_argument("scenes", nargs="*", type=Path, metavar="SCENE.xml", help=help_text)
     help_text = "the page to write, or a folder in which to write it (build/report.html)"
-    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=help_text)
+    add_argument("-o", "--output", type=check_path, metavar="PATH", help=help_text)
     add_argument("--variant", help="Mitsuba's variant (the fastest that works here)")
     arguments = command_parser.parse_args(argv)
     paths = sorted({*(arguments.scenes or list_scene_files())})

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 import converters.plugins  # noqa: F401 (registers the plugins that scenes name)
-from converters.flavours import convert_exact
+from converters.flavours import convert
 from converters.variant import LLVM, mi, use_variant
 from reference import povray
 from reference.command import SCENES, build_path
@@ -53,7 +53,7 @@ _REFERENCE_ERROR = 1 / 16384
 _MAX_SECONDS = 0.7
 
 # Minimum number of rounds in which each picture is timed.
-_ROUNDS = 3
+_MIN_ROUNDS = 3
 
 # Approximate error of rounding to 8 bits.
 _EIGHT_BIT_ERROR = 1e-3
@@ -66,7 +66,7 @@ _LABEL_STYLE: Any = {"textcoords": "offset points", "fontsize": 6.5, "ha": "righ
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
-def _render_all_pairs(scene: Scene, samples_per_side: int) -> Floats:
+def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Floats:
     """Render a scene as simple NumPy tracers do: test every ray against every object, in float32.
 
     Parameters
@@ -105,7 +105,7 @@ def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Cal
         1 / (factor * 4**level).
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
-    mitsuba_xml = str(convert_exact(scene, 4**level)).replace('"stratified"', '"multijitter"')
+    mitsuba_xml = convert(scene, "exact", 4**level).replace('"stratified"', '"multijitter"')
     loaded_scene = mi.load_string(mitsuba_xml)
     return {
         (_TRACER, 1): partial(render, scene, 4**level),
@@ -113,7 +113,7 @@ def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Cal
         (_TRACER, 9): partial(render, scene, 9 * 4**level),
         (_CERTIFIED_TRACER, 8): lambda: certify(scene, 1 / (8 * 4**level)).image,
         (_GRID, 1): partial(render_supersampled, scene, 2**level),
-        (_ALL_PAIRS, 1): partial(_render_all_pairs, scene, 2**level),
+        (_ALL_PAIRS, 1): partial(_render_by_brute_force, scene, 2**level),
         (_MITSUBA, 1): lambda: np.array(mi.render(loaded_scene)),
     }
 
@@ -128,7 +128,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     scene : Scene
         The scene.
     quick : bool
-        Whether to measure fewer points, against a coarser reference picture.
+        Whether to measure fewer points, against a less accurate reference picture.
 
     Yields
     ------
@@ -138,7 +138,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
-    # Errors below that of a less accurate reference picture are too uncertain to be shown.
+    # Errors smaller than the error of a coarser reference are too uncertain to be shown.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = compute_rms_error(less_accurate_image, reference_image)
     povray_picture = build_path("povray.ppm")
@@ -150,7 +150,7 @@ def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[obj
         # The time that POV-Ray reports does not include its start.
         tasks[_POVRAY, 1] = partial(povray.render_and_time, command)
         tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
-        for (method, factor), timing in time_alternately(tasks, _ROUNDS).items():
+        for (method, factor), timing in time_alternately(tasks, _MIN_ROUNDS).items():
             result = tasks[method, factor]()
             image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
             error = compute_rms_error(image, reference_image)
@@ -247,7 +247,7 @@ def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
 
 
 def main() -> None:
-    """Measure times and errors, store them in a table, and draw the chart."""
+    """Measure the times and errors of all methods, store them in a table, and draw the chart."""
     note = (
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Each point is\na picture with 1, 4, 16, ... samples per pixel; this"

@@ -36,7 +36,7 @@ Method: TypeAlias = Callable[[Scene], Floats]
 _VISIBLE_ERROR, _MIN_ERROR = 1 / 512, 1e-17
 # Ratio between the positions of two curves at "none", so that both are visible.
 _CURVE_SPACING = 1.7
-# Names and dashes of the lines at eps x and at eps x^2, for eps of float32 and of float64.
+# Names and dashes of the lines eps * x and eps * x^2, for eps of float32 and of float64.
 _GUIDES = {"dotted": ":", "dash-dotted": "-."}
 
 
@@ -70,7 +70,7 @@ def _build_scene(
     return Scene(camera=camera, lights=[PointLight(position=light)], surfaces=spheres, **size)
 
 
-def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -> Scene:
+def build_distant_sphere_scene(distance: float, width: float = 1, height: float = 1) -> Scene:
     """Build a scene in which the camera views a unit sphere from a given distance.
 
     Parameters
@@ -91,17 +91,17 @@ def build_distant_sphere(distance: float, width: float = 1, height: float = 1) -
     return _build_scene(eye, -direction, light, Sphere(), window=window, pixels=pixels)
 
 
-def build_silhouette(distance: float) -> Scene:
-    """Build a close-up of a unit sphere's silhouette, viewed from a given distance.
+def build_silhouette_scene(distance: float) -> Scene:
+    """Build a scene with a close-up of a unit sphere's silhouette.
 
-    The picture shows a strip, 2**-20 wide, on each side of the silhouette.  The camera rays are
-    exact in float64.
+    The eye is at the given distance from the silhouette.  The picture shows a strip, 2**-20 wide,
+    on each side of it.  The camera rays are exact in float64.
     """
     eye, light, window = (1, 0, distance), (8, 0, 2), (distance, 2.0**-19, 2.0**-19)
     return _build_scene(eye, (0, 0, -1), light, Sphere(), window=window, pixels=64)
 
 
-def build_moved_sphere(offset_factor: float) -> Scene:
+def build_moved_sphere_scene(offset_factor: float) -> Scene:
     """Build a scene of a unit sphere, and move the whole scene away from the origin.
 
     The scene is moved by (1, -0.7, 0.4) times `offset_factor`.  The eye is about 4 radii away from
@@ -112,21 +112,21 @@ def build_moved_sphere(offset_factor: float) -> Scene:
     return _build_scene(eye, (-1, 0, -4), light, Sphere(center=center), window=(4, 1, 1))
 
 
-def build_ground(radius: float) -> Scene:
+def build_ground_scene(radius: float) -> Scene:
     """Build a scene whose ground is a sphere of a given radius.  The eye is at a height of 1."""
     sphere = Sphere(center=(0, -radius, 0), radius=radius)
     return _build_scene((0, 1, 0), (3, -4, 0), (2, 3, 1), sphere, window=(1, 0.5, 0.5))
 
 
-def build_highlight(exponent: float) -> Scene:
+def build_highlight_scene(exponent: float) -> Scene:
     """Build a scene with a highlight that fills the picture, whatever the Phong exponent."""
     shader = Phong(diffuse=(0, 0, 0), specular=(1, 1, 1), exponent=exponent)
-    side = 3 / max(exponent, 36.0) ** 0.5
-    eye, light, window = (3, 0, 4), (-3, 0, 4), (18**0.5, side, side)
+    window_side = 3 / max(exponent, 36.0) ** 0.5
+    eye, light, window = (3, 0, 4), (-3, 0, 4), (18**0.5, window_side, window_side)
     return _build_scene(eye, (-1, 0, -1), light, Sphere(shader=shader), window=window, pixels=16)
 
 
-def build_ball_on_ground(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
+def build_ball_scene(scale: float = 1, offset: float = 0, radius: float = 128) -> Scene:
     """Build a scene of a ball that touches the ground, which is a large sphere.
 
     Parameters
@@ -217,7 +217,7 @@ class Panel:
     methods : tuple of str
         The methods to show in addition to this tracer: keys of `METHODS`.
     guides : tuple of str
-        Names of the guide lines to draw, as in `_GUIDES`: at eps x, then at eps x^2.
+        Labels of the guide lines to draw: first eps * x, then eps * x^2 (see `_GUIDES`).
     position_factors : tuple of float
         Each position is multiplied by each of these factors, to build several scenes.  A point of a
         curve shows the largest error in these scenes.
@@ -244,25 +244,25 @@ _NEARBY_FACTORS = tuple(np.sqrt([1.1, 1.2, 1.3, 1.5, 1.7]).tolist())
 
 # fmt: off
 PANELS = (
-    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15), build_distant_sphere,
-          measure_largest_error, _HIT_METHODS, ("ε D", "ε D²")),
+    Panel("A sphere far away", "distance / radius (D)", np.logspace(1, 8, 15),
+          build_distant_sphere_scene, measure_largest_error, _HIT_METHODS, ("ε D", "ε D²")),
     Panel("Hit or missed: within 10⁻⁶ of a silhouette", "distance / radius (D)",
-          np.logspace(3, 25, 12, base=2), build_silhouette, measure_wrong_pixels, _HIT_METHODS),
+          2.0 ** np.arange(3, 26, 2), build_silhouette_scene, measure_wrong_pixels, _HIT_METHODS),
     Panel("A scene far from the origin", "offset / radius", np.logspace(0, 8, 17),
-          build_moved_sphere, measure_largest_error, _OFFSET_METHODS, ("ε offset", "ε offset²"),
-          _NEARBY_FACTORS),
+          build_moved_sphere_scene, measure_largest_error, _OFFSET_METHODS,
+          ("ε offset", "ε offset²"), _NEARBY_FACTORS),
     Panel("Lit or in shadow: far from the origin", "offset / radius of the ball",
-          np.logspace(0, 28, 15, base=2), lambda x: build_ball_on_ground(offset=x),
+          2.0 ** np.arange(0, 29, 2), lambda x: build_ball_scene(offset=x),
           measure_wrong_pixels, _SHADOW_METHODS),
     Panel("The ground as a huge sphere", "radius / height of the eye", np.logspace(1, 9, 17),
-          build_ground, measure_largest_error, _HIT_METHODS, ("ε radius",)),
+          build_ground_scene, measure_largest_error, _HIT_METHODS, ("ε radius",)),
     Panel("Lit or in shadow: on a huge ground sphere", "radius of the ground / radius of the ball",
-          np.logspace(1, 27, 14, base=2), lambda x: build_ball_on_ground(radius=x / 2),
+          2.0 ** np.arange(1, 28, 2), lambda x: build_ball_scene(radius=x / 2),
           measure_wrong_pixels, _SHADOW_METHODS),
-    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), build_highlight,
+    Panel("A narrow highlight", "Phong exponent (e)", np.logspace(0, 8, 17), build_highlight_scene,
           measure_largest_error, _HIGHLIGHT_METHODS, ("ε e",)),
     Panel("Lit or in shadow: a scene in other units", "scale of the whole scene",
-          np.logspace(-30, 30, 16, base=2), lambda x: build_ball_on_ground(scale=x),
+          2.0 ** np.arange(-30, 31, 4), lambda x: build_ball_scene(scale=x),
           measure_wrong_pixels, _SHADOW_METHODS),
 )
 # fmt: on
@@ -322,9 +322,9 @@ def _measure_all_panels(quick: bool) -> Iterator[tuple[object, ...]]:
 
 
 EXAMPLES = (
-    ("Acne", build_ball_on_ground(radius=2.0**14), "t > 0"),
-    ("Lost shadows", build_ball_on_ground(scale=2.0**-22), "t > 1e-4"),
-    ("A distant sphere in shreds", build_distant_sphere(2000.0, 4.0, 2.25), "float32, textbook"),
+    ("Acne", build_ball_scene(radius=2.0**14), "t > 0"),
+    ("Lost shadows", build_ball_scene(scale=2.0**-22), "t > 1e-4"),
+    ("A distant sphere in shreds", build_distant_sphere_scene(2e3, 4.0, 2.25), "float32, textbook"),
 )
 """Pictures at the top of the chart, each with its title, its scene and the method that fails."""
 
@@ -380,8 +380,8 @@ def _draw_panel(
 ) -> None:
     """Draw one panel of the chart: a curve for each method, and guide lines.
 
-    A guide line shows an error of eps x or eps x^2 at each position x, where eps is the rounding
-    error of float32 or float64.
+    The guide lines are graphs of eps * x and eps * x^2, where x is the position, and eps is the
+    rounding error of float32 or float64.
 
     Parameters
     ----------

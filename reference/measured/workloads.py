@@ -56,7 +56,7 @@ def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     return Scene(camera=camera, width=width, height=height, lights=lights, surfaces=surfaces)
 
 
-def build_field(object_count: int) -> Scene:
+def build_field_scene(object_count: int) -> Scene:
     """Build a scene of small objects above a floor, half of them spheres and half boxes.
 
     The objects fill a volume of constant size.  Many are hidden behind others, and they cast

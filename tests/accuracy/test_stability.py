@@ -25,7 +25,7 @@ def test_error_grows_with_distance_as_eps_times_its_power(
 ):
     errors = []
     for distance in distances.tolist():
-        scene = stability.build_distant_sphere(distance)
+        scene = stability.build_distant_sphere_scene(distance)
         image = plain.render(scene, arithmetic=arithmetic, sphere_method=sphere_method)
         exact = plain.render(scene, arithmetic="decimal")
         errors.append(stability.measure_largest_error(image, exact))
@@ -41,10 +41,10 @@ def test_error_grows_with_distance_as_eps_times_its_power(
     ("scene", "method"),
     [
         *(picture[1:] for picture in stability.EXAMPLES),
-        (stability.build_ball_on_ground(scale=2.0**30), "t > 1e-6"),  # rounding errors are larger
-        (stability.build_ball_on_ground(scale=2.0**-30), "normal offset 1e-4"),
+        (stability.build_ball_scene(scale=2.0**30), "t > 1e-6"),  # rounding errors are larger
+        (stability.build_ball_scene(scale=2.0**-30), "normal offset 1e-4"),
         # Near a coordinate plane, 256 ulp are less than the rounding errors of hits.
-        (stability.build_ball_on_ground(scale=2.0**20), "offset of 256 ulp"),
+        (stability.build_ball_scene(scale=2.0**20), "offset of 256 ulp"),
     ],
 )
 def test_usual_methods_fail_where_the_chart_shows_it(scene, method):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scene_files import NAMES
 
-from converters.rendering import Rendering, render_mitsuba
+from converters.rendering import Rendering, render_with_mitsuba
 from converters.variant import SCALAR, use_variant
 from reference import check, regenerate
 from reference.command import REFERENCE_FOLDER, SCENES
@@ -74,4 +74,4 @@ def test_regenerate_renders_the_stored_pictures(tmp_path, monkeypatch):
 def test_mitsuba_converges_to_the_smooth_picture():
     """Pixels at edges count, too: at 64 samples, their error is about 1/8 of their contrast."""
     scene = replace(load_scene(SCENES / "one-sphere.xml"), width=32, height=32)
-    assert measure_differences(render(scene, 64), render_mitsuba(scene, 64)).rmse < 5e-3
+    assert measure_differences(render(scene, 64), render_with_mitsuba(scene, 64)).rmse < 5e-3

@@ -19,7 +19,7 @@ from probe import Surface
 import tracer.geometry.camera
 from converters import flavours
 from converters.camera import Window, compute_window
-from converters.flavours import convert_exact
+from converters.flavours import convert_to_exact
 from converters.rendering import Rendering
 from converters.variant import SCALAR, use_variant
 from reference import check
@@ -167,8 +167,8 @@ def lights_swapped(scene: Scene) -> Scene:
 FLIP = np.array([-1, 1, 1])
 
 WRONG_WINDOWS: dict[str, Callable[[Window], Window]] = {
-    "shifted": lambda w: w._replace(center=w.center + np.array([0.2 * w.width, 0, 0])),
-    "mirrored": lambda w: w._replace(axes=w.axes * FLIP[:, None], center=w.center * FLIP),
+    "shifted": lambda w: w._replace(offset=w.offset + np.array([0.2 * w.width, 0, 0])),
+    "mirrored": lambda w: w._replace(axes=w.axes * FLIP[:, None], offset=w.offset * FLIP),
     "field of view": lambda w: w._replace(width=w.width * 1.01, height=w.height * 1.01),
 }
 
@@ -193,7 +193,7 @@ def break_converter(monkeypatch: pytest.MonkeyPatch, mistake: str) -> None:
         )
     elif mistake in WRONG_SCENES:
         monkeypatch.setattr(
-            check, "convert_exact", lambda scene: convert_exact(WRONG_SCENES[mistake](scene))
+            check, "convert_to_exact", lambda scene: convert_to_exact(WRONG_SCENES[mistake](scene))
         )
     else:
         plugins = importlib.import_module("converters.plugins")

@@ -58,7 +58,7 @@ class CommandParser(argparse.ArgumentParser):
         super().error(make_printable(message))
 
 
-def parse_path(argument: str) -> str:
+def check_path(argument: str) -> str:
     """Return a command-line argument that is a path, after checking that it is not empty.
 
     Parameters

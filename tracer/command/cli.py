@@ -31,10 +31,10 @@ from time import sleep
 
 from tracer.command.arguments import (
     CommandParser,
+    check_path,
     choose_output_paths,
     is_folder,
     make_output_folder,
-    parse_path,
     parse_positive_int,
 )
 from tracer.command.batch import FORMATS, Batch, Job, Settings, read_scene
@@ -111,8 +111,8 @@ def _make_parser() -> CommandParser:
     parse_pixel = _make_int_parser(
         "([0-9]{1,9}),([0-9]{1,9})", "a column and a row (for example 160,90)"
     )
-    add_argument("scenes", nargs="+", type=parse_path, metavar="SCENE.xml", help=_HELP["scenes"])
-    add_argument("-o", "--output", type=parse_path, metavar="PATH", help=_HELP["output"])
+    add_argument("scenes", nargs="+", type=check_path, metavar="SCENE.xml", help=_HELP["scenes"])
+    add_argument("-o", "--output", type=check_path, metavar="PATH", help=_HELP["output"])
     add_argument("--format", choices=FORMATS, help=_HELP["format"])
     add_argument(
         "--samples", type=parse_positive_int, default=1, metavar="N", help=_HELP["samples"]
