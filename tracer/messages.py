@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def make_printable(text: str) -> str:
-    """Escape the unprintable characters in a text, such as line breaks.
+    """Escape the unprintable characters in a string, such as line breaks.
 
     The result is a single line without control characters, so it is safe to show in a terminal.
     """
@@ -14,10 +14,10 @@ def make_printable(text: str) -> str:
 
 
 def shorten(text: str) -> str:
-    """Shorten a text to at most 40 characters, and replace what is cut off by "..."."""
+    """Shorten a string to at most 40 characters, and replace what is cut off by "..."."""
     return text if len(text) <= 40 else text[:37] + "..."
 
 
 def quote(text: str) -> str:
-    """Shorten a text as `shorten` does, escape unprintable characters, and put it in quotes."""
+    """Shorten a string as `shorten` does, escape unprintable characters, and put it in quotes."""
     return repr(shorten(text))

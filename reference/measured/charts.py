@@ -20,7 +20,7 @@ __all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
 CHART_WIDTH = 9.0
 """Width of a chart in inches: two panels side by side."""
 
-# Positions of texts in inches from the left edge, and from the nearer of the upper and lower edges.
+# Positions of text in inches from the left edge, and from the nearer of the upper and lower edges.
 _TEXT_LEFT, _TITLE_TOP, _NOTE_TOP, _ORIGIN_BOTTOM = 0.2, 0.15, 0.45, 0.08
 
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})

@@ -123,7 +123,7 @@ def test_the_number_of_errors_is_bounded():
 
 
 TOKEN = "a tag or comment of more than 1048576 bytes; make it shorter"
-TOO_MANY = "contains more than 64 elements or attributes; close <{0}> of line 1 earlier, or"
+TOO_MANY = "contains more than 64 elements or attributes; close the <{0}> on line 1 sooner, or"
 ATTRIBUTES = " ".join(f'a{k}=""' for k in range(65))
 
 LIMITS = {
@@ -186,7 +186,7 @@ def test_streams(tmp_path, monkeypatch):
     with pytest.raises(SceneFileError) as caught:
         load_scene(Pipe(content))
     invalid = "not XML: not well-formed (invalid token) at column 1"
-    assert str(caught.value) == f"<stream>:9004: {invalid}; end the tag of line 9003 with >"
+    assert str(caught.value) == f"<stream>:9004: {invalid}; end the tag on line 9003 with >"
     path = tmp_path / "scene.xml"
     path.write_text("<scene>")
     with path.open("rb") as file, pytest.raises(SceneFileError) as caught:

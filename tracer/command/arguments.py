@@ -59,7 +59,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def check_path(argument: str) -> str:
-    """Return a command-line argument that is a path, after checking that it is not empty.
+    """Check that a path given on the command line is not empty, and return it.
 
     Parameters
     ----------
@@ -111,9 +111,9 @@ def is_folder(path: str) -> bool:
 
 
 def make_output_folder(output: str | None) -> None:
-    """Create the output folder if the option -o names one that does not exist.
+    """Create the output folder if the option -o ends in a slash and the folder does not exist.
 
-    Missing parent folders are created, too.  If the option names a file, nothing happens.
+    Missing parent folders are created, too.  Without the slash, nothing happens.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def make_output_folder(output: str | None) -> None:
     Raises
     ------
     Failure
-        If the folder cannot be created, for example because a file has its name.
+        If the folder cannot be created, for example because a file of that name exists.
     """
     if output is not None and is_folder(output):
         with errors_as_failure(output, "written", OUTPUT_REMEDY):

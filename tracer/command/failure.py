@@ -23,13 +23,13 @@ class Failure(Exception):  # noqa: N818
     Parameters
     ----------
     subject : str
-        The file or stream concerned.  If empty, the line is ``PROBLEM; REMEDY``.
+        Name of the file, folder or stream concerned.  If empty, the line is ``PROBLEM; REMEDY``.
     problem : str
         What failed and why, for example "cannot be written: No space left on device".
     remedy : str
         What the user can do about the failure.  If empty, the line is ``SUBJECT: PROBLEM``.
     exit_status : int
-        Exit status of a command that fails only for this reason.
+        Exit status of the command if this is its only failure.
     """
 
     def __init__(self, subject: str, problem: str, remedy: str = "", exit_status: int = 1) -> None:
@@ -60,7 +60,7 @@ def errors_as_failure(
     Parameters
     ----------
     subject : str or path-like
-        The file or stream that the block uses.
+        Name of the file or stream that the block uses.
     participle : str
         Past participle for the message, for example "read" for "cannot be read".
     remedy : str
@@ -68,7 +68,7 @@ def errors_as_failure(
     memory_remedy : str
         What the user can do instead if there is not enough memory.
     exit_status : int
-        Exit status of a command that fails only for this reason.
+        Exit status of the command if this is its only failure.
     error_types : tuple of exception classes
         Classes of errors to convert, in addition to OSError, MemoryError and SceneFileError.
 

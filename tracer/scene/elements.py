@@ -23,7 +23,7 @@ FileOrPath: TypeAlias = str | bytes | os.PathLike[str] | os.PathLike[bytes] | IO
 MAX_BYTES = 1 << 28
 """Maximum size of a scene file: 256 MiB, about two million objects."""
 MAX_TOKEN_LENGTH = 1 << 20
-"""Maximum length of a tag, a comment or a text, in bytes or characters."""
+"""Maximum length of a tag, a comment or a piece of text, in bytes or characters."""
 MAX_DESCENDANTS = 64
 """Maximum number of elements inside one child of the scene, and of attributes of one element."""
 
@@ -237,9 +237,9 @@ class Parser:
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
-        prefix, suffix = self.recent_bytes[:position], self.recent_bytes[position:] + next_bytes
+        before, after = self.recent_bytes[:position], self.recent_bytes[position:] + next_bytes
         line, column = error.lineno, error.offset + 1
-        fix = suggest_syntax_fix(message, line, prefix, suffix, self.open_elements, self.encoding)
+        fix = suggest_syntax_fix(message, line, before, after, self.open_elements, self.encoding)
         return FatalError(line, f"not XML: {message} at column {column}; {fix}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
@@ -277,7 +277,7 @@ class Parser:
             container = open_elements[:2][-1]  # the child of the root, or the root itself
             container_tag = shorten(container.tag)
             message = f"contains more than {MAX_DESCENDANTS} elements or attributes"
-            remedy = f"close <{container_tag}> of line {container.line} earlier, or remove it"
+            remedy = f"close the <{container_tag}> on line {container.line} sooner, or remove it"
             raise FatalError(element.line, f"{container_tag}: {message}; {remedy}")
 
     def _handle_end_tag(self, _tag: str) -> None:

@@ -29,8 +29,8 @@ _TAGS = 'tags are written like <shader name="red" type="Phong">, </shader>, <sha
 
 # A row contains (1) expat's message, or "" for any message; (2) a pattern that the text before the
 # error must end with; (3) a pattern that the text from the error on must begin with; (4) the
-# suggested fix, in which `line` is the line where the match of (2) begins, and `character` is the
-# character at the error.  The first row that matches is used.
+# suggested fix, in which `line` is the line where the match of (2) begins, and `description` states
+# the character at the error.  The first row that matches is used.
 _SYNTAX_REMEDIES = (
     ("", rb"", rb".?\0", "save the file as UTF-8, and without a NUL"),
     (_INVALID, rb"\A[^<]*", rb"[^<]", SCENE_REMEDY),  # for example, a picture
@@ -42,10 +42,10 @@ _SYNTAX_REMEDIES = (
     ("", rb"=\s*", rb"\w", _QUOTED),
     ("", rb"", rb"\xe2\x80[\x98\x99\x9c\x9d]", 'write straight quotes, as in type="Sphere"'),
     ("", rb"", rb"[\x01-\x08\x0e-\x1f]", "remove the control character"),
-    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {character}"),
-    ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag of line {line} with >"),
-    ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes of line {line}"),
-    ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes of line {line}"),
+    ("", rb"", rb"[\x80-\xff]", "write a plain character in place of {description}"),
+    ("", rb"<[a-zA-Z/][^<>]*", rb"<", "end the tag on line {line} with >"),
+    ("", rb'<[a-zA-Z/][^<"]*(?:"[^<"]*"[^<"]*)*"[^<"]*', rb"<", "close the quotes on line {line}"),
+    ("", rb"<[a-zA-Z/][^<']*(?:'[^<']*'[^<']*)*'[^<']*", rb"<", "close the quotes on line {line}"),
     (_INVALID, rb"<", rb"", "in text, < is written &lt;, and a tag has its name right after <"),
     (_INVALID, rb"<![^<>\"']*", rb"", "a comment is written <!-- ... -->"),
     (_INVALID, rb"""<(?:[^<>"']|"[^<>"]*"|'[^<>']*')*""", rb"", _TAGS),
@@ -86,7 +86,7 @@ _REPLACEMENTS: dict[str, Sequence[str]] = {
 
 
 def suggest_syntax_fix(
-    message: str, line: int, prefix: bytes, suffix: bytes, elements: Sequence[Any], encoding: str
+    message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
     """Suggest a fix for an XML syntax error.
 
@@ -95,8 +95,8 @@ def suggest_syntax_fix(
     message : str
         The error message from expat, the XML parser.
     line : int
-        Line of the error.
-    prefix, suffix : bytes
+        Line number of the error.
+    before, after : bytes
         The bytes of the file just before the error, and the bytes from the error on.
     elements : sequence of Element
         Elements that are still open at the error, starting with the root.
@@ -106,23 +106,23 @@ def suggest_syntax_fix(
     Returns
     -------
     remedy : str
-        The suggested fix, such as "close <light> of line 3".
+        The suggested fix, such as "close the <light> opened on line 3".
     """
     # The file is in UTF-8, but declares another encoding.  (Expat does not know the name "utf8".)
-    if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", suffix):
-        return f'write encoding="UTF-8" in the first line, not {quote(encoding)}'
-    for expected_message, prefix_pattern, suffix_pattern, remedy in _SYNTAX_REMEDIES:
+    if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
+        return f'write encoding="UTF-8" on the first line, not {quote(encoding)}'
+    for expected_message, pattern_before, pattern_after, remedy in _SYNTAX_REMEDIES:
         if expected_message in ("", message):
-            match = re.search(rb"(?s:%b)\Z" % prefix_pattern, prefix)
-            if match and re.match(suffix_pattern, suffix):
-                character = suffix.decode(errors="replace")[:1] or " "
+            match = re.search(rb"(?s:%b)\Z" % pattern_before, before)
+            if match and re.match(pattern_after, after):
+                character = after.decode(errors="replace")[:1] or " "
                 description = f"{character!r} (U+{ord(character):04X})"
-                return remedy.format(line=line - match[0].count(b"\n"), character=description)
+                return remedy.format(line=line - match[0].count(b"\n"), description=description)
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
-    innermost_tag = f"<{shorten(elements[-1].tag)}> of line {elements[-1].line}"
+    innermost_tag = f"the <{shorten(elements[-1].tag)}> opened on line {elements[-1].line}"
     if message == errors.XML_ERROR_TAG_MISMATCH:
-        end_tag = re.split(rb"[\s>]", suffix)[0].decode(errors="ignore")
+        end_tag = re.split(rb"[\s>]", after)[0].decode(errors="ignore")
         if all(end_tag != element.tag for element in elements):
             return f"only {innermost_tag} can be closed here: no <{shorten(end_tag)}> is open"
     return _MESSAGE_REMEDIES.get(message, f"close {innermost_tag}")

@@ -458,7 +458,7 @@ class _Reader:
         """
         if element or element.attrib:  # children and attributes are errors here
             self.match_children(element, {})
-        numbers = parse_numbers(element.text, validator.count)
+        numbers = parse_numbers(element.text, validator.number_count)
         if numbers:
             return numbers
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() accepts more white space
@@ -467,7 +467,7 @@ class _Reader:
             self.report(element, explain_invalid_number(word))
         if not invalid_words and not element:
             self.report(element, f"{validator.requirement}, but has {len(words)}")
-        return [np.nan] * validator.count
+        return [np.nan] * validator.number_count
 
     # Errors in elements and attributes
 
@@ -514,7 +514,7 @@ class _Reader:
             The tag that was probably meant; None if it cannot be guessed.
         """
         if element.tag in _SCENE_TAGS:
-            remedy, intended_tag = f"close the {parent.tag} of line {parent.line} first", None
+            remedy, intended_tag = f"close the {parent.tag} on line {parent.line} first", None
         else:
             remedy, intended_tag = suggest_tag(element.tag, allowed_tags)
         parent_type = shorten(parent.attrib.get("type", parent.tag))

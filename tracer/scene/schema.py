@@ -137,8 +137,8 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
 
     Returns
     -------
-    instance : object of the class
-        The new instance.
+    instance : object
+        The new instance of the class.
     """
     instance = object.__new__(dataclass)
     for name, value in values.items():
@@ -166,7 +166,7 @@ class NumberValidator:
 
     Parameters
     ----------
-    count : int
+    number_count : int
         Number of numbers in the field.
     *rules : (callable, str)
         Each rule is a function and a message.  The function tests which numbers in an array are
@@ -178,9 +178,9 @@ class NumberValidator:
         The required count, as a phrase for messages: "needs 3 numbers".
     """
 
-    def __init__(self, count: int, *rules: _Rule) -> None:
-        self.count, self.rules = count, rules
-        self.requirement = f"needs {count} number{'s' * (count > 1)}"
+    def __init__(self, number_count: int, *rules: _Rule) -> None:
+        self.number_count, self.rules = number_count, rules
+        self.requirement = f"needs {number_count} number{'s' * (number_count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
         """Validate the value of a field, and convert it to Python floats.
@@ -188,7 +188,7 @@ class NumberValidator:
         Parameters
         ----------
         value : array_like
-            A number, or a sequence of `count` numbers.
+            A number, or a sequence of `number_count` numbers.
         name : str
             Name of the field, for messages.
 
@@ -203,12 +203,12 @@ class NumberValidator:
             If there are too few or too many numbers, or a number violates a rule.
         """
         array = _copy_floats(value, name)
-        if array.size != self.count or array.ndim > 1:
+        if array.size != self.number_count or array.ndim > 1:
             shape_or_size = f"shape {array.shape}" if array.ndim > 1 else array.size
             raise SceneError([f"{name}: {self.requirement}, but has {shape_or_size}"])
-        row = array.reshape(1, self.count)
+        row = array.reshape(1, self.number_count)
         raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
-        return tuple(row[0].tolist()) if self.count > 1 else row.item()
+        return tuple(row[0].tolist()) if self.number_count > 1 else row.item()
 
     def copy_rows(self, values: ArrayLike, name: str) -> Floats:
         """Copy the values of a field into an array, with one row for each object.
@@ -217,15 +217,15 @@ class NumberValidator:
 
         Parameters
         ----------
-        values : (n, count) array_like, or (n,) array_like if `count` is 1
-            The values of the field in n objects; `count` is the number of numbers per object.
+        values : (n, number_count) array_like, or (n,) array_like if `number_count` is 1
+            The values of the field in n objects, each of which has `number_count` numbers.
         name : str
             Name of the field, for messages.
 
         Returns
         -------
-        rows : (n, count) or (n,) float array
-            The copy; one-dimensional if `count` is 1.
+        rows : (n, number_count) or (n,) float array
+            The copy; one-dimensional if `number_count` is 1.
 
         Raises
         ------
@@ -233,9 +233,9 @@ class NumberValidator:
             If the shape is wrong, or the values are not real numbers.
         """
         array = _copy_floats(values, name)
-        if array.size % self.count or array.shape[1:] not in ((), (self.count,)):
+        if array.size % self.number_count or array.shape[1:] not in ((), (self.number_count,)):
             raise SceneError([f"{name}: {self.requirement} per row, but has shape {array.shape}"])
-        return array.reshape((-1, self.count) if self.count > 1 else -1)
+        return array.reshape((-1, self.number_count) if self.number_count > 1 else -1)
 
     def find_errors(self, rows: Floats) -> Iterator[tuple[int, str]]:
         """Find the rows of an array that violate a rule of this validator.
@@ -244,7 +244,7 @@ class NumberValidator:
 
         Parameters
         ----------
-        rows : (n, count) float array
+        rows : (n, number_count) float array
             The values of a field in n objects, one row for each object.
 
         Yields
@@ -368,8 +368,8 @@ def validate_picture_side(value: int, name: str) -> int:
         raise SceneError([f"{name}: must be an int, not {value!r}"]) from None
     if not 1 <= side <= MAX_PIXELS:
         # Python cannot format integers that have too many digits.
-        actual_value = f", not {side}" if abs(side) < 1e18 else ""
-        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{actual_value}"])
+        value_text = f", not {side}" if abs(side) < 1e18 else ""
+        raise SceneError([f"{name}: must be a whole number from 1 to {MAX_PIXELS}{value_text}"])
     return side
 
 

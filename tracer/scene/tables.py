@@ -22,30 +22,30 @@ from tracer.scene.schema import Floats, NumberValidator, construct_unchecked
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# Match texts with numbers that float() may have rounded to 0, and words that denote 0 exactly.
+# Match strings with numbers that float() may have rounded to 0, and words that denote 0 exactly.
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
 
-def parse_numbers(text: str, count: int) -> list[float]:
+def parse_numbers(text: str, number_count: int) -> list[float]:
     """Parse decimal numbers that are separated by white space.
 
     Parameters
     ----------
     text : str
         The text.
-    count : int
-        Required count of numbers, at least 1.
+    number_count : int
+        Required number of numbers, at least 1.
 
     Returns
     -------
     numbers : list of float
-        The numbers.  The list is empty if the text does not consist of exactly `count` decimal
-        numbers, or if float64 would round a nonzero number to 0.
+        The numbers.  The list is empty if the text does not consist of exactly
+        `number_count` decimal numbers, or if float64 would round a nonzero number to 0.
     """
     words = text.split()
     try:
-        numbers = [*map(float, words)] if len(words) == count and _is_decimal(text) else []
+        numbers = [*map(float, words)] if len(words) == number_count and _is_decimal(text) else []
     except ValueError:
         return []
     if 0 in numbers and _may_underflow(text):  # a nonzero number may have become 0
@@ -87,7 +87,7 @@ class Column:
         self.validator, self.tags = field.metadata["validator"], field.metadata["tags"]
         self.default: Any = field.default
         default_numbers: Any = np.nan if self.default in (MISSING, None) else self.default
-        self.default_row = np.broadcast_to(default_numbers, self.validator.count).tolist()
+        self.default_row = np.broadcast_to(default_numbers, self.validator.number_count).tolist()
         self.numbers, self.lines, self.tag_indices = array("d"), array("i"), array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
@@ -108,7 +108,7 @@ class Column:
 
     def to_array(self) -> Floats:
         """Copy the numbers of all n objects into a float array with one row per object."""
-        return np.reshape(self.numbers, (-1, self.validator.count))
+        return np.reshape(self.numbers, (-1, self.validator.number_count))
 
     def get_values(self) -> Iterable[Any]:
         """Return the field's values for all objects, as the dataclass stores them.
@@ -193,14 +193,14 @@ class Table:
                 yield line, column.tags[column.tag_indices[row_index]], message
 
     def make_objects(self) -> Iterator[Any]:
-        """Create an object of the dataclass from each row of the table, without validation.
+        """Create an instance of the dataclass from each row of the table, without validation.
 
         Call this only if all rows are valid.
 
         Yields
         ------
-        instance : object of the dataclass
-            The instance made from the next row.
+        instance : object
+            The instance created from the next row.
         """
         field_values = {name: column.get_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):
