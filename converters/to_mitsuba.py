@@ -74,8 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     scene_paths = skip_converted_scenes(options.scenes)
     # A path such as / has no name, but is accepted here: reading it fails with a clear message.
     default_paths = [str(path.parent / f"{path.stem}{suffix}") for path in scene_paths]
-    inputs = [*map(str, scene_paths)]
-    output_paths = choose_output_paths(parser, inputs, options.output, default_paths, list_files)
+    scenes = [*map(str, scene_paths)]
+    output_paths = choose_output_paths(parser, scenes, options.output, default_paths, list_files)
     if options.variant is not None and not options.render:
         parser.error("--variant is for --render; converting needs no Mitsuba")
     if options.render:

@@ -193,8 +193,8 @@ class CheckResult:
 
 def _format_pixel_count(mask: Bools) -> str:
     """Format the number of True pixels in a mask (h, w), such as "1,234 pixels"."""
-    count = int(mask.sum())
-    return f"{count:,} pixel{'s' * (count != 1)}"
+    pixel_count = int(mask.sum())
+    return f"{pixel_count:,} pixel{'s' * (pixel_count != 1)}"
 
 
 def describe_exceeded_tolerances(metrics: Metrics) -> list[str]:
@@ -276,8 +276,8 @@ def check_file(path: Path, variant: str | None = None, flavour: str = "exact") -
     with errors_as_failure(path, "read", memory_remedy="split the scene"):
         scene = load_scene(path)
     with mitsuba_errors_as_failure(path, "compared"):
-        check_flavour = {"exact": check_scene, "stock": check_diffuse_light}[flavour]
-        return check_flavour(scene, make_printable(path.stem), variant)
+        compare_scene = {"exact": check_scene, "stock": check_diffuse_light}[flavour]
+        return compare_scene(scene, make_printable(path.stem), variant)
 
 
 def check_scene(scene: Scene, name: str, variant: str | None = None) -> CheckResult:

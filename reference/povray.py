@@ -133,7 +133,7 @@ def prepare_command(
 
 
 def prepare_linear_command(scene: Scene, picture_path: Path, *options: str) -> list[str]:
-    """Write a scene as a POV-Ray scene file, and return the command for a linear picture.
+    """Write a POV-Ray scene file, and return the command that renders it in linear radiance.
 
     The command writes linear radiance, clipped at 4 (`MAX_RADIANCE`), with 16 bits per channel.
     Read the picture with `read_linear_picture`.

@@ -20,8 +20,8 @@ _SHADERS = (
 def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
     """Build a scene of small objects that float above a floor, in front of the camera.
 
-    Half of the objects are spheres, the others are boxes.  However many there are, they cover about
-    the same fraction of the picture.  Equal arguments give equal scenes.
+    Half of the objects are spheres, the others are boxes.  The fraction of the picture that they
+    cover hardly depends on their number.  Equal arguments give equal scenes.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ def crowd(object_count: int, *, width: int = 640, height: int = 360) -> Scene:
         The scene.
     """
     rng = np.random.default_rng(object_count)
-    small_count = object_count - 1
-    sphere_count = small_count // 2
-    box_count = small_count - sphere_count
-    center = rng.uniform(-1, 1, (small_count, 3)) * (4.5, 2.4, 2.0)
-    radius = rng.uniform(0.5, 1.5, small_count) * 1.6 / np.sqrt(object_count)
+    small_object_count = object_count - 1
+    sphere_count = small_object_count // 2
+    box_count = small_object_count - sphere_count
+    center = rng.uniform(-1, 1, (small_object_count, 3)) * (4.5, 2.4, 2.0)
+    radius = rng.uniform(0.5, 1.5, small_object_count) * 1.6 / np.sqrt(object_count)
     half_size = radius[sphere_count:, None] * rng.uniform(0.4, 0.8, (box_count, 3))
     window: Any = {"proj_distance": 9, "view_width": 9.6, "view_height": 5.4}
     camera = Camera(view_point=(0, 1, 9), view_dir=(0, -0.1, -1), **window)

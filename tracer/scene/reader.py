@@ -38,7 +38,7 @@ _MAX_SEARCHES = 32
 _MAX_CHECKED_WORDS = 64
 
 _LOOKALIKE_REMEDY = (
-    "the name in line {} looks the same, but has other Unicode characters (one is composed, one"
+    "the name on line {} looks the same, but has other Unicode characters (one is composed, one"
     " decomposed); copy it from there"
 )
 
@@ -318,7 +318,7 @@ class _Reader:
         name = element.attrib.get("name")
         index = self.find_or_add_shader(name)
         if name is not None and self.definition_lines[index]:
-            owner = f"the shader in line {self.definition_lines[index]}"
+            owner = f"the shader on line {self.definition_lines[index]}"
             self.report(element, f"the name {quote(name)} is taken by {owner}; choose another")
         else:
             self.definition_lines[index] = element.line
@@ -532,7 +532,7 @@ class _Reader:
             The earlier element.  Its tag may differ: <intensity> and <color> have the same meaning.
         """
         subject = "" if original.tag == element.tag else f"{original.tag} is "
-        self.report(element, f"{subject}already given in line {original.line}; keep one of the two")
+        self.report(element, f"{subject}already given on line {original.line}; keep one of the two")
 
     def report_unknown_attributes(
         self, element: Element, allowed_names: Sequence[str] = (), child_tags: Collection[str] = ()
