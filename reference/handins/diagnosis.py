@@ -274,8 +274,8 @@ class Reference:
         """Describe where a submitted picture differs from the reference picture.
 
         The text names the surfaces with the most wrong pixels.  If there is no hint and the
-        background is right, it also names the worst pixel, and lights that wrongly shine or fail to
-        shine.  Without the scene, it names only the worst pixel.
+        background is nearly right, it also names the worst pixel, and any lights that wrongly shine
+        or fail to shine.  If the scene is unknown, it names only the worst pixel.
 
         Parameters
         ----------
@@ -287,7 +287,7 @@ class Reference:
         Returns
         -------
         str
-            The sentences.
+            The description: one or more sentences.
         """
         renderer = submission.renderer
         both_codes = submission.codes, renderer.reference_codes
@@ -297,19 +297,19 @@ class Reference:
         y, x = divmod(int(differences.argmax()), width)
         submitted_text, reference_text = (" ".join(map(str, codes[:, differences.argmax()]))
                                           for codes in both_codes)  # fmt: skip
-        worst_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
+        pixel_text = f" The worst is {x},{y}: {submitted_text} in place of {reference_text}"
         count_text = symptoms.format_count(is_wrong.sum())
         if not self.scene:
-            return f"{count_text}.{worst_text}. Compare with the scene to learn more."
+            return f"{count_text}.{pixel_text}. Compare with the scene to learn more."
         surfaces_text = _describe_wrong_surfaces(self.scene, submission, is_wrong)
         is_wrong_background = is_wrong & (renderer.surface_index < 0)
         if hint or is_wrong_background.sum() > 0.02 * is_wrong.sum():
             return f"{count_text}: {surfaces_text}."
-        is_scene_size = (self.scene.width, self.scene.height) == (width, height)
-        option = "" if is_scene_size else f" --size {width}x{height}"
+        has_scene_size = (self.scene.width, self.scene.height) == (width, height)
+        option = "" if has_scene_size else f" --size {width}x{height}"
         command = f"tracer {self.name}{option} --pixel {x},{y}"
         lights_text = _describe_light_errors(self.scene, submission, is_wrong)
-        return f"{count_text}: {surfaces_text}.{lights_text}{worst_text}; {command} explains it."
+        return f"{count_text}: {surfaces_text}.{lights_text}{pixel_text}; {command} explains it."
 
 
 def _describe_wrong_surfaces(scene: Scene, submission: Submission, is_wrong: Array) -> str:

@@ -127,11 +127,11 @@ class FormulaCache:
         self._cached_bytes = 0
         self._index_by_recipe: dict[Any, int] = {}
         self._reference_recipe_indices = {name: index for index, name in enumerate(inputs)}
-        self._reference_recipe_indices = self._find_recipe_indices(REFERENCE_FORMULAS)
+        self._reference_recipe_indices = self._add_recipes(REFERENCE_FORMULAS)
         self._reference_recipe_count = len(self._recipes)
 
-    def _find_recipe_indices(self, replacements: Formulas) -> dict[str, int]:
-        """Find the index of each formula's recipe when the given formulas are replaced.
+    def _add_recipes(self, replacements: Formulas) -> dict[str, int]:
+        """Add the recipes of a picture's formulas to this cache, and look up their indices.
 
         A recipe tells how to compute a value.  It consists of a formula and, for each argument, the
         index of the argument's recipe.  Values that are computed in the same way share a recipe.
@@ -144,8 +144,8 @@ class FormulaCache:
         Returns
         -------
         dict of str to int
-            Indices of the recipes by formula name.  Formulas that cannot be computed from the
-            inputs of this cache are omitted.
+            The index of each formula's recipe, by the formula's name.  Formulas that cannot be
+            computed from the inputs of this cache are omitted.
         """
         index_by_name = self._reference_recipe_indices.copy()
         for name in _list_affected_formulas(tuple(replacements)):
@@ -171,7 +171,7 @@ class FormulaCache:
         replacements : dict of str to callable
             The formulas, by name, that replace those of the reference picture.
         """
-        return "codes" in self._find_recipe_indices(replacements)
+        return "codes" in self._add_recipes(replacements)
 
     def get_value(self, name: str, replacements: Formulas) -> Any:
         """Return the value of a formula for all n pixels of this cache.
@@ -210,7 +210,7 @@ class FormulaCache:
             self._values = {k: self._values[k] for k in self._values if k < len(self._recipes)}
             self._index_by_recipe = {recipe: k for k, recipe in enumerate(self._recipes)}
             self._cached_bytes = 0
-        return self._evaluate_recipe(self._find_recipe_indices(replacements)[name])
+        return self._evaluate_recipe(self._add_recipes(replacements)[name])
 
     def _evaluate_recipe(self, index: int) -> Any:
         """Return the value of a recipe; compute and cache it if it is not yet in the cache.

@@ -75,7 +75,7 @@ def _is_input(path: Path, suffixes: tuple[str, ...]) -> bool:
 
 
 def match_hand_ins(files: Sequence[Path], class_path: Path, reference_path: Path) -> list[HandIn]:
-    """Match the pictures of students with their reference pictures, and list missing pictures.
+    """Match students' pictures with their reference pictures, and list missing pictures.
 
     A picture belongs to the scene NAME if its file name contains NAME as a whole word, in upper or
     lower case: `NAME.png`, `NAME.xml.png`, `ada_NAME.png`, `NAME-ada.png`, `NAME (1).png`.
@@ -115,7 +115,7 @@ def match_hand_ins(files: Sequence[Path], class_path: Path, reference_path: Path
 
 
 def _list_references(reference_path: Path) -> dict[str, Path]:
-    """List the scenes and reference pictures with which to compare the pictures of students.
+    """List the scenes and reference pictures to compare the students' pictures with.
 
     Parameters
     ----------
@@ -125,9 +125,9 @@ def _list_references(reference_path: Path) -> dict[str, Path]:
     Returns
     -------
     dict of str to Path
-        The files by name, in lower case and without suffixes.  In a folder with the scene
-        `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are ignored, because they were
-        computed from the scene.
+        The path of each file by its name in lower case, without suffixes.  In a folder with the
+        scene `NAME.xml`, files such as `NAME.png` and `NAME.check.png` are ignored, because they
+        were computed from the scene.
     """
     if not reference_path.is_dir():
         return {_get_base_name(reference_path): reference_path}
@@ -141,9 +141,9 @@ def _list_references(reference_path: Path) -> dict[str, Path]:
 def _match_hand_in(
     picture: Path, class_path: Path, reference_path: Path, path_by_scene: dict[str, Path]
 ) -> HandIn:
-    """Identify the student and the scene of a picture by its path.
+    """Work out from a picture's path which student and which scene it belongs to.
 
-    A subfolder is named after its student.  Without a subfolder, the student's name is the file
+    Each subfolder bears the name of a student.  Without a subfolder, the student's name is the file
     name without the scene's name.
 
     Parameters
@@ -151,12 +151,12 @@ def _match_hand_in(
     picture : Path
         The file that the student handed in.
     class_path : Path
-        The folder of the class; or `picture` itself, if it is the only one.
+        The folder of the class; or `picture` itself, if only one picture was given.
     reference_path : Path
         A scene file, a reference picture, or a folder of these.  A single file is used for all
         pictures.
     path_by_scene : dict of str to Path
-        The scenes and reference pictures by name in lower case.
+        The paths of the scenes and reference pictures, by name in lower case.
 
     Returns
     -------

@@ -203,7 +203,7 @@ def make_intersect(
     box_index = np.flatnonzero(~is_sphere & is_present)
 
     def intersect(o: Array, d: Array) -> Array:
-        """Return the smaller and the larger t (2, surfaces, n) at which rays cross surfaces."""
+        """Return the two values of t (2, surfaces, n) at which each ray crosses each surface."""
         roots = np.full((2, len(is_sphere), d.shape[1]), np.nan)
         centers_and_radii = centers[:, sphere_index], radii[sphere_index]
         roots[:, sphere_index] = intersect_sphere(*centers_and_radii, o, d)

@@ -16,10 +16,10 @@ from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
 VARIANTS = ("shadow-own", "shadow-own-lobe")
-"""Other ways to write a correct tracer, with which some mistakes look different."""
+"""Other correct ways to write a tracer, with which some mistakes look different."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (a tuple of keywords of mistakes) of a background that is not black."""
-OVEREXPOSED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
+OVEREXPOSURE_ONLY = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
 """Mistakes that show only where the radiance exceeds 1, perhaps because of another mistake."""
 ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
 """Mistakes that change levels by one."""

@@ -101,7 +101,7 @@ class Result(NamedTuple):
 
 
 def sort_causes(results: Sequence[Result]) -> list[Result]:
-    """Sort the possible causes of each wrong picture, the student's most frequent cause first.
+    """Sort the possible causes of each picture by their frequency in the student's wrong pictures.
 
     A cause is a set of mistakes that are made together.  All pictures of a student come from one
     program, so the cause that explains most of them is the most likely.
@@ -226,7 +226,7 @@ def _escape_cell(text: str) -> str:
     """Make the text of a CSV cell safe to show in a terminal or a spreadsheet.
 
     Control characters are escaped.  Text that begins like a spreadsheet formula, with a character
-    such as "=", gets an apostrophe before it.
+    such as "=", is prefixed with an apostrophe.
     """
     text = make_printable(text)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from itertools import chain, combinations
+from itertools import chain, combinations, product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -260,10 +260,10 @@ class MistakeRenderer:
 
     @cached_property
     def cause_groups(self) -> dict[Cause, list[Cause]]:
-        """Lists of causes that give the same picture; the first cause in each list is its key.
+        """Causes grouped by the picture that they give; the key of a group is its first cause.
 
-        A cause consists of one mistake, alone or with a variant: another way to write a correct
-        tracer, with which the mistake looks different.
+        A cause is one mistake, alone or with a variant.  A variant is another correct way to write
+        a tracer; it changes how some mistakes look.
 
         Mistakes that depend on numbers estimated from a submitted picture are omitted.  So are
         mistakes that concern a single surface or light, if the scene has many surfaces.
@@ -282,7 +282,7 @@ class MistakeRenderer:
         # Keep these mistakes: they may show only with another one that raises the radiance above 1.
         groups: dict[bytes, list[Cause]] = {
             keyword.encode(): [(keyword,)]
-            for keyword in mistakes.OVEREXPOSED if keyword in self.mistakes
+            for keyword in mistakes.OVEREXPOSURE_ONLY if keyword in self.mistakes
         }  # fmt: skip
         for cause, picture in zip(causes, pictures, strict=True):
             group = groups.setdefault(picture.tobytes(), [])
@@ -293,7 +293,7 @@ class MistakeRenderer:
 
     @cached_property
     def single_causes(self) -> list[Cause]:
-        """All causes of one mistake, some with a variant: another way to write a correct tracer."""
+        """All causes of one mistake, some with a variant: another correct way to write a tracer."""
         singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
         return singles + [cause for cause in chain(*self.cause_groups.values()) if cause[1:]]
 
@@ -301,17 +301,17 @@ class MistakeRenderer:
     def rendered_pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Array]:
         """The pairs of mistakes to try, rendered at k pixels.
 
-        Item 0 maps the joint cause of each pair to the pair's two causes.  Item 1 contains the
-        rendered 8-bit codes (pairs, 3, k).  Item 2 contains the indices (k,) of the pixels.
+        Item 0 maps each pair, which is a cause of two mistakes, to the two causes that it joins.
+        Item 1 contains the rendered 8-bit codes (pairs, 3, k), and item 2 the pixel indices (k,).
         """
         pixel_index = self.sample_index[: self.first_round_size]
         # Several samples per pixel would take too long, and rounding is determined at the end.
         skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
         skipped_keys |= {*mistakes.ROUNDINGS}
         causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
-        pairs = {cause: (cause_a, cause_b) for cause_a, cause_b in combinations(causes, 2)
-                 if (cause := self.join_causes(cause_a, cause_b))}  # fmt: skip
-        formula_maps = [self.get_formulas(cause) for cause in pairs]
+        pairs = {pair: (cause_a, cause_b) for cause_a, cause_b in combinations(causes, 2)
+                 if (pair := self.join_causes(cause_a, cause_b))}  # fmt: skip
+        formula_maps = [self.get_formulas(pair) for pair in pairs]
         no_codes = np.zeros((0, 3, len(pixel_index)), dtype=np.uint8)
         return pairs, self.evaluate(formula_maps, pixel_index) if pairs else no_codes, pixel_index
 
@@ -322,7 +322,7 @@ class MistakeRenderer:
         ----------
         cause_a, cause_b : tuple of str
             Keywords of mistakes that are made together, perhaps followed by the keyword of a
-            variant (another way to write a correct tracer).
+            variant (another correct way to write a tracer).
 
         Returns
         -------
@@ -373,7 +373,7 @@ class Submission:
     ) -> None:  # fmt: skip
         self.codes, self.renderer, self.format_noise = codes, renderer, format_noise
         self._reencode, reference_codes = reencode, renderer.reference_codes
-        differences = compare_levels(self._compress(reference_codes, renderer.width), codes)
+        differences = compare_levels(self._apply_losses(reference_codes, renderer.width), codes)
         self.clearly_wrong_count = int((differences > 1).sum())
         # If at most two pixels differ by more than one level, differences of one level count, too.
         self.tolerance = format_noise or int(self.clearly_wrong_count > 2)
@@ -459,8 +459,8 @@ class Submission:
         weights *= side**2 / (side - 2) ** 2
         return blocks[block_index].ravel(), weights.ravel(), side
 
-    def _compress(self, codes: Codes, width: int) -> Codes:
-        """Compress a picture in the file format of the submitted picture, and decompress it.
+    def _apply_losses(self, codes: Codes, width: int) -> Codes:
+        """Alter the codes of a picture as the file format of the submitted picture would.
 
         Parameters
         ----------
@@ -472,7 +472,7 @@ class Submission:
         Returns
         -------
         (3, n) uint8 array
-            The codes after decompression; unchanged if `reencode` is None.
+            The altered codes; unchanged if the submission has no `reencode` function.
         """
         return to_columns(self._reencode(to_picture(codes, width))) if self._reencode else codes
 
@@ -486,8 +486,8 @@ class Submission:
         pixel_index : (k,) int array
             Indices of the pixels to compare.
         width : int
-            If given, the pixels form a picture of this width, and the rendered pictures are
-            compressed like the submitted picture.  By default, they are not compressed.
+            If given, the pixels form a picture of this width, and the rendered codes are altered
+            by the file format of the submitted picture.  By default, they are not altered.
 
         Returns
         -------
@@ -497,7 +497,7 @@ class Submission:
         formula_maps = [self.renderer.get_formulas(cause) for cause in causes]
         pictures = self.renderer.evaluate(formula_maps, pixel_index, self.codes, self.fitting_cache)
         if width and self._reencode:
-            pictures = np.array([self._compress(picture, width) for picture in pictures])
+            pictures = np.array([self._apply_losses(codes, width) for codes in pictures])
         return compare_levels(pictures, self.codes[:, pixel_index])
 
     def _cache_counts(self, causes: Sequence[Cause]) -> None:
@@ -645,8 +645,8 @@ class Submission:
     def _select_best_pairs(self) -> list[Cause]:
         """Select the pairs of mistakes that come closest to explaining the submitted picture.
 
-        If several mistakes give the same picture, only the first of them is tried in all pairs.  In
-        the best pairs, it is then replaced by each of the others.
+        If several mistakes give the same picture, only one of them is tried in all pairs.  The best
+        pairs are then tried again with each of the others in its place.
 
         Returns
         -------
@@ -658,17 +658,17 @@ class Submission:
         groups = {background: [background]} | renderer.cause_groups
         all_pairs, codes, pixel_index = renderer.rendered_pairs
         is_unexplained = compare_levels(codes, self.codes[:, pixel_index]) > self.tolerance
-        order, causes = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs]
-        pairs = {causes[index]: all_pairs[causes[index]] for index in order[:_MAX_CAUSE_COUNT]}
+        order, items = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs.items()]
+        causes_by_pair = dict(items[index] for index in order[:_MAX_CAUSE_COUNT])
         if self.codes[:, renderer.surface_index < 0].any():
-            pairs |= {cause: (background, other) for other in groups
-                      if (cause := renderer.join_causes(background, other))}  # fmt: skip
-        best_pairs = self._rank_causes([*pairs])
+            causes_by_pair |= {pair: (background, other) for other in groups
+                              if (pair := renderer.join_causes(background, other))}  # fmt: skip
+        best_pairs = self._rank_causes([*causes_by_pair])
         # The best pairs, and all pairs that give the same pictures; a dictionary has no duplicates.
-        twin_pairs = {cause: None for pair in best_pairs
-                      for cause_a in groups[pairs[pair][0]] for cause_b in groups[pairs[pair][1]]
-                      if (cause := renderer.join_causes(cause_a, cause_b))}  # fmt: skip
-        return self._rank_causes([*twin_pairs]) if len(twin_pairs) > len(best_pairs) else best_pairs
+        pairs = {pair: None for best_pair in best_pairs
+                 for causes in product(*(groups[cause] for cause in causes_by_pair[best_pair]))
+                 if (pair := renderer.join_causes(*causes))}  # fmt: skip
+        return self._rank_causes([*pairs]) if len(pairs) > len(best_pairs) else best_pairs
 
     def _needs_both_mistakes(self, cause: Cause) -> bool:
         """Test whether two mistakes explain the submitted picture together, but neither does alone.
@@ -677,7 +677,7 @@ class Submission:
         ----------
         cause : tuple of str
             Keywords of two mistakes, perhaps followed by those of a rounding mistake and of a
-            variant (another way to write a correct tracer).
+            variant (another correct way to write a tracer).
 
         Returns
         -------
@@ -766,8 +766,8 @@ def remove_variants(cause: Cause) -> Cause:
     Parameters
     ----------
     cause : tuple of str
-        Keywords of mistakes that are made together, and of variants.  A variant is another way to
-        write a correct tracer; it changes how some mistakes look.
+        Keywords of mistakes that are made together, and of variants.  A variant is another correct
+        way to write a tracer; it changes how some mistakes look.
 
     Returns
     -------

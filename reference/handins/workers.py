@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 # Minimum number of jobs for which starting processes is worth it.
 _MIN_JOBS = 8
 # Number of workers that a job may kill before it is lost.
-_MAX_DEATHS = 2
+_MAX_KILLS = 2
 
 
 def map_in_workers(
@@ -46,19 +46,19 @@ def map_in_workers(
     object
         The result of each job, in order of completion.
     """
-    # Pairs of a job and its death count: the number of workers that it has killed.
+    # Pairs of a job and its kill count: the number of workers that it has killed.
     pending_jobs = deque((job, 0) for job in jobs)
-    # By future: the job, its death count, the worker, and the function that takes the next job.
+    # By future: the job, its kill count, the worker, and the function that takes the next job.
     running_jobs: dict[Future[Result], tuple[Job, int, WorkerPool, Callable[[], Any]]] = {}
 
     def start_next_job(worker: WorkerPool, take_job: Callable[[], tuple[Job, int]]) -> None:
-        """Take a pending job and start it on a worker; put the job back if this fails."""
+        """Start a pending job, chosen by `take_job`, on a worker; put it back if this fails."""
         if pending_jobs:
-            job, death_count = take_job()
+            job, kill_count = take_job()
             try:
-                running_jobs[worker.submit(compute, job)] = job, death_count, worker, take_job
+                running_jobs[worker.submit(compute, job)] = job, kill_count, worker, take_job
             except Exception:  # no process can be started
-                pending_jobs.appendleft((job, death_count))
+                pending_jobs.appendleft((job, kill_count))
 
     try:
         # Neighbouring jobs may use the same cached data, so the workers start from opposite ends.
@@ -66,11 +66,11 @@ def map_in_workers(
             start_next_job(WorkerPool(1), take_job)
         while running_jobs:
             for future in wait(running_jobs, return_when=FIRST_COMPLETED).done:
-                job, death_count, worker, take_job = running_jobs.pop(future)
+                job, kill_count, worker, take_job = running_jobs.pop(future)
                 if future.exception():
-                    worker, death_count = WorkerPool(1), death_count + 1
-                    if death_count < _MAX_DEATHS:
-                        pending_jobs.append((job, death_count))
+                    worker, kill_count = WorkerPool(1), kill_count + 1
+                    if kill_count < _MAX_KILLS:
+                        pending_jobs.append((job, kill_count))
                     else:
                         yield make_lost_result(job)
                 else:

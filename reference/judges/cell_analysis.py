@@ -152,20 +152,20 @@ class CellAnalysis:
         Enclosures (8, c) of d^2, the squared length of the ray directions, one for each cell.
     inverse_distance : Enclosures
         Enclosures (8, p) of 1 / t, one for each pair.
-    squared_root_term, root_term : Enclosures
+    root_term, root_term_squared : Enclosures
         Enclosures (8, p) of the root term and its square, one for each pair.  The unknown Z is the
         same in the root term and in 1 / t.
     """
 
     def __init__(self, faces: Faces, cells: Cells) -> None:
-        """Find the visible faces of each cell, the lights that reach them, and all possible edges.
+        """Find the faces visible in each cell, the lights that reach them, and all possible edges.
 
         Parameters
         ----------
         faces : Faces
             The spheres and the sides of boxes in the scene.
         cells : Cells
-            The cells to analyse.  They are copied, not changed.
+            The cells to analyse.  This object is not changed.
         """
         self.faces, self.cells, frame = faces, cells, faces.frame
         # Directions of camera rays, which depend linearly on the position (X, Y) in a cell.  The
@@ -189,20 +189,20 @@ class CellAnalysis:
             self._find_intersections()
 
     def _dot_with_rays(self, vectors: Floats, cell_index: Ints) -> Enclosures:
-        """Enclose the dot products of constant vectors with the ray directions in cells.
+        """Enclose the dot product of each vector with the directions of the camera rays in a cell.
 
         Parameters
         ----------
         vectors : (3, n) float array
-            The constant vectors, in the camera's axes (right, down, ahead).
+            The vectors, in the camera's axes (right, down, ahead).
         cell_index : (n,) int array
             For each vector, the index of the cell.
 
         Returns
         -------
         product : Enclosures
-            Enclosures (8, n) of the dot products.  Only rows 0 to 2 (the coefficients of 1, X and
-            Y) and row 7 (ERROR) are not zero.
+            Enclosures (8, n) of the dot products.  All rows are zero except 0 to 2 (the
+            coefficients of 1, X and Y) and 7 (ERROR).
         """
         coefficients, max_ray_size = np.zeros((8, cell_index.size)), self.faces.frame.max_ray_size
         coefficients[CONSTANT] = (vectors * self._rays[:, 0].take(cell_index, axis=1)).sum(axis=0)
@@ -301,10 +301,10 @@ class CellAnalysis:
     def _narrow_enclosures(self, functions: _RayFunctions, enclosures: Enclosures) -> Enclosures:
         """Replace the enclosures of edge functions on spheres with narrower ones, where possible.
 
-        An edge function is smooth_part + root_factor * root_term, where the root term is a square
-        root.  Near a silhouette, the root term is steep, so its enclosure is wide.  The replacement
-        encloses smooth_part^2 - (root_factor * root_term)^2, which has the same zeros, and perhaps
-        others.  This function contains no root, because the root term is squared.
+        An enclosure is a polynomial with an error bound.  An edge function is smooth_part +
+        root_factor * root_term, where the root term is a square root.  Near a silhouette, this root
+        is steep, so the enclosure is wide.  The replacement encloses the expression smooth_part^2 -
+        (root_factor * root_term)^2.  It has the same zeros, perhaps others, but no square root.
 
         Parameters
         ----------
@@ -322,8 +322,8 @@ class CellAnalysis:
         function_index = np.flatnonzero(enclosures.coefficients[UNKNOWN_Z])
         if function_index.size:
             pair_index, smooth_part, root_factor = functions.take(function_index)
-            squared_root_part = self.squared_root_term[pair_index] * root_factor * root_factor
-            replacement = smooth_part * smooth_part - squared_root_part
+            root_part_squared = self.root_term_squared[pair_index] * root_factor * root_factor
+            replacement = smooth_part * smooth_part - root_part_squared
             is_narrower = replacement.relative_width < enclosures[function_index].relative_width
             enclosures[function_index[is_narrower]] = replacement[is_narrower]
         return enclosures
@@ -335,7 +335,7 @@ class CellAnalysis:
         d meets the face at t d.  A pair is removed if the face is outside the cell, or is hidden
         everywhere in it.  The outlines of the remaining faces become possible edges.
 
-        The results are stored in `inverse_distance`, `root_term`, `squared_root_term` and `cells`.
+        The results are stored in `inverse_distance`, `root_term`, `root_term_squared` and `cells`.
         """
         faces, face_index, cell_index = self.faces, self.cells.face_index, self.cells.cell_index
         pair_index = np.flatnonzero(~faces.is_planar[face_index])
@@ -345,14 +345,14 @@ class CellAnalysis:
         center, radius = faces.center[:, sphere_index], faces.radius[sphere_index]
         discriminants[pair_index], _ = _enclose_cone(center, radius, rays, rays, sizes)
         # The root term is the sphere's `root_coef` times the square root of its discriminant.
-        self.squared_root_term = discriminants * faces.root_coef[face_index] ** 2
+        self.root_term_squared = discriminants * faces.root_coef[face_index] ** 2
         self._linear_term = self._dot_with_rays(faces.linear_coef[:, face_index], cell_index)
         self._max_inverse_distance = self._linear_term.max_abs
         is_outside = np.zeros(face_index.size, np.bool_)
         covers_cell = self._decide_claims(-1, is_outside, self._make_hit_conditions(discriminants))
         self.inverse_distance = Enclosures(self._linear_term.coefficients.copy())
         hit_pair_index = pair_index[~is_outside[pair_index]]
-        coefficients = self.squared_root_term[hit_pair_index].power(0.5).coefficients
+        coefficients = self.root_term_squared[hit_pair_index].power(0.5).coefficients
         rounding_error = self.inverse_distance.coefficients[ERROR, hit_pair_index]
         # The error bound of the root term becomes the coefficient of the unknown Z, which the
         # inverse distance shares.  The new error bound covers only rounding errors.
@@ -369,7 +369,7 @@ class CellAnalysis:
             self._edges[i] = new_index[pair_index[index]], light_index[index], functions[index]
         self.root_term = self.root_term[may_be_visible]
         self._linear_term = self._linear_term[may_be_visible]
-        self.squared_root_term = self.squared_root_term[may_be_visible]
+        self.root_term_squared = self.root_term_squared[may_be_visible]
         self.inverse_distance = self.inverse_distance[may_be_visible]
         self._max_inverse_distance = self.inverse_distance.max_abs
 
@@ -444,16 +444,16 @@ class CellAnalysis:
     def _express_light_height(self, pair_index: Ints, light_index: Ints | int) -> _RayFunctions:
         """Express the heights of lights above faces as functions of the camera ray.
 
-        The ray with direction d meets the face at t d.  The function is the light's height above
-        the tangent plane of the face at this point, divided by t.  It is positive if the light is
-        in front of the face.
+        A ray starts at the eye, which is the origin, and meets the face at the point t * d, where d
+        is its direction.  The function is the light's height above the tangent plane of the face at
+        this point, divided by t.  It is positive if the light is in front of the face.
 
         Parameters
         ----------
         pair_index : (n,) int array
             Indices of pairs.  A pair consists of a cell and a face in it.
         light_index : (n,) int array, or int
-            For each pair, the index of a light.  Index -1 stands for the eye.
+            For each pair, the index of a light.  Index -1 treats the eye as the light.
 
         Returns
         -------
@@ -564,7 +564,7 @@ class CellAnalysis:
         v[:X_SQUARED] = 2 * (dot_of_crosses - radius2 * (position[:, None] * q).sum(axis=0))
         v_size = to_center2 * lengths[1] * w_size + radius2 * lengths[0] * q_size
         v[ERROR] = 16 * ROUNDING * v_size
-        s2 = self.squared_root_term[pair_index]
+        s2 = self.root_term_squared[pair_index]
         u += s2 * (radius2 * position2 - (c_cross_center * c_cross_center).sum(axis=(0, 1)))
         u.widen(16 * ROUNDING * (to_center2 * center2 + radius2 * position2) * s2.max_abs)
         yield _Condition(triple_index, _RayFunctions(pair_index, u, Enclosures(v)))
@@ -654,18 +654,18 @@ class CellAnalysis:
         return np.concatenate(pair_indices), np.concatenate(light_indices), Enclosures(coefficients)
 
     def shade(self, is_requested: Bools, permitted_error: float) -> Contributions:
-        """Compute the radiance due to unsettled lights, and settle those that reach all of a face.
+        """Compute the radiance from unsettled lights, and settle those with accurate results.
 
-        A pair consists of a cell and a face in it.  A light reaches all of the face if no edge of
-        the light can cross the cell.  If its radiance is also accurate enough, this radiance is
-        added to `cells.radiance`, and the light is marked in `cells.is_settled`.
+        A pair consists of a cell and a face in it.  A light is settled for a pair if no terminator
+        or shadow edge of the light can cross the cell, and its radiance is accurate enough.  This
+        radiance is then added to `cells.radiance`, and the light is marked in `cells.is_settled`.
 
         Parameters
         ----------
         is_requested : (p,) bool array
             For each pair, whether to compute its radiance.
         permitted_error : float
-            Permitted error of the radiance that a pair reflects from all settled lights together,
+            Permitted error of the radiance that a face reflects from all settled lights together,
             in any channel.  Each light may cause an equal part of this error.
 
         Returns
@@ -687,9 +687,9 @@ class CellAnalysis:
         return contributions.select(~is_newly_settled)
 
     def _enclose_contributions(self, is_requested: Bools) -> Contributions:
-        """Enclose the radiance that each unsettled light adds to a face where it reaches the face.
+        """Enclose the radiance that lit points of a face reflect from each unsettled light.
 
-        A light is unsettled if it may reach only a part of the face in the cell.
+        A light is unsettled if it is not known to reach all of the face in the cell, or none of it.
 
         Parameters
         ----------
@@ -699,7 +699,7 @@ class CellAnalysis:
         Returns
         -------
         contributions : Contributions
-            The radiance of each unsettled light for each requested pair, sorted by pair and light.
+            Radiance from each unsettled light for each requested pair, sorted by pair and light.
         """
         faces, cells, scene = self.faces, self.cells, self.faces.prepared_scene
         pair_index, light_index = np.nonzero(~cells.is_settled & is_requested[:, None])

@@ -165,8 +165,8 @@ def estimate_means(
     analysis : CellAnalysis
         The c cells, with their edge functions.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  An unsettled light may
-        reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell.  An unsettled light perhaps
+        reaches only a part of the face.
     is_skipped : (c,) bool array
         Cells in which to trace no sample.  Their mean radiance is estimated as half the maximum.
         Cells with too many edges are skipped, too.
@@ -215,8 +215,8 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
     cells : Cells
         The c cells, with the radiance that each face reflects from settled lights.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  An unsettled light may
-        reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell.  An unsettled light perhaps
+        reaches only a part of the face.
 
     Returns
     -------
@@ -244,7 +244,7 @@ def _enclose_edges(
         The c cells, with their edge functions.
     contributions : Contributions
         The radiance that each unsettled light adds to a face in a cell.  It bounds the jump where
-        an edge cuts off this light.  An unsettled light may reach only a part of the face.
+        an edge cuts off this light.  An unsettled light perhaps reaches only a part of the face.
     max_radiance : (3, c) float array
         Upper bound on the radiance in each cell.  It bounds the jump where the face changes.
     is_skipped : (c,) bool array
@@ -316,8 +316,8 @@ def _enclose_region_radiance(
     analysis : CellAnalysis
         The cells, with the radiance that each face reflects from settled lights.
     contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  An unsettled light may
-        reach only a part of the face.
+        The radiance that each unsettled light adds to a face in a cell.  An unsettled light perhaps
+        reaches only a part of the face.
     regions : Regions
         The n regions of the cells.
 
@@ -348,8 +348,8 @@ def _enclose_region_radiance(
 def _trace_samples(analysis: CellAnalysis, regions: Regions) -> tuple[Ints, Bools]:
     """Find the visible pair at the centroid of each region, and the unsettled lights that reach it.
 
-    A pair consists of a cell and a face in it.  A light is unsettled for a pair if it may reach
-    only a part of the face.  One sample is traced for each region.
+    A pair consists of a cell and a face in it.  A light is unsettled for a pair if it perhaps
+    reaches only a part of the face.  One sample is traced for each region.
 
     Parameters
     ----------

@@ -210,7 +210,7 @@ class Enclosures:
         """Enclose the powers f(z) = z^exponent of the enclosed quantities z.
 
         The function f is enclosed by its Taylor polynomial of degree 2.  If the remainder is
-        large, a line parallel to the chord of f is used instead if its error is smaller.
+        large, a line parallel to the chord of f is also tried, and the smaller error decides.
 
         Parameters
         ----------
@@ -244,17 +244,17 @@ class Enclosures:
         low, high, f_low, f_high = (values[coarse_index] for values in (low, high, f_low, f_high))
         exponents = np.broadcast_to(exponent, half_width.shape)[coarse_index]
         line = self[coarse_index]._enclose_power_by_line(exponents, low, high, f_low, f_high)
-        is_narrower = ~(polynomial.coefficients[ERROR, coarse_index] < line.coefficients[ERROR])
-        polynomial[coarse_index[is_narrower]] = line[is_narrower]
+        is_line_better = ~(polynomial.coefficients[ERROR, coarse_index] < line.coefficients[ERROR])
+        polynomial[coarse_index[is_line_better]] = line[is_line_better]
         return polynomial
 
     def _enclose_power_by_line(
         self, exponent: Floats, low: Floats, high: Floats, f_low: Floats, f_high: Floats
     ) -> Enclosures:
-        """Enclose the powers z^exponent of the enclosed quantities z by linear functions of z.
+        """Enclose z^exponent by a linear function of z, for each enclosed quantity z.
 
-        The graph of f(z) = z^exponent lies between its chord and the parallel tangent.  The graph
-        of the linear function is two thirds of the way from the chord to the tangent.
+        The graph of f(z) = z^exponent lies between its chord and the parallel tangent.  The linear
+        function is two thirds of the way from the chord to the tangent, like a parabola's mean.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reference.judges.arrays import Bools, Floats, Index, Ints, sum_by_index
-from reference.judges.enclosures import CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED, Enclosures, X, Y
+from reference.judges.enclosures import X_SQUARED, Enclosures
 
 # Minimum area of a region, as a fraction of its cell.  Smaller areas are mostly rounding error.
 _MIN_AREA = 1e-12
@@ -109,15 +109,14 @@ def enclose_in_strips(cell_index: Ints, functions: Enclosures, jump: Floats) -> 
         Strips that contain all zeros, sorted by cell.  An edge function without a zero in its cell
         may get no strip.
     """
-    coefficients = functions.coefficients
-    constant, coef_xx, coef_xy, coef_yy = coefficients[[CONSTANT, X_SQUARED, X_TIMES_Y, Y_SQUARED]]
+    constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, *_ = functions.coefficients
     # Compute the value and the gradient (a, b) at a point (x, y).  The closer the point is to a
     # zero, the narrower is the strip.
-    x, y = _take_newton_step(coefficients)
-    value = constant + coefficients[X] * x + coefficients[Y] * y
+    x, y = _take_newton_step(functions.coefficients)
+    value = constant + coef_x * x + coef_y * y
     value = value + coef_xx * x * x + coef_xy * x * y + coef_yy * y * y
-    a = coefficients[X] + 2 * coef_xx * x + coef_xy * y
-    b = coefficients[Y] + coef_xy * x + 2 * coef_yy * y
+    a = coef_x + 2 * coef_xx * x + coef_xy * y
+    b = coef_y + coef_xy * x + 2 * coef_yy * y
     slope = np.hypot(a, b)
     p, q = a / slope, b / slope
     # Relative to the point (x, y), let n be the coordinate along the gradient (p, q), and t the one
