@@ -123,7 +123,7 @@ def _make_verdict(keyword: str, sentence: str) -> Diagnosis:
 
 
 class Reference:
-    """A scene or a reference picture with which to compare the pictures that students submit.
+    """A scene or a reference picture to compare students' pictures with.
 
     Parameters
     ----------

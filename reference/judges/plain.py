@@ -218,7 +218,7 @@ class _PlainTracer:
         Converts a number, or an array of numbers, to the number type of this tracer.
     intersect_sphere, start_shadow_rays : callables
         The chosen items of `SPHERE_METHODS` and `SHADOW_METHODS`.
-    skips_own_object, prefers_last : bool
+    skips_own_object, last_wins_ties : bool
         Whether shadow rays skip the surface from which they start (method "exact"); whether the
         last of several equally close surfaces is visible instead of the first.
     eye : (3, 1) array
@@ -262,7 +262,7 @@ class _PlainTracer:
         """
         to_precision, relative_tolerance = ARITHMETICS[arithmetic]
         self.scene, self.surfaces, self.to_precision = scene, scene.surfaces[:], to_precision
-        self.skips_own_object, self.prefers_last = shadow_method == "exact", ties == "last"
+        self.skips_own_object, self.last_wins_ties = shadow_method == "exact", ties == "last"
         self.intersect_sphere = SPHERE_METHODS[sphere_method]
         self.start_shadow_rays = SHADOW_METHODS[shadow_method]
         self.eye = to_precision(scene.camera.view_point)[:, None]
@@ -465,7 +465,7 @@ class _PlainTracer:
         """
         direction_length, closest_surface_index = _norm(direction), np.full(direction.shape[1], -1)
         closest_t = self.to_precision(np.full(direction.shape[1], np.inf))
-        for surface_index in range(len(self.shapes))[:: -1 if self.prefers_last else 1]:
+        for surface_index in range(len(self.shapes))[:: -1 if self.last_wins_ties else 1]:
             near, far = self.intersect(surface_index, self.eye, direction, is_closed=True)
             t = far if self.is_eye_inside[surface_index] else near
             is_ahead = (near <= far) & (t * direction_length > self.tolerance)
@@ -504,7 +504,7 @@ class _PlainTracer:
         # At an edge or a corner, several sides are tied.  The first or the last axis wins.
         side_t, visible_t = (far, far.min(axis=0)) if is_eye_inside else (near, near.max(axis=0))
         is_tied = np.asarray(np.abs(side_t - visible_t) * _norm(direction) <= self.tolerance)
-        axis = 2 - is_tied[::-1].argmax(axis=0) if self.prefers_last else is_tied.argmax(axis=0)
+        axis = 2 - is_tied[::-1].argmax(axis=0) if self.last_wins_ties else is_tied.argmax(axis=0)
         ray_index = np.arange(direction.shape[1])
         is_forward = direction[axis, ray_index] > 0
         points[axis, ray_index] = np.where(is_forward == is_eye_inside, high[axis, 0], low[axis, 0])
