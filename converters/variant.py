@@ -22,7 +22,7 @@ try:
 except NameError as error:  # raised by Dr.Jit if a library of the system is missing
     raise ImportError(str(error.__context__ or error)) from error
 
-__all__ = ["LLVM", "SCALAR", "Choice", "ensure_variant", "find_fastest_variant", "mi"]
+__all__ = ["LLVM", "SCALAR", "VariantChoice", "ensure_variant", "find_fastest_variant", "mi"]
 __all__ += ["use_variant"]
 
 # On one processor, Mitsuba's reader and writer of EXR files would wait forever for a second thread.
@@ -55,7 +55,7 @@ if "alarm" in dir():  # not on Windows
 """
 
 
-class Choice(NamedTuple):
+class VariantChoice(NamedTuple):
     """A Mitsuba variant, and the reason for choosing it.
 
     Attributes
@@ -70,7 +70,7 @@ class Choice(NamedTuple):
     reason: str
 
 
-def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
+def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> VariantChoice:
     """Find the fastest Mitsuba variant that works on this machine.
 
     A child process tests the LLVM variant, because an unusable libLLVM may abort any process that
@@ -85,7 +85,7 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
 
     Returns
     -------
-    choice : Choice
+    choice : VariantChoice
         The LLVM variant if the child process exits with status 0; otherwise the scalar variant.
     """
     setup = _CHILD_SETUP.format(seconds=ceil(timeout) + 1)
@@ -95,20 +95,20 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> Choice:
     try:
         child = subprocess.run(command, env=env, capture_output=True, text=True, timeout=timeout)
     except subprocess.TimeoutExpired:
-        return Choice(SCALAR, "the libLLVM found here hangs")
+        return VariantChoice(SCALAR, "the libLLVM found here hangs")
     if child.returncode == 0:
-        return Choice(LLVM, "libLLVM works")
+        return VariantChoice(LLVM, "libLLVM works")
     if child.returncode < 0:
         signal_name = signal.Signals(-child.returncode).name
-        return Choice(SCALAR, f"the libLLVM found here kills the process with {signal_name}")
+        return VariantChoice(SCALAR, f"the libLLVM found here kills the process with {signal_name}")
     error_lines = child.stderr.strip().splitlines() or ["no message"]
-    return Choice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
+    return VariantChoice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
 
 
 _find_fastest_once = cache(find_fastest_variant)
 
 
-def use_variant(variant: str | None = None) -> Choice:
+def use_variant(variant: str | None = None) -> VariantChoice:
     """Set the variant that Mitsuba uses for the rest of this process.
 
     Parameters
@@ -118,7 +118,7 @@ def use_variant(variant: str | None = None) -> Choice:
 
     Returns
     -------
-    choice : Choice
+    choice : VariantChoice
         The variant, and the reason for choosing it.
 
     Raises
@@ -134,7 +134,7 @@ def use_variant(variant: str | None = None) -> Choice:
             raise ImportError(f"{variant or repr(variant)} is not an RGB variant; {remedy}")
         if variant == LLVM:
             raise ImportError(f"{LLVM} does not work here: {choice.reason}")
-        choice = Choice(variant, "requested")
+        choice = VariantChoice(variant, "requested")
     mi.set_variant(choice.variant)
     return choice
 

@@ -14,7 +14,7 @@ from PIL import Image
 from running import ROOT, drop_jit, file_names, run
 
 from converters.to_mitsuba import main
-from converters.variant import LLVM, SCALAR, Choice, find_fastest_variant, mi, use_variant
+from converters.variant import LLVM, SCALAR, VariantChoice, find_fastest_variant, mi, use_variant
 from reference import check, report
 from reference.command import list_scene_files
 from tracer.command.failure import Failure
@@ -188,7 +188,7 @@ def test_the_probe_reports_how_its_child_process_ended(
     (tmp_path / ".drjit").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path))
     options = {"timeout": 0.5} if "hangs" in reason else {}
-    assert find_fastest_variant(kernel, **options) == Choice(variant, reason)
+    assert find_fastest_variant(kernel, **options) == VariantChoice(variant, reason)
 
 
 def test_the_probe_runs_once_per_process_and_scalar_is_always_available():

@@ -111,7 +111,7 @@ class Validated:
 
         Parameters
         ----------
-        field_arrays : mapping of str to (n, count) float array
+        field_arrays : mapping of str to (n, number_count) float array
             For each field name, the values of this field in n objects.  NaN marks a missing value.
 
         Returns
@@ -146,8 +146,8 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
     return instance
 
 
-# A function that tests which numbers in an array (n, count) are invalid, and a message, in which {}
-# stands for the invalid number.
+# A function that tests which numbers in an array are invalid, and a message, in which {} stands for
+# the invalid number.
 _Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
 
 _MAX_TEXT = format_number(_MAX_VALUE)
@@ -296,7 +296,7 @@ def find_errors(
     ----------
     dataclass : subclass of Validated
         The class of the objects.
-    field_arrays : mapping of str to (n, count) float array
+    field_arrays : mapping of str to (n, number_count) float array
         For each field name, the values of this field in n objects.  NaN marks a missing value.
 
     Yields

@@ -164,7 +164,7 @@ class Table:
 
         Returns
         -------
-        arrays : dict of str to (n, count) float array
+        arrays : dict of str to (n, number_count) float array
             For each field name, the values of this field in n objects.
         """
         return {name: column.to_array() for name, column in self.columns.items()}
