@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make_command_parser() -> CommandParser:
-    """Make the command-line parser of `python -m reference.certify`."""
+    """Create the command-line parser of `python -m reference.certify`."""
     command_parser = make_parser("reference.certify")
     add_argument = command_parser.add_argument
     add_argument("scene", type=check_path, metavar="SCENE.xml", help="the scene file")
