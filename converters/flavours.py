@@ -445,8 +445,8 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
 def _round_up_samples(min_samples: int, light_count: int) -> int:
     """Round up the number of samples per pixel, so that all lights get the same number of samples.
 
-    The result is a multiple of the number of lights.  It is also a multiple of its own square root,
-    rounded down, as Mitsuba's "multijitter" sampler requires.
+    The result is a multiple of the number of lights.  It is also divisible by isqrt(result), as
+    Mitsuba's "multijitter" sampler requires.
 
     Parameters
     ----------

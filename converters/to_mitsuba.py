@@ -141,9 +141,9 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 
 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
-    """Remove converted scenes from a list of paths, and print a line for each one removed.
+    """Return the paths that are not converted scenes, and print a line for each one skipped.
 
-    Converted scenes are not an error, because the shell pattern *.xml matches them, too.
+    Naming a converted scene is not an error, because *.xml also matches its file.
 
     Parameters
     ----------

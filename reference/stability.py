@@ -380,8 +380,8 @@ def _draw_panel(
 ) -> None:
     """Draw one panel of the chart: a curve for each method, and guide lines.
 
-    The guide lines are graphs of eps * x and eps * x^2, where x is the position, and eps is the
-    rounding error of float32 or float64.
+    The guide lines are graphs of eps * x and eps * x^2, where x is the position on the
+    horizontal axis, and eps is the rounding error of float32 or float64.
 
     Parameters
     ----------

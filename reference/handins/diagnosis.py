@@ -215,7 +215,8 @@ class Reference:
         Parameters
         ----------
         picture : Picture
-            The submitted picture.  Without a scene, it must have the size of the reference picture.
+            The submitted picture.  If `self.scene` is None, it must have the size of the reference
+            picture.
 
         Returns
         -------
@@ -250,8 +251,8 @@ class Reference:
         submission : Submission
             The submitted picture, and its wrong pixels.
         finding : Finding
-            The result of the search.  It contains no cause, but perhaps a hint: the mistakes that
-            come closest to explaining the picture.
+            The result of the search.  It has no cause, but may have a hint: the mistakes that come
+            closest to explaining the picture.
 
         Returns
         -------

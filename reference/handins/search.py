@@ -591,8 +591,8 @@ class Submission:
         Returns
         -------
         list of tuples of str
-            The best causes, the best first.  Empty if each leaves more than `_HOPELESS_SHARE`
-            of the wrong pixels unexplained.
+            The best causes, the best first.  Empty if every cause leaves more than
+            `_HOPELESS_SHARE` of the wrong pixels unexplained.
         """
         pixel_index, weights = self._choose_pixels(pixel_count)
         differences = self._compare_levels(causes, pixel_index)

@@ -235,7 +235,7 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
 
 
 def find_wrong_edge(is_wrong: Array) -> str:
-    """Name the outermost row or column that contains all wrong pixels of a picture.
+    """Say which edge of a picture, its first or last row or column, has all wrong pixels.
 
     Parameters
     ----------

@@ -103,15 +103,15 @@ class Enclosures:
         return np.asarray(abs_coef[X_SQUARED:].sum(axis=0) / np.maximum(abs_coef[X], abs_coef[Y]))
 
     def find_bounds(self) -> tuple[Floats, Floats]:
-        """Bound each quantity by two numbers that are valid everywhere in its cell.
+        """Compute a lower and an upper bound on each quantity over its cell.
 
         Returns
         -------
         low, high : (..., n) float arrays
-            A lower and an upper bound on each quantity.
+            The lower and the upper bounds.
         """
         constant, coef_x, coef_y, coef_xx, coef_xy, coef_yy, coef_z, error = self.coefficients
-        # The terms with X^2 and Y^2 have the signs of their coefficients; the others have any sign.
+        # The terms with X^2 and Y^2 have the signs of their coefficients; the others, either sign.
         spread = np.abs([coef_x, coef_y, coef_xy, coef_z]).sum(axis=0) + error
         low = constant - spread + np.minimum(coef_xx, 0) + np.minimum(coef_yy, 0)
         high = constant + spread + np.maximum(coef_xx, 0) + np.maximum(coef_yy, 0)

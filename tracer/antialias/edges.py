@@ -45,7 +45,7 @@ _MIN_COSINE_RATIO = 1e-3
 
 
 def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
-    """Compute the radius of the surface area that is visible in each cell of the picture.
+    """Compute the radius of the patch of surface that each cell of the picture shows.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
     Returns
     -------
     footprint_radius : (n,) float array
-        Radius around each hit, in the scene's unit of length.
+        Radius of the visible patch around each hit, in the scene's unit of length.
     """
     cell_angle, distance = _compute_cell_angle(hits.scene.frame, cell_width), hits.distance
     footprint_radius = np.empty(distance.size)
@@ -111,7 +111,7 @@ def _compute_face_radii(cell_radius: Floats, cosine: Floats, cell_angle: float) 
     Returns
     -------
     footprint_radius : (n,) float array
-        Radius around each hit, in the scene's unit of length.
+        Radius of the visible patch around each hit, in the scene's unit of length.
     """
     # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
     return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))

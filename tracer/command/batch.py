@@ -153,7 +153,8 @@ class Batch:
             Whether all pictures were written.
         """
         self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
-        # The last few scenes cannot occupy all processes, so all processes share the larger ones.
+        # At the end, too few scenes are left to occupy all processes.  So any large one among them
+        # is divided among the processes.
         worker_count = self._pool.worker_count
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
         queue = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]

@@ -369,8 +369,8 @@ class Boxes:
         # Allow for the distance by which `occludes` moves the ends of a segment.
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
         capsule_radius = capsule_radius + 2 * SURFACE_TOLERANCE * coordinate_bound
-        # Positions on the axis, from 0 to 1, at which it enters and leaves the box after the box is
-        # grown or shrunk by the radius of the capsule.
+        # Positions on the axis, from 0 to 1, at which it enters and leaves the box grown by the
+        # radius of the capsule, and the box shrunk by it.
         enter_t, leave_t = shrunk_enter_t, shrunk_leave_t = np.array(-np.inf), np.array(np.inf)
         low, high = self.get_corners(object_index)
         # Coordinate i is x in the first pass, then y, then z.

@@ -428,8 +428,8 @@ class RenderJob:
 def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
     """Return the render job with the given pickled arguments.
 
-    Each process caches its last jobs, because preparing a scene may take longer than rendering a
-    tile.
+    Each process caches the jobs that it used last, because preparing a scene may take longer than
+    rendering a tile.
 
     Parameters
     ----------

@@ -250,7 +250,7 @@ class _Reader:
         if element.tag != "scene":
             raise FatalError(element.line, f"{shorten(element.tag)}: the root must be <scene>")
         if "version" in element.attrib:
-            message = "scene: has a version, so the file is for Mitsuba; use the original scene"
+            message = "scene: has a version, so this is a Mitsuba file; use the original scene"
             raise FatalError(element.line, message)
         self.report_unknown_attributes(element)
         self.unique_elements["scene"] = element

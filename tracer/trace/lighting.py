@@ -171,14 +171,14 @@ class Shading:
         )
 
     def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the reflected light of one batch of lights, and update `visibility_ids`.
+        """Add the reflected light of a batch of lights to the sums, and update `visibility_ids`.
 
         Parameters
         ----------
         geometry : LightGeometry
-            The lights, and the hits to which they add light.
+            The lights, and the n hits.
         is_lit : (lights, n) bool array
-            Whether the light is visible from the hit.
+            Whether each light is visible from each hit.
         """
         for light_index, is_hit_lit in enumerate(is_lit):
             if self._with_ids:

@@ -415,7 +415,7 @@ def _test_footprints(
     shape : Spheres or Boxes
         The shape of all objects in `candidates`.
     candidates : (3, k) int array
-        Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
+        Triples to test.  Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     footprint_radius : (n,) float array
         Radius of the footprint of each hit, in the scene's unit of length.
 
@@ -455,6 +455,8 @@ def _test_blocking(
 ) -> Bools:
     """Test whether the object of each candidate blocks the segment from its hit to its light.
 
+    A candidate is a triple of a light, a hit and an object.
+
     Parameters
     ----------
     hits, lights : Hits, Lights
@@ -462,7 +464,7 @@ def _test_blocking(
     shape : Spheres or Boxes
         The shape of all objects in `candidates`.
     candidates : (3, k) int array
-        Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
+        Triples to test.  Row 0 contains light indices, row 1 hit indices, and row 2 object indices.
     growth : (k,) float array, optional
         Distance by which to grow each object before the test; a negative distance shrinks it.
 

@@ -388,15 +388,16 @@ def _split_by_octant(
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Split boxes of vectors by octant, and bound the directions of the vectors in each part.
 
-    A box contains the vectors to one light whose components x, y and z lie in given ranges.  An
-    octant contains the vectors whose components have given signs.  So a box has up to eight parts.
+    A box is a set of vectors to one light: those with x, y and z in given ranges.  An octant
+    contains all vectors with given signs of x, y and z.  So a box has up to eight parts.
 
     Parameters
     ----------
     vector_min, vector_max : (3, lights, n) float arrays
         Smallest and largest components of the vectors in each box.
     patch_of_octant : (8 * lights,) int array
-        Index of the patch in each octant of each light; octants with a negative index are skipped.
+        For each octant of each light, the index of its patch; octants with a negative index are
+        skipped.
     is_active : (lights, n) or (1, 1) bool array
         Whether to split the box; other boxes are skipped.
 
