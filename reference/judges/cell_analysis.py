@@ -69,7 +69,7 @@ class _RayFunctions(NamedTuple):
 
     def take(self, index: Ints) -> _RayFunctions:
         """Copy the functions selected by indices (k,)."""
-        return self._replace(**{name: field[index] for name, field in self._asdict().items()})
+        return _RayFunctions._make(field[index] for field in self)
 
 
 class _Condition(NamedTuple):

@@ -197,7 +197,7 @@ class Contributions(NamedTuple):
 
     def select(self, is_selected: Bools) -> Contributions:
         """Copy the contributions selected by a mask (n,)."""
-        return self._replace(**{name: field[is_selected] for name, field in self._asdict().items()})
+        return Contributions._make(field[is_selected] for field in self)
 
 
 def make_initial_cells(faces: Faces, width: int, height: int) -> Cells:

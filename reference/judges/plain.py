@@ -537,9 +537,10 @@ class _PlainTracer:
             is_blocked = self.is_blocking(occluder_index, ray_origin, light, epsilon)
             if self.skips_own_object:
                 # A surface shades its own points only if it contains the eye, but not the light.
-                is_light_outside = self.compute_signed_distance(occluder_index, light)[0] >= 0
-                shades_itself = is_eye_inside and is_light_outside
-                is_blocked[own_index[index] == occluder_index] = shades_itself
+                is_own = own_index[index] == occluder_index
+                is_blocked[is_own] = (
+                    is_eye_inside and self.compute_signed_distance(occluder_index, light)[0] >= 0
+                )
             is_lit[index] = ~is_blocked
         return is_lit
 

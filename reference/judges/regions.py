@@ -56,7 +56,7 @@ class Strips(NamedTuple):
 
     def take(self, index: Index) -> Strips:
         """Copy the strips selected by indices (k,) or a mask (n,)."""
-        return self._replace(**{name: values[index] for name, values in self._asdict().items()})
+        return Strips._make(field[index] for field in self)
 
     @property
     def area(self) -> Floats:

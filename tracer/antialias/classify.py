@@ -236,7 +236,8 @@ def _shade_and_find_edges(
     crowded_index : (j,) int array
         Indices of cells in which finding all edges would take longer than dense sampling.
     """
-    hits, _, hit_cell_index, footprint_radius, _ = surfaces
+    hits, hit_cell_index = surfaces.hits, surfaces.cell_index
+    footprint_radius = surfaces.footprint_radius
     geometry = compute_light_geometry(hits, lights)
     faces_light = geometry.n_dot_l > 0
     # Cells with wide footprints are always divided, so their shadow edges are not needed.

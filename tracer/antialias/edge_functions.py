@@ -225,12 +225,12 @@ def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Int
         the tolerance, or if values are unknown.
     """
     no_edges = EdgeValues(np.zeros(0, dtype=np.intp), np.zeros((6, 0)))
-    fits = (_fit_line_batch(*batch, tolerance) for batch in chain([no_edges], edges))
+    fits = (_fit_line_batch(batch, tolerance) for batch in chain([no_edges], edges))
     batch_lines, curved_cell_index = zip(*fits, strict=True)
     return Lines.concatenate(batch_lines), np.concatenate(curved_cell_index)
 
 
-def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple[Lines, Ints]:
+def _fit_line_batch(edges: EdgeValues, tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each of n edges, and find the cells with curved edges.
 
     A cell is a pixel, or a square part of a pixel.  Each edge is given by its edge function f, a
@@ -239,10 +239,8 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
 
     Parameters
     ----------
-    cell_index : (n,) int array
-        Index of the cell that each edge may cross.
-    values : (6, n) float array
-        Values of each edge function at six points of the cell (see `compute_rays`); NaN if unknown.
+    edges : EdgeValues
+        The cells that the n edges may cross, and values of the edge functions.
     tolerance : float
         Tolerated error of the mean radiance of a cell.
 
@@ -255,6 +253,7 @@ def _fit_line_batch(cell_index: Ints, values: Floats, tolerance: float) -> tuple
         Index of the cell of each curved edge.  An edge counts as curved if it turns too much for
         the tolerance, or if values are unknown.
     """
+    cell_index, values = edges
     # Values of f, scaled so that powers of the derivatives are finite in any unit of length.
     center, right, left, lower, upper, corner = values / bound_variation(values)
     # Near the centre, f(p) = c + g . p + p . H p / 2, with the gradient g = (a, b) and a matrix H.

@@ -347,6 +347,7 @@ class CellSurfaces(NamedTuple):
         from_eye = take(hidden_hits.from_eye, hidden_index)
         distance = hidden_hits.distance[hidden_index]
         visible_distance = self.hits.distance[hit_index]
+        footprint_radius = self.footprint_radius[hit_index]
         for axis in range(3):
             # Coordinates of the hidden hit and of a face along the axis, relative to the eye.
             hit_offset = frame.project_onto_axis(from_eye, axis)
@@ -356,8 +357,7 @@ class CellSurfaces(NamedTuple):
             # The ray meets the plane at plane_t times the vector from the eye to the hidden hit.
             plane_t = plane_offset / hit_offset
             cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
-            max_gap = _compute_face_radii(cell_radius, cosine, cell_angle)
-            max_gap += self.footprint_radius[hit_index]
+            max_gap = footprint_radius + _compute_face_radii(cell_radius, cosine, cell_angle)
             may_cross_cell = np.abs(plane_t * distance - visible_distance) <= max_gap
             yield from self._compare_with_planes(axis, hit_index, plane_offset, may_cross_cell)
 

@@ -117,7 +117,7 @@ class Boxes:
         """
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_y = frame.to_ray_y(top + height / 2)
-        min_ray_x, max_ray_x = np.full((2, box_index.size), [[-np.inf], [np.inf]])
+        min_ray_x, max_ray_x = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
         # The margin allows for the other rays of the row and for rounding errors.
         margin = 0.5 * height * frame.pixel_height + PLANE_ROUNDING * frame.max_ray_size
         for plane_index in range(6):

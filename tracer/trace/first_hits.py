@@ -61,10 +61,11 @@ class FirstHits:
         normal, point = np.full((2, sample_count, 3), np.nan)
         surface[sample_index] = hits.scene.surfaces.file_index[hits.hit_object]
         distance[sample_index] = hits.distance
-        point[sample_index], normal[sample_index] = np.transpose(hits.get_points(slice(None))), 0
+        point[sample_index] = np.transpose(hits.get_points(slice(None)))
         for group in hits.groups:
             if group.shape.is_planar:  # exact, unlike normals converted from camera axes
                 face_axis, sign = map(group.repeat_runs, (group.face_axis, group.normal_sign))
+                normal[group.sample_index] = 0
                 normal[group.sample_index, face_axis] = sign
             else:
                 normal[group.sample_index] = np.transpose(frame.rotate_to_scene(group.normal))
