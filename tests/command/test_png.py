@@ -35,7 +35,7 @@ def compute_exact_code(x: float, gamma: tuple[int, int] = (11, 5)) -> int:
 def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
     """The code changes at exactly the right float64, for any value of the constant `_GAMMA`."""
     monkeypatch.setattr(png, "_GAMMA", gamma)
-    png._compute_code_tables.cache_clear()
+    png._compute_next_thresholds.cache_clear()
     try:
         thresholds = ((np.arange(1, 256) - 0.5) / 255) ** (gamma[0] / gamma[1])
         x = np.concatenate(
@@ -47,7 +47,7 @@ def test_codes_are_exact_at_every_threshold_and_between(gamma, monkeypatch):
         )
         assert encode_values(x).tolist() == [compute_exact_code(value, gamma) for value in x]
     finally:
-        png._compute_code_tables.cache_clear()
+        png._compute_next_thresholds.cache_clear()
 
 
 def test_the_power_function_agrees_away_from_the_thresholds():

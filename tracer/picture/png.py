@@ -227,13 +227,12 @@ def to_codes(image: ArrayLike) -> NDArray[np.uint8]:
     radiance = _validate_radiance(image)
     codes = np.empty(radiance.shape, dtype=np.uint8)
     flat_radiance, flat_codes = radiance.reshape(-1), codes.reshape(-1)
-    min_radiance, first_cell_index, cell_codes, next_thresholds = _compute_code_tables()
+    next_thresholds, (p, q) = _compute_next_thresholds(), _GAMMA
     for start in range(0, flat_radiance.size, _VALUES_PER_BATCH):
         batch = slice(start, start + _VALUES_PER_BATCH)
-        values = np.clip(flat_radiance[batch], min_radiance, 1.0)
-        # A cell is a range of float64 values with the same leading bits, which are its index.  It
-        # contains at most two codes: the code of its smallest value, and the next one.
-        lower_codes = cell_codes.take((values.view(np.int64) >> _CELL_BITS) - first_cell_index)
+        values = np.clip(flat_radiance[batch], 1e-9, 1.0)  # powers of 0 take longer
+        # Rounded down, the code is right or one too small, whatever the error of the power.
+        lower_codes = (_MAX_CODE * values ** (q / p)).astype(np.uint8)
         np.add(lower_codes, values >= next_thresholds.take(lower_codes), out=flat_codes[batch])
     return codes
 
@@ -273,39 +272,16 @@ def _validate_radiance(image: ArrayLike) -> Floats:
     return radiance
 
 
-# Values are looked up by their leading bits, because a binary search among the thresholds would
-# take three times as long.  A cell is a range of float64 values that have these bits in common.
-# With 7 bits after those of the exponent, a cell contains at most one threshold.
-_CELL_BITS = 52 - 7
-
-
 @cache
-def _compute_code_tables() -> tuple[float, int, NDArray[np.uint8], Floats]:
-    """Compute tables for looking up the 8-bit code of a radiance.
-
-    A cell is a range of float64 values that differ only in the last `_CELL_BITS` bits.  The other
-    bits are the index of the cell.
+def _compute_next_thresholds() -> Floats:
+    """Compute, for each 8-bit code, the smallest radiance that has a larger code.
 
     Returns
     -------
-    min_radiance : float
-        The smallest value in the first cell, a power of two.  All values up to it have code 0.
-    first_cell_index : int
-        Index of the first cell.
-    cell_codes : (cells,) uint8 array
-        For each cell from `min_radiance` to 1, the code of its smallest value.
     next_thresholds : (_MAX_CODE + 1,) float array
-        For each code, the smallest float64 that has a larger code; infinite for the last code.
+        The exact thresholds; infinite for the last code.
     """
-    codes = range(1, _MAX_CODE + 1)
-    next_thresholds = np.array([_compute_threshold(code) for code in codes] + [np.inf])
-    min_radiance = 2.0 ** (math.frexp(next_thresholds[0])[1] - 1)
-    limits = np.array([min_radiance, 1.0])
-    first_cell_index, last_cell_index = (limits.view(np.int64) >> _CELL_BITS).tolist()
-    cell_index = np.arange(first_cell_index, last_cell_index + 1)
-    cell_starts: Floats = (cell_index << _CELL_BITS).view(np.float64)
-    cell_codes = next_thresholds.searchsorted(cell_starts, side="right").astype(np.uint8)
-    return min_radiance, first_cell_index, cell_codes, next_thresholds
+    return np.array([*map(_compute_threshold, range(1, _MAX_CODE + 1)), np.inf])
 
 
 def _compute_threshold(code: int) -> float:
