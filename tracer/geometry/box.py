@@ -171,15 +171,8 @@ class Boxes:
             direction = ray_x * axis_right + repeat_runs(span_term, ray_count)
             low = self.min_pt[axis, box_index] - frame.eye[axis]
             high = self.max_pt[axis, box_index] - frame.eye[axis]
-            is_eye_above = high < 0
-            if np.all(is_eye_above | (low > 0)):
-                # The eye is outside every slab, so one plane is known to be nearer.  A ray that
-                # points away from the slab leaves it before entering it, and so misses the box.
-                planes = np.where(is_eye_above, high, low), np.where(is_eye_above, low, high)
-                enter_t, leave_t = (repeat_runs(plane, ray_count) / direction for plane in planes)
-            else:
-                low, high = repeat_runs(low, ray_count), repeat_runs(high, ray_count)
-                enter_t, leave_t = _intersect_slab(low, high, direction, is_closed=True)
+            low, high = repeat_runs(low, ray_count), repeat_runs(high, ray_count)
+            enter_t, leave_t = _intersect_slab(low, high, direction, is_closed=True)
             enter_ts.append(enter_t)
             leave_ts.append(leave_t)
             # The normal of a visible face points against the ray.

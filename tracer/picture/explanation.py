@@ -304,8 +304,8 @@ def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: i
     # A surface that faces away from the light blocks the light itself.
     occluder_index = _find_occluders(hit, prepared_light) if is_facing_light else hit.hit_object
     diffuse, specular = np.zeros((2, 3))
-    for channel, diffuse_term, _, specular_term in shade(hit, [prepared_light]).compute_channels():
-        diffuse[channel], specular[channel] = diffuse_term.item(), specular_term.sum()
+    for channel, *terms in shade(hit, [prepared_light]).compute_channels():
+        diffuse[channel], specular[channel] = (term.item() for term in terms)
     point, normal = scene_hit.point[0], scene_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
     half_vector = normalize(to_light + normalize(hit.scene.frame.eye - point))

@@ -154,16 +154,9 @@ class Shading:
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
         self._hits, self._with_ids = hits, with_ids
-        # The slice of hits from the first to the last group with highlights on any surface, and
-        # whether the surface has highlights at each hit of the slice.
-        is_glossy = hits.scene.is_glossy
-        intervals = [group.interval for group in hits.groups if is_glossy[group.run_object].any()]
-        self._glossy_slice, self._is_glossy = slice(0, 0), np.zeros(0, dtype=np.bool_)
-        if intervals:  # the values of all hits are looked up only if some are needed
-            self._glossy_slice = slice(intervals[0].start, intervals[-1].stop)
-            self._is_glossy = hits.get_object_values(is_glossy)[self._glossy_slice]
-        # Sums over lights of I n.l for all hits, and of I (n.h)^p for the hits in the slice, where
-        # I is the light's intensity; None before the first light.
+        self._is_glossy = hits.get_object_values(hits.scene.is_glossy)
+        # Sums over lights of I n.l, and of I (n.h)^p, where I is the light's intensity; None before
+        # the first light.
         self._diffuse_sum: Floats | None = None
         self._specular_sum: Floats | None = None
         self.visibility_ids: Ints = (
@@ -191,14 +184,13 @@ class Shading:
             distance = np.sqrt(geometry.squared_distance[light_index])
             np.divide(geometry.n_dot_l[light_index], distance, out=cosine, where=is_hit_lit)
             self._diffuse_sum = _add_light(self._diffuse_sum, intensity, cosine)
-            lit_index = find(is_hit_lit[self._glossy_slice] & self._is_glossy)
+            lit_index = find(is_hit_lit & self._is_glossy)
             if lit_index.size:
-                strength = np.zeros(self._is_glossy.size)
-                hit_index = self._glossy_slice.start + lit_index
-                strength[lit_index] = geometry.compute_highlight_strength(light_index, hit_index)
+                strength = np.zeros(is_hit_lit.size)
+                strength[lit_index] = geometry.compute_highlight_strength(light_index, lit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
-    def compute_channels(self) -> Iterator[tuple[int, Floats, slice, Floats]]:
+    def compute_channels(self) -> Iterator[tuple[int, Floats, Floats]]:
         """Yield the diffuse and the specular radiance of n hits, channel by channel.
 
         If no hit is lit, nothing is yielded.
@@ -209,23 +201,20 @@ class Shading:
             0 for red, 1 for green, 2 for blue.
         diffuse : (n,) float array
             Diffuse radiance of each hit, summed over the lights.
-        glossy_slice : slice
-            Slice that contains all hits with highlights; it may be empty.
-        specular : (k,) float array
-            Specular radiance of each of the k hits in the slice, summed over the lights.
+        specular : (n,) float array
+            Specular radiance of each hit, summed over the lights.
         """
         if self._diffuse_sum is None:
             return
         hits, scene = self._hits, self._hits.scene
-        glossy_slice, specular = slice(0, 0), np.zeros(0)
-        for channel in range(3):
+        for channel, diffuse_sum in enumerate(self._diffuse_sum):
             diffuse = hits.get_object_values(scene.diffuse[channel])
-            diffuse *= self._diffuse_sum[channel]
+            diffuse *= diffuse_sum
+            specular = np.zeros(diffuse.size)
             if self._specular_sum is not None:
-                glossy_slice = self._glossy_slice
-                specular = hits.get_object_values(scene.specular[channel])[glossy_slice]
+                specular = hits.get_object_values(scene.specular[channel])
                 specular *= self._specular_sum[channel]
-            yield channel, diffuse, glossy_slice, specular
+            yield channel, diffuse, specular
 
     def compute_radiance(self, out: Floats | None = None) -> Floats:
         """Compute the radiance towards the eye at each sample.
@@ -241,9 +230,8 @@ class Shading:
             Linear RGB radiance; 0 for samples without a hit.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
-        for channel, radiance, glossy_slice, specular in self.compute_channels():
-            radiance[glossy_slice] += specular  # before this, `radiance` is only the diffuse term
-            out[channel][self._hits.sample_index] = radiance
+        for channel, diffuse, specular in self.compute_channels():
+            out[channel][self._hits.sample_index] = diffuse + specular
         return out
 
 

@@ -388,8 +388,9 @@ def find_shadow_edges(
     is_blocked, is_covered = np.zeros((2, *faces_light.shape), dtype=np.bool_)
     edge_set = _EdgeSet((*faces_light.shape, hits.scene.position_error.size))
     for shape, candidates, shaded_pairs in _find_occluders(hits, lights, faces_light, radius):
-        results = _test_footprints(hits, lights, shape, candidates, radius)
-        candidates, is_blocking, is_covering, has_edge = results
+        is_blocking, is_covering, has_edge = _test_footprints(
+            hits, lights, shape, candidates, radius
+        )
         put_2d(is_blocked, candidates[0, is_blocking], candidates[1, is_blocking], True)
         put_2d(is_covered, candidates[0, is_covering], candidates[1, is_covering], True)
         put_2d(is_covered, shaded_pairs[0], shaded_pairs[1], True)
@@ -402,7 +403,7 @@ def find_shadow_edges(
 
 def _test_footprints(
     hits: Hits, lights: Lights, shape: Shape, candidates: Ints, footprint_radius: Floats
-) -> tuple[Ints, Bools, Bools, Bools]:
+) -> tuple[Bools, Bools, Bools]:
     """Test whether the object of each candidate shades all or part of the footprint of its hit.
 
     The footprint of a hit is the part of the surface around it that is visible in one cell of the
@@ -421,33 +422,26 @@ def _test_footprints(
 
     Returns
     -------
-    near_candidates : (3, j) int array
-        The columns of `candidates` whose object may shade any part of the footprint.
-    is_blocking : (j,) bool array
+    is_blocking : (k,) bool array
         Whether the object blocks the segment from the hit to the light.
-    is_covering : (j,) bool array
+    is_covering : (k,) bool array
         Whether the object shades the whole footprint.
-    has_edge : (j,) bool array
+    has_edge : (k,) bool array
         Whether the edge of the object's shadow may cross the footprint.
     """
     # If the object shades any part of the footprint, the grown object shades the hit.
     growth = footprint_radius[candidates[1]]
     grown_object_blocks = _test_blocking(hits, lights, shape, candidates, growth)
-    # The grown object blocks no segment that lies inside it, but the object itself may.  So the
-    # candidate is kept if the light is inside the grown object.
     light_distance = shape.measure_distance(candidates[2], take(lights.position.T, candidates[0]))
-    near_index = find(grown_object_blocks | (light_distance <= growth))
-    near_candidates = candidates.take(near_index, axis=1)
-    growth, light_distance = growth[near_index], light_distance[near_index]
-    is_blocking = _test_blocking(hits, lights, shape, near_candidates)
+    is_blocking = _test_blocking(hits, lights, shape, candidates)
     # The object shades the whole footprint if the shrunk object blocks the segment, too.  A test of
     # the shrunk object does not suffice, because the hit may lie between the two surfaces.
-    is_covering = is_blocking & _test_blocking(hits, lights, shape, near_candidates, -growth)
+    is_covering = is_blocking & _test_blocking(hits, lights, shape, candidates, -growth)
     # A light on the object's surface illuminates only one side of the tangent plane there, and this
     # plane may cross the footprint.
-    is_covering &= take_2d(lights.side, near_candidates[0], near_candidates[2]) != ON
-    has_edge = ~is_covering & (grown_object_blocks[near_index] | (np.abs(light_distance) <= growth))
-    return near_candidates, is_blocking, is_covering, has_edge
+    is_covering &= take_2d(lights.side, candidates[0], candidates[2]) != ON
+    has_edge = ~is_covering & (grown_object_blocks | (np.abs(light_distance) <= growth))
+    return is_blocking, is_covering, has_edge
 
 
 def _test_blocking(
