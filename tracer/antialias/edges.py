@@ -208,17 +208,13 @@ def evaluate_silhouettes(
         yield EdgeValues(cell_index[sphere_columns], values)
     box_columns = find(boxes.objects.contains(object_index))
     if box_columns.size:
-        # Compute the planes once for each (viewpoint, box) pair.
-        box_index, box_count = boxes.objects.to_local(object_index[box_columns]), boxes.objects.size
-        pair_key = viewpoint_index[box_columns] * box_count + box_index
-        distinct_key, pair_index = np.unique(pair_key, return_inverse=True)
-        pair_viewpoint_index, pair_box_index = np.divmod(distinct_key, box_count)
-        corners = boxes.min_pt[:, pair_box_index], boxes.max_pt[:, pair_box_index]
-        to_low, to_high = (corner - viewpoint.T[:, pair_viewpoint_index] for corner in corners)
+        box_index = boxes.objects.to_local(object_index[box_columns])
+        box_viewpoint = viewpoint.T[:, viewpoint_index[box_columns]]
+        corners = boxes.min_pt[:, box_index], boxes.max_pt[:, box_index]
+        to_low, to_high = (corner - box_viewpoint for corner in corners)
         normals = frame.rotate_to_camera(find_edge_planes(to_low, to_high))
         box_ray = map_xyz(lambda component: component[:, box_columns], ray)
-        box_normals = map_xyz(lambda component: component[:, pair_index], normals)
-        values = evaluate_box_edges(box_normals, box_ray)
+        values = evaluate_box_edges(normals, box_ray)
         variation, center_value = bound_variation(values), values[0]
         # An edge of the outline ends where the value for a neighbouring edge becomes negative.
         may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
