@@ -161,7 +161,7 @@ def _compute_cell_polygons(grid: LightGrid) -> tuple[Floats, Floats]:
             cell_corners = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
             polygons.append(np.stack(cell_corners, axis=2).reshape(-1, 4, 2))
     # Each cell has four lists, stored one after another.
-    return np.concatenate(polygons), np.diff(grid.list_start[::4].astype(np.float64))
+    return np.concatenate(polygons), np.diff(grid.list_start.astype(np.float64))
 
 
 def draw_light_grid() -> None:

@@ -25,9 +25,7 @@ direction bounds
     Eight numbers for an entry, or for a ball in one octant: see `_bound_directions`.
 
 An entry is listed in all cells that its rectangle overlaps.  The rectangle of a ball overlaps
-several cells, too, and yet the query must find each entry only once.  Therefore it finds the entry
-only in the first column and the first row that both rectangles have in common.  For this purpose
-each cell has four lists (see `_LIST_BY_FLAGS`).
+several cells, too, so the query may find an entry several times.
 
 Rectangles are loose bounds for long objects.  So the query also compares the direction bounds of
 the entry and the ball: the range of their distances from the light, and ranges of the ratios of the
@@ -77,21 +75,6 @@ _PAIRS_PER_BATCH, _CELLS_PER_BATCH = 4 * CACHE_SIZE, 4 * CACHE_SIZE
 # objects lie in one cell.
 _OBJECTS_PER_OUTLIER = 64
 
-# Flags of a cell that a rectangle overlaps: the cell is in the rectangle's first column, or in its
-# first row.
-_FIRST_COLUMN, _FIRST_ROW = 1, 2
-
-# The rectangles of an entry and a ball may have several cells in common.  Among these, the first
-# cell is the one that is in the first column of either rectangle and in the first row of either
-# rectangle.  So each cell has four lists of entries, by the cell's flags in the entry's rectangle:
-# list 0 for "first row only", 1 for "first column and first row", 2 for "first column only", 3 for
-# "neither".
-_LIST_BY_FLAGS = np.array([3, 2, 0, 1])
-
-# A query for a ball reads a range of these lists, by the cell's flags in the ball's rectangle: the
-# first row contains the start of each range, and the second row its end, exclusive.
-_LISTS_TO_READ = np.array([[1, 0, 1, 0], [2, 2, 3, 4]])
-
 # A light farther away than this many times the scene's size is moved to this distance.  Directions
 # to the light turn by at most the reciprocal, in radians.
 _MAX_LIGHT_DISTANCE = 2.0**22
@@ -136,11 +119,10 @@ class LightGrid(NamedTuple):
         Width of each patch in u and in v.
     cells_per_side : int
         Number of cells along each side of a patch.
-    list_start : (4 * patches * cells_per_side**2 + 1,) int array
-        Position in `listed_entry` where each list begins.  Each cell has four lists, so that a
-        query can find an entry only once: see `_LIST_BY_FLAGS`.
+    list_start : (patches * cells_per_side**2 + 1,) int array
+        Position in `listed_entry` where the list of each cell begins.
     listed_entry : (m,) int array
-        Indices of the entries in all lists, cell by cell and list by list.
+        Indices of the entries in all lists, cell by cell.
     entry_bounds : (entries, 8) float array
         Bounds on each entry's directions and distances from the light: see `_bound_directions`.
         They are arranged so that an entry may block segments from a ball only if each of the ball's
@@ -196,51 +178,25 @@ class LightGrid(NamedTuple):
         bounds = np.ascontiguousarray(bounds.T)
         patch_index = self.patch_of_octant.take(octant_index)
         rectangles = _map_to_patch(rectangles, patch_index, self.patch_origin, self.patch_size)
-        for part_index, starts, lengths in self._find_entries(rectangles, patch_index):
+        entry_count = self.entry_object.size
+        overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
+        for part_index, cell_index in overlaps:
+            starts = self.list_start.take(cell_index).astype(np.intp)
+            lengths = self.list_start.take(cell_index + 1) - starts
             for batch in split_by_size(lengths, _PAIRS_PER_BATCH):
                 pair_part = part_index[batch].repeat(lengths[batch])
                 pair_entry = self.listed_entry.take(join_ranges(lengths[batch], starts[batch]))
                 meets_bound = self.entry_bounds.take(pair_entry, 0) >= bounds.take(pair_part, 0)
                 # The same as meets_bound.all(axis=1), but much faster.
                 match_index = find(meets_bound.view(np.uint64) == _EIGHT_TRUE)
-                occluder_index = self.entry_object.take(pair_entry.take(match_index))
-                match_box = box_index.take(pair_part.take(match_index))
-                light_index, ball_index = np.divmod(match_box, ball_count)
+                # A part and an entry may have several cells in common.
+                pair_key = pair_part.take(match_index) * entry_count + pair_entry.take(match_index)
+                match_part, match_entry = np.divmod(np.unique(pair_key), entry_count)
+                light_index, ball_index = np.divmod(box_index.take(match_part), ball_count)
+                occluder_index = self.entry_object.take(match_entry)
                 kept_index = find(occluder_index != own_object_index.take(ball_index))
                 rows = light_index, ball_index, occluder_index
                 yield np.array([row.take(kept_index) for row in rows])
-
-    def _find_entries(self, rectangles: Floats, patch_index: Ints) -> Iterator[tuple[Ints, ...]]:
-        """Find the entries that share a cell with each rectangle, as ranges of `listed_entry`.
-
-        An entry is the part of an object in one octant of directions.  A cell is a small range of
-        directions.  Each entry that overlaps a cell of the rectangle is in exactly one range.
-
-        Parameters
-        ----------
-        rectangles : (4, n) float array
-            Minimum u, maximum u, minimum v and maximum v of each rectangle.  Here u and v run from
-            0 to 1 across its patch.
-        patch_index : (n,) int array
-            Index of the patch of each rectangle.
-
-        Yields
-        ------
-        rectangle_index : (k,) int array
-            Index of the rectangle of each range.
-        starts, lengths : (k,) int arrays
-            Start and length of each range; no range is empty.
-        """
-        overlaps = _find_overlaps(rectangles, patch_index, self.cells_per_side)
-        for rectangle_index, cell_index, cell_flags in overlaps:
-            # The flags decide which of the cell's four lists to read, to find each entry only once.
-            starts, stops = (
-                self.list_start.take(4 * cell_index + list_bound.take(cell_flags)).astype(np.intp)
-                for list_bound in _LISTS_TO_READ
-            )
-            nonempty_index = find(stops > starts)
-            starts, stops = starts.take(nonempty_index), stops.take(nonempty_index)
-            yield rectangle_index.take(nonempty_index), starts, stops - starts
 
 
 def build_light_grid(
@@ -515,10 +471,9 @@ def _choose_cells_per_side(
 def _build_lists(
     rectangles: Floats, patch_index: Ints, cells_per_side: int, patch_count: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Build, for each cell, lists of the entries whose bounding rectangles overlap the cell.
+    """Build, for each cell, the list of the entries whose bounding rectangles overlap the cell.
 
-    An entry is a part of an object, and a patch is a square array of cells.  Each cell has four
-    lists; `_LIST_BY_FLAGS` defines which entry is in which of them.
+    An entry is a part of an object, and a patch is a square array of cells.
 
     Parameters
     ----------
@@ -534,18 +489,17 @@ def _build_lists(
 
     Returns
     -------
-    list_start : (4 * patch_count * cells_per_side**2 + 1,) int array
-        Element 4 * cell + i is the position in `listed_entry` where list i of the cell begins.
+    list_start : (patch_count * cells_per_side**2 + 1,) int array
+        Position in `listed_entry` where the list of each cell begins.
     listed_entry : (m,) int array
         Indices of the entries in each list, in ascending order, list by list.
     """
-    sort_keys, list_start = [], np.zeros(4 * patch_count * cells_per_side**2 + 1, dtype=np.uint32)
-    for entry_index, cell_index, flags in _find_overlaps(rectangles, patch_index, cells_per_side):
-        list_index = 4 * cell_index + _LIST_BY_FLAGS.take(flags)
+    sort_keys, list_start = [], np.zeros(patch_count * cells_per_side**2 + 1, dtype=np.uint32)
+    for entry_index, cell_index in _find_overlaps(rectangles, patch_index, cells_per_side):
         # `np.add.at` is twenty times as fast if the increment has the type of the array.
-        np.add.at(list_start, list_index + 1, np.uint32(1))
-        sort_keys.append(list_index << 32 | entry_index)
-    # Each key contains the indices of a list and an entry.  Sorting keys is faster than argsort.
+        np.add.at(list_start, cell_index + 1, np.uint32(1))
+        sort_keys.append(cell_index << 32 | entry_index)
+    # Each key contains the indices of a cell and an entry.  Sorting keys is faster than argsort.
     sorted_keys = np.concatenate(sort_keys)
     del sort_keys
     sorted_keys.sort()
@@ -555,7 +509,7 @@ def _build_lists(
 
 def _find_overlaps(
     rectangles: Floats, patch_index: Ints, cells_per_side: int
-) -> Iterator[tuple[Ints, Ints, NDArray[np.uint8]]]:
+) -> Iterator[tuple[Ints, Ints]]:
     """Find all cells that each rectangle overlaps, and yield (rectangle, cell) pairs in batches.
 
     Each rectangle belongs to a patch, which is a square array of cells.  The cells at the border of
@@ -577,9 +531,6 @@ def _find_overlaps(
         Index of the rectangle in each pair.
     cell_index : (k,) int array
         Index of the cell in each pair: (patch * cells_per_side + column) * cells_per_side + row.
-    flags : (k,) uint8 array
-        Flags of each pair: `_FIRST_COLUMN` is set if the cell is in the rectangle's first column,
-        and `_FIRST_ROW` if it is in the rectangle's first row.
     """
     cell_ranges = (cells_per_side * rectangles).clip(0, cells_per_side - 1).astype(np.intp)
     first_column, last_column, first_row, last_row = cell_ranges
@@ -591,7 +542,4 @@ def _find_overlaps(
         strip_column = patch_index.take(strip_rectangle) * cells_per_side + column
         strip_start = strip_column * cells_per_side + first_row.take(strip_rectangle)
         strip_index, cell_index = enumerate_ranges(row_count.take(strip_rectangle), strip_start)
-        is_first_column = column == first_column.take(strip_rectangle)
-        flags = (is_first_column * np.uint8(_FIRST_COLUMN)).take(strip_index)
-        flags |= (cell_index == strip_start.take(strip_index)) * np.uint8(_FIRST_ROW)
-        yield strip_rectangle.take(strip_index), cell_index, flags
+        yield strip_rectangle.take(strip_index), cell_index
