@@ -1,7 +1,11 @@
 """Convert a scene to a file for Mitsuba 3, in one of two flavours.
 
-In the *exact* flavour, this project's own plugins compute the same picture as the tracer.  In the
-*stock* flavour, Mitsuba's built-in plugins approximate that picture.
+In the *exact* flavour, this project's own plugins (`converters.plugins`) compute the same picture
+as the tracer.  In the *stock* flavour, Mitsuba's built-in plugins approximate that picture.
+
+Functions that convert a part of a scene return a Mitsuba plugin as an XML element.  The
+`Normalization` that they take is applied to all points and lengths.  They raise `ConversionError`
+if a number cannot be represented in Mitsuba.
 """
 
 from __future__ import annotations
@@ -9,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import atan, degrees, isqrt
+from typing import Annotated as Shaped
 from typing import NamedTuple, TypeGuard
 from xml.etree.ElementTree import Comment, Element
 
@@ -91,20 +96,13 @@ class Normalization(NamedTuple):
     """A translation and scaling that maps each point p of a scene to (p - center) * scale.
 
     The picture stays the same, and the coordinates move into the range where float32 is accurate.
-
-    Attributes
-    ----------
-    center : (3,) float array
-        The point of the scene that becomes the origin.
-    scale : float
-        Factor by which all lengths are multiplied.
     """
 
-    center: Floats
+    center: Shaped[Floats, "3"]
     scale: float
 
-    def __call__(self, points: Floats) -> Floats:
-        """Translate and scale points (..., 3), and return them as a new array."""
+    def __call__(self, points: Shaped[Floats, "... 3"]) -> Shaped[Floats, "... 3"]:
+        """Translate and scale points."""
         return (points - self.center) * self.scale
 
     def __str__(self) -> str:
@@ -118,18 +116,8 @@ class Normalization(NamedTuple):
 def choose_normalization(scene: Scene) -> Normalization:
     """Choose a translation and scaling that fit the visible part of a scene into a cube.
 
-    The cube is centred at the origin, and its edges are 10 units long.  If no surface is visible,
-    the whole scene is fitted into the cube.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its camera.
-
-    Returns
-    -------
-    normalization : Normalization
-        The translation and scaling.  The scale is 1 if the fitted part is a single point.
+    The cube is centred at the origin, and its edges are `_SCENE_SIZE` long.  If no surface is
+    visible, the whole scene is fitted into the cube.  The scale is 1 for a single point.
     """
     visible_points = sample_visible_points(scene)
     points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
@@ -139,21 +127,10 @@ def choose_normalization(scene: Scene) -> Normalization:
 
 
 def _choose_stock_normalization(scene: Scene) -> Normalization:
-    """Choose the translation and scaling of a scene for the "stock" flavour (built-in plugins).
+    """Choose the translation and scaling of a scene for the stock flavour.
 
     The scene keeps its coordinates unless its visible part is very small, very large or far from
     the origin.  A scene with very large spheres is scaled down.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its camera.
-
-    Returns
-    -------
-    normalization : Normalization
-        The translation and scaling.  If the scene keeps its coordinates, the scale is 1, and the
-        centre is the origin.
     """
     normalization = choose_normalization(scene)
     visible_size = _SCENE_SIZE / normalization.scale
@@ -168,17 +145,9 @@ def _choose_stock_normalization(scene: Scene) -> Normalization:
 
 
 def _make_film(scene: Scene) -> Element:
-    """Create the Mitsuba film that stores the picture of a scene as linear radiance.
+    """Create the film that stores the picture as linear radiance.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.  Its width and height are the size of the picture.
-
-    Returns
-    -------
-    film : Element
-        A plugin of type "hdrfilm".  Its box filter averages the samples of each pixel separately.
+    Its box filter averages the samples of each pixel separately.
     """
     box_filter = make_plugin("rfilter", "box")
     width, height = scene.width, scene.height
@@ -189,23 +158,10 @@ def _make_film(scene: Scene) -> Element:
 def _convert_surfaces(
     surfaces: Surfaces, normalization: Normalization, bsdf_names: Sequence[str]
 ) -> list[Element]:
-    """Convert all surfaces of a scene to Mitsuba shapes.
+    """Convert all surfaces to shapes, in the order of the scene file.
 
-    A flat box gets a small thickness, because Mitsuba cannot invert the transform of a flat cube.
-
-    Parameters
-    ----------
-    surfaces : Surfaces
-        The surfaces: spheres and boxes.
-    normalization : Normalization
-        The translation and scaling to apply to all points and lengths.
-    bsdf_names : sequence of str
-        For each shader of the scene, the name of its BSDF.
-
-    Returns
-    -------
-    shapes : list of Element
-        A plugin of type "sphere" or "cube" for each surface, in the order of the scene file.
+    There is a BSDF name for each shader.  A flat box gets a small thickness, because Mitsuba cannot
+    invert the transform of a flat cube.
     """
     radii = (surfaces.radius * normalization.scale).tolist()
     shapes = [
@@ -228,19 +184,9 @@ def _convert_surfaces(
 
 
 def _name_bsdfs(surfaces: Surfaces) -> tuple[list[str], dict[str, Shader]]:
-    """Choose a name for the BSDF of each shader.  Equal shaders share a BSDF.
+    """Choose a BSDF name for each shader, and return also the shader of each name that is used.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
-        All surfaces of a scene, with their shaders.
-
-    Returns
-    -------
-    bsdf_names : list of str
-        For each shader, the name of its BSDF.
-    shader_of_name : dict of str to Shader
-        For each name, the shader.  Shaders that no surface uses are omitted.
+    Equal shaders share a BSDF.
     """
     distinct_shaders = dict.fromkeys(surfaces.shaders)
     name_of_shader = {shader: f"bsdf{index}" for index, shader in enumerate(distinct_shaders)}
@@ -262,24 +208,7 @@ converters.plugins, and call mitsuba.load_file.
 def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
     """Convert a scene to a Mitsuba scene that reproduces the tracer's picture.
 
-    This is the "exact" flavour.  It needs this project's Mitsuba plugins (`converters.plugins`).
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene to convert.
-    samples : int
-        Number of samples per pixel.  A single sample is at the pixel's centre.
-
-    Returns
-    -------
-    document : Document
-        The converted scene.  Its `str` is the text of the file.
-
-    Raises
-    ------
-    ConversionError
-        If the scene contains numbers that Mitsuba cannot represent.
+    A single sample is at the pixel's centre.
     """
     normalization = choose_normalization(scene)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
@@ -304,21 +233,9 @@ def convert_to_exact(scene: Scene, samples: int = 1) -> Document:
 
 
 def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
-    """Create this project's Mitsuba sensor, "window", for a scene's camera ("exact" flavour).
+    """Create this project's sensor, "window".
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its camera.
-    normalization : Normalization
-        The translation and scaling to apply to all points and lengths.
-    samples : int
-        Number of samples per pixel.
-
-    Returns
-    -------
-    sensor : Element
-        The sensor.  Its rays start on a box around the scene, because float32 is accurate there.
+    Its rays start on a box around the scene, because float32 is accurate there.
     """
     window = compute_window(scene.camera)
     corner_vector, (right, down, _) = window.compute_vectors_from_eye(0, 0), window.axes
@@ -342,22 +259,8 @@ def make_pixels_square(scene: Scene) -> Scene:
     """Make the pixels of a scene's picture square by changing the number of rows.
 
     The number of rows is rounded to an integer of at least 1, and the height of the camera's window
-    is changed to match.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with pixels of any shape.
-
-    Returns
-    -------
-    square_scene : Scene
-        A copy of the scene with square pixels, or `scene` itself if its pixels are square.
-
-    Raises
-    ------
-    ConversionError
-        If the picture would have more than 2^28 pixels.
+    is changed to match.  A scene with square pixels is returned itself.  A picture of more than
+    `_MAX_PIXELS` pixels raises `ConversionError`.
     """
     camera = scene.camera
     row_count = scene.width * camera.view_height / camera.view_width
@@ -397,25 +300,8 @@ divided by {:g}, and the intensities of the lights are multiplied by it.
 def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
     """Approximate a scene by a Mitsuba scene that needs only Mitsuba's built-in plugins.
 
-    This is the "stock" flavour.  The pixels become square, the lights fall off with distance, and
-    the highlights have a different shape.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene to convert.
-    samples : int
-        Number of samples per pixel.  It may be rounded up, so that all lights get the same number.
-
-    Returns
-    -------
-    document : Document
-        The converted scene.  Its `str` is the text of the file.
-
-    Raises
-    ------
-    ConversionError
-        If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
+    The pixels become square, the lights fall off with distance, and the highlights have a different
+    shape.  The number of samples may be rounded up, so that all lights get the same number.
     """
     normalization, square_scene = _choose_stock_normalization(scene), make_pixels_square(scene)
     divisor = choose_reflectance_divisor(scene.surfaces)
@@ -443,23 +329,11 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
 
 
 def _round_up_samples(min_samples: int, light_count: int) -> int:
-    """Round up the number of samples per pixel, so that all lights get the same number of samples.
+    """Find the smallest number of samples per pixel that gives all lights the same number.
 
-    The result is a multiple of the number of lights.  It is also divisible by isqrt(result), as
-    Mitsuba's "multijitter" sampler requires.
-
-    Parameters
-    ----------
-    min_samples : int
-        Requested number of samples per pixel.
-    light_count : int
-        Number of lights.
-
-    Returns
-    -------
-    samples : int
-        The smallest such number that is at least `min_samples`.  If there are
-        no lights, or more lights than requested samples, it is `min_samples`.
+    It is a multiple of the number of lights, and divisible by its own isqrt, as Mitsuba's
+    "multijitter" sampler requires.  If there are no lights, or more lights than samples, the number
+    stays the same.
     """
     samples = min_samples
     while 0 < light_count <= min_samples and (samples % light_count or samples % isqrt(samples)):
@@ -468,26 +342,9 @@ def _round_up_samples(min_samples: int, light_count: int) -> int:
 
 
 def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int) -> Element:
-    """Create Mitsuba's built-in sensor, "perspective", for a scene's camera ("stock" flavour).
+    """Create Mitsuba's sensor, "perspective", for a scene with square pixels.
 
-    Parameters
-    ----------
-    scene : Scene
-        A scene with square pixels.
-    normalization : Normalization
-        The translation and scaling to apply to all points and lengths.
-    samples : int
-        Number of samples per pixel.
-
-    Returns
-    -------
-    sensor : Element
-        The sensor, defined by its transform, field of view and principal point.
-
-    Raises
-    ------
-    ConversionError
-        If the field of view, in float32, is 0 or close to 180 degrees.
+    The field of view, in float32, must be more than 0 and less than about 180 degrees.
     """
     window = compute_window(scene.camera)
     right, down, forward = window.axes
@@ -520,28 +377,16 @@ def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int)
 
 
 def _convert_light(
-    light: PointLight, normalization: Normalization, divisor: float, visible_points: Floats
+    light: PointLight,
+    normalization: Normalization,
+    divisor: float,
+    visible_points: Shaped[Floats, "n 3"],
 ) -> Element:
     """Convert a light to a Mitsuba point light, which falls off with the squared distance.
 
-    The Mitsuba light is as strong as the original at one distance only.  This distance is chosen to
-    minimise the sum of the squared errors of the irradiance at visible points.
-
-    Parameters
-    ----------
-    light : PointLight
-        The light to convert.
-    normalization : Normalization
-        The translation and scaling to apply to the light and to the visible points.
-    divisor : float
-        Number by which all reflectances are divided.  The intensity is multiplied by it.
-    visible_points : (n, 3) float array
-        Points of visible surfaces, in the coordinates of the scene.
-
-    Returns
-    -------
-    emitter : Element
-        A plugin of type "point", with a comment that states the distance at which it is exact.
+    The Mitsuba light is as strong as the original at one distance only, which a comment states.
+    This distance minimises the sum of the squared errors of the irradiance at visible points of the
+    scene.  The intensity is multiplied by the divisor of all reflectances.
     """
     position = normalization(np.array(light.position))
     squared_distances = ((normalization(visible_points) - position) ** 2).sum(axis=1)
@@ -557,54 +402,20 @@ def _convert_light(
 
 
 def choose_reflectance_divisor(surfaces: Surfaces) -> float:
-    """Choose the number by which to divide all reflectances, so that none exceeds 1.
-
-    Parameters
-    ----------
-    surfaces : Surfaces
-        All surfaces of a scene, with their shaders.
-
-    Returns
-    -------
-    divisor : float
-        The largest reflectance of all shaders in use, but at least 1.
-    """
+    """Choose the smallest divisor, at least 1, for which no reflectance exceeds 1."""
     used_shaders = [surfaces.shaders[index] for index in np.unique(surfaces.shader_index).tolist()]
     return max([1.0, *(float(np.max(_compute_reflectances(shader))) for shader in used_shaders)])
 
 
 def _has_highlight(shader: Shader) -> TypeGuard[Phong]:
-    """Test whether a shader has a highlight.
-
-    Parameters
-    ----------
-    shader : Lambertian or Phong
-        The shader.
-
-    Returns
-    -------
-    has_highlight : bool
-        True for a `Phong` shader whose specular colour is not black.
-    """
     return isinstance(shader, Phong) and any(shader.specular)
 
 
-def _compute_reflectances(shader: Shader) -> tuple[Floats, Floats]:
-    """Compute the reflectances of the built-in Mitsuba BSDFs that represent a shader.
+def _compute_reflectances(shader: Shader) -> tuple[Shaped[Floats, "3"], Shaped[Floats, "3"]]:
+    """Compute the reflectances of the diffuse and the Beckmann BSDF that represent a shader.
 
-    A shader with a highlight becomes a blend of two BSDFs.  Their reflectances are doubled, because
-    the blend halves both.
-
-    Parameters
-    ----------
-    shader : Lambertian or Phong
-        The shader.
-
-    Returns
-    -------
-    diffuse, specular : (3,) float arrays
-        Linear RGB reflectances of the diffuse BSDF, and of the Beckmann BSDF for the highlight.
-        Reflectances may exceed 1.  If there is no highlight, `specular` is black.
+    A shader with a highlight becomes a blend of the two.  Their reflectances are doubled, because
+    the blend halves both; they may exceed 1.  Without a highlight, the second is black.
     """
     diffuse = np.array(shader.diffuse)
     if not _has_highlight(shader):
@@ -614,21 +425,9 @@ def _compute_reflectances(shader: Shader) -> tuple[Floats, Floats]:
 
 
 def _convert_shader(shader: Shader, name: str, divisor: float) -> Element:
-    """Convert a shader to a two-sided Mitsuba BSDF.
+    """Convert a shader to a two-sided BSDF: diffuse, or a blend if there is a highlight.
 
-    Parameters
-    ----------
-    shader : Lambertian or Phong
-        The shader to convert.
-    name : str
-        Name by which shapes refer to the BSDF.
-    divisor : float
-        Number by which all reflectances are divided.
-
-    Returns
-    -------
-    bsdf : Element
-        A diffuse BSDF.  If the shader has a highlight, a blend of a diffuse and a Beckmann BSDF.
+    All reflectances are divided by the divisor.
     """
     diffuse, specular = _compute_reflectances(shader)
     bsdf = make_plugin("bsdf", "diffuse", make_color("reflectance", diffuse / divisor))

@@ -98,7 +98,8 @@ def draw_spans() -> None:
     _show_picture(image_axes, colors, f"Row {row} of the picture")
     image_axes.axhspan(row, row + 1, fc="none", ec="#d55e00", lw=2)
     for shape in prepared_scene.shapes:
-        spans = np.stack(samples.find_spans(shape, prepared_scene))
+        fields = samples.find_spans(shape, prepared_scene)
+        spans = np.stack([field for field in fields if field is not None])
         object_index, _, span_start, span_length = spans[:, spans[1] == row]
         color = prepared_scene.diffuse[:, object_index].T ** (1 / 2.2)
         first_column = span_start - row * scene.width

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import shapes
 from hypothesis import settings
 
-from tracer.antialias import refine as antialias
-from tracer.picture import render
+# Before the first import of these packages.
+shapes.install("tracer", "converters", "reference")
 
 # Numbers of examples of each Hypothesis test; a test may try a multiple of them.  The quick profile
 # tries the same examples in every run.  The thorough profile tries more, which depend on the seed
@@ -18,6 +19,14 @@ from tracer.picture import render
 settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
 settings.register_profile("thorough", max_examples=300, deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Ignore warnings about scenes.
+
+    In pyproject.toml, this filter would import the tracer before its shapes can be checked.
+    """
+    config.addinivalue_line("filterwarnings", "ignore::tracer.SceneWarning")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -79,15 +88,15 @@ def pixels_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Without this fixture, antialiasing samples all pixels of such pictures uniformly.
     """
-    monkeypatch.setattr(antialias, "_MAX_PAIRS_PER_SAMPLE", math.inf)
+    monkeypatch.setattr("tracer.antialias.refine._MAX_PAIRS_PER_SAMPLE", math.inf)
 
 
 @pytest.fixture
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Divide pictures into many tiles, and share even the smallest pictures with an executor."""
-    monkeypatch.setattr(render, "MIN_SHARED_SECONDS", 0)
-    monkeypatch.setattr(render, "_MAX_TILE_SAMPLES", 1000)
-    monkeypatch.setattr(render, "_ADAPTIVE_FACTOR", 1)
+    monkeypatch.setattr("tracer.picture.render.MIN_SHARED_SECONDS", 0)
+    monkeypatch.setattr("tracer.picture.render._MAX_TILE_SAMPLES", 1000)
+    monkeypatch.setattr("tracer.picture.render._ADAPTIVE_FACTOR", 1)
 
 
 @pytest.fixture

@@ -2,6 +2,9 @@
 
 A tuple contains the x, the y and the z components of many vectors in three arrays of one shape
 (a structure of arrays).
+
+In all modules, `Shaped[Floats, "3 n"]` is a float array of shape (3, n): `Shaped` is another name
+of `typing.Annotated`, and `tests/shapes.py`, which explains the notation, checks all shapes.
 """
 
 from __future__ import annotations

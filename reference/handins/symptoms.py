@@ -1,17 +1,23 @@
 """Recognise differences that no formula causes: rounding, speckles, JPEG, borders, missing lights.
 
 A *submitted picture* is one that a student handed in; the *reference picture* is what it should be.
+Pictures consist of 8-bit codes.  A pixel of a submission is *wrong* if it differs from the
+reference picture by more than the submission's tolerance.
+
+A recognised symptom is reported as a keyword, such as "border", and a sentence for the report.
 """
 
 from __future__ import annotations
 
 import io
 from itertools import product
+from typing import Annotated as Shaped
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
-from reference.handins.formulas import Array
 from reference.handins.mistakes import make_sample_formulas, parse_formulas
 from reference.handins.search import MAX_PIXELS, Submission
 from reference.pictures import Codes, compare_levels, to_picture
@@ -34,28 +40,22 @@ _QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0
 _MAX_PLACES, _MAX_WRONG_SHARE = 100, 0.005
 
 
-def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
+class LightErrors(NamedTuple):
+    """For each light of a scene and each pixel of a picture, whether the light is wrong."""
+
+    is_missing: Shaped[NDArray[np.bool_], "lights n"]  # should reach the pixel, but does not
+    is_extra: Shaped[NDArray[np.bool_], "lights n"]  # should be blocked, but reaches the pixel
+
+
+def find_light_errors(submission: Submission) -> LightErrors | None:
     """Find the lights that wrongly shine, or fail to shine, on each wrong pixel.
 
     Each wrong pixel is rendered with every subset of the scene's lights.  If several subsets
-    reproduce the submitted codes, the one with the fewest missing or extra lights is used.
+    reproduce the submitted codes, the one with the fewest missing or extra lights is used; if none
+    does, no light is missing or extra.
 
-    Parameters
-    ----------
-    submission : Submission
-        The picture that a student submitted, and the renderer of its scene.
-
-    Returns
-    -------
-    is_light_missing : (lights, n) bool array
-        For each light of the scene and each of the n pixels of the picture, true if the light
-        should reach the pixel but does not.
-    is_light_extra : (lights, n) bool array
-        True if the light should be blocked, but reaches the pixel.
-
-    Both arrays are false at correct pixels, and where no subset of lights reproduces the codes.
-    The result is None if the scene is unknown.  It is also None if the number of lights is 0 or
-    above `_MAX_LIGHTS`, or if the number of wrong pixels is 0 or above `MAX_PIXELS`.
+    The result is None if the scene is unknown, if the number of lights is 0 or above `_MAX_LIGHTS`,
+    or if the number of wrong pixels is 0 or above `MAX_PIXELS`.
     """
     renderer, pixel_index = submission.renderer, np.flatnonzero(submission.is_wrong)
     # Without a scene, the renderer has no mistakes that concern lights.
@@ -79,18 +79,13 @@ def find_light_errors(submission: Submission) -> tuple[Array, Array] | None:
     is_light_missing, is_light_extra = np.zeros((2, light_count, renderer.pixel_count), np.bool_)
     is_light_missing[:, pixel_index] = should_reach & ~does_reach
     is_light_extra[:, pixel_index] = does_reach & ~should_reach
-    return is_light_missing, is_light_extra
+    return LightErrors(is_light_missing, is_light_extra)
 
 
 def is_speckled(submission: Submission) -> bool:
     """Test for shadow acne: dark dots where surfaces shadow themselves because of rounding.
 
     If there is shadow acne, nearly all wrong pixels lack light, and they are randomly scattered.
-
-    Parameters
-    ----------
-    submission : Submission
-        The picture that a student submitted, and the renderer of its scene.
     """
     renderer = submission.renderer
     if renderer.pixel_count > MAX_PIXELS or not (light_errors := find_light_errors(submission)):
@@ -120,21 +115,11 @@ def is_speckled(submission: Submission) -> bool:
 
 
 def is_explained_by_rounding(submission: Submission) -> bool:
-    """Test whether rounding explains all pixels that differ by more than one level.
+    """Test whether rounding explains all pixels that differ by more than one level, if any.
 
-    These pixels are rendered again several times, with slightly moved samples and shadow rays.
-    Rounding explains a pixel if its submitted codes lie between the smallest and the largest
+    If there are few, they are rendered again several times, with slightly moved samples and shadow
+    rays.  Rounding explains a pixel if its submitted codes lie between the smallest and the largest
     rendered codes, or within one level of them.
-
-    Parameters
-    ----------
-    submission : Submission
-        The picture that a student submitted, and the renderer of its scene.
-
-    Returns
-    -------
-    bool
-        False if no pixels differ by that much, or too many (see `_MAX_ROUNDED_SHARE`).
     """
     renderer = submission.renderer
     pixel_index = np.flatnonzero(compare_levels(renderer.reference_codes, submission.codes) > 1)
@@ -151,22 +136,14 @@ def is_explained_by_rounding(submission: Submission) -> bool:
     return bool(((submitted_codes >= min_codes) & (submitted_codes <= max_codes)).all())
 
 
-def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool:
+def is_jpeg_of_reference(
+    submitted_codes: Shaped[Codes, "h w 3"], reference_codes: Shaped[Codes, "h w 3"]
+) -> bool:
     """Test whether a submitted picture is the reference picture after JPEG compression.
 
-    The reference picture is compressed at several qualities, and each result is compared with the
-    submitted picture.
-
-    Parameters
-    ----------
-    submitted_codes, reference_codes : (h, w, 3) uint8 arrays
-        8-bit codes of both pictures.
-
-    Returns
-    -------
-    bool
-        True if one of the results agrees with the submitted picture in most pixels.  False if the
-        pictures are too large to try, or if they agree within one level without compression.
+    The reference picture is compressed at several qualities; one result must agree with the
+    submitted picture in most pixels.  The test is false for pictures that are too large to try, or
+    that agree within one level without compression.
     """
     is_wrong = compare_levels(submitted_codes, reference_codes, axis=2) > 1
     if is_wrong.size > _MAX_JPEG_PIXELS or not is_wrong.any():
@@ -182,33 +159,15 @@ def is_jpeg_of_reference(submitted_codes: Codes, reference_codes: Codes) -> bool
     return False
 
 
-def _are_similar(first_codes: Codes, second_codes: Codes) -> bool:
-    """Test whether two pictures agree within one level in nearly all pixels.
-
-    Parameters
-    ----------
-    first_codes, second_codes : (h, w, 3) uint8 arrays
-        8-bit codes of two pictures of equal size.
-    """
+def _are_similar(first_codes: Shaped[Codes, "h w 3"], second_codes: Shaped[Codes, "h w 3"]) -> bool:
+    """Test whether two pictures agree within one level in nearly all pixels."""
     return bool((compare_levels(first_codes, second_codes, axis=2) > 1).mean() <= _MAX_WRONG_SHARE)
 
 
-def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tuple[str, str] | None:
-    """Recognise a submitted picture that is the reference picture, enlarged or with a border.
-
-    Parameters
-    ----------
-    submitted_codes : (h, w, 3) uint8 array
-        8-bit codes of the submitted picture.
-    reference_codes : (h', w', 3) uint8 array
-        8-bit codes of the reference picture, which has another size.
-
-    Returns
-    -------
-    tuple of 2 str, or None
-        The keyword "enlarged" or "border", and a sentence for the report.  None if the submitted
-        picture does not contain the reference picture.
-    """
+def find_reference_within(
+    submitted_codes: Shaped[Codes, "h w 3"], reference_codes: Shaped[Codes, "h2 w2 3"]
+) -> tuple[str, str] | None:
+    """Recognise the reference picture, enlarged or with a border, in a picture of another size."""
     height, width = reference_codes.shape[:2]
     factor = len(submitted_codes) // height
     # Compare the sizes first, because an enlarged picture might not fit in memory.
@@ -234,19 +193,10 @@ def find_reference_within(submitted_codes: Codes, reference_codes: Codes) -> tup
     return None
 
 
-def find_wrong_edge(is_wrong: Array) -> str:
-    """Say which edge of a picture, its first or last row or column, has all wrong pixels.
+def find_wrong_edge(is_wrong: Shaped[NDArray[np.bool_], "h w"]) -> str:
+    """Find the edge ("first row", "last column", ...) that contains all wrong pixels of a picture.
 
-    Parameters
-    ----------
-    is_wrong : (h, w) bool array
-        True for pixels that differ from the reference picture.
-
-    Returns
-    -------
-    str
-        "first row", "last row", "first column" or "last column"; empty if none of them contains all
-        wrong pixels, or if no pixel is wrong.
+    The result is empty if there is none, or if no pixel is wrong.
     """
     edges = {"first row": is_wrong[0], "last row": is_wrong[-1],
              "first column": is_wrong[:, 0], "last column": is_wrong[:, -1]}  # fmt: skip
@@ -254,19 +204,7 @@ def find_wrong_edge(is_wrong: Array) -> str:
 
 
 def find_symptom(submission: Submission) -> tuple[str, str] | None:
-    """Recognise rounding, shadow acne, JPEG compression or one wrong edge in a picture.
-
-    Parameters
-    ----------
-    submission : Submission
-        The picture that a student submitted, and the renderer of its scene.
-
-    Returns
-    -------
-    tuple of 2 str, or None
-        A keyword, such as "single-precision", and a sentence for the report.  None if the picture
-        has none of these symptoms.
-    """
+    """Recognise rounding, shadow acne, JPEG compression or one wrong edge in a picture."""
     renderer, wrong_count = submission.renderer, submission.clearly_wrong_count
     width, both_codes = renderer.width, (submission.codes, renderer.reference_codes)
     if wrong_count and is_explained_by_rounding(submission):
@@ -283,13 +221,5 @@ def find_symptom(submission: Submission) -> tuple[str, str] | None:
 
 
 def format_count(count: int, singular: str = "differs", plural: str = "differ") -> str:
-    """Format a number of pixels with a verb, as in "12 pixels differ".
-
-    Parameters
-    ----------
-    count : int
-        Number of pixels.
-    singular, plural : str
-        The verb for one pixel, and for several.
-    """
+    """Format a number of pixels with a verb, as in "12 pixels differ"."""
     return f"One pixel {singular}" if count == 1 else f"{count:,} pixels {plural}"

@@ -5,8 +5,9 @@ smooth function, and radiance is smooth between edges.  Enclose the radiance by 
 it is smooth, enclose each edge in a narrow strip, and assume the worst case inside the strips.
 If the bounds are too wide, divide the picture into smaller cells.
 
-Sources: the subdivision is that of Warnock (1969; see `cells`).  The bounds are affine arithmetic
-of second order (Comba and Stolfi, 1993; see `enclosures`).  This project combines the two.
+Sources: the subdivision is that of Warnock (1969; see `cells`, which also defines *pairs* of a cell
+and a face, and *settled* lights).  The bounds are affine arithmetic of second order (Comba and
+Stolfi, 1993; see `enclosures`).  This project combines the two.
 
 A cell of the picture is treated as follows:
 
@@ -42,12 +43,17 @@ enclosures, which contain 1e-13 times the coordinates involved.  Areas and means
 about a hundred roundings.  Let radiance be at most R, and e = 2^-53.  If all roundings have the
 same sign, the sum over at most 4^10 cells of a pixel errs by 4^10 e R, and the sum over n lights by
 n e R.  Therefore the bounds are widened by 1e-9 R.
+
+Radiance is linear RGB.  Errors are maxima over the three channels.  `Contributions` are what each
+unsettled light adds to the radiance of a pair; it may reach only a part of the face.  In shapes, c
+is the number of cells and n that of regions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -93,93 +99,44 @@ _ROUNDING, _ERROR_FOR_CELLS = 1e-9, 0.999
 
 @dataclass(frozen=True)
 class Certificate:
-    """A picture with proven bounds on the mean radiance of every pixel.
+    """A picture with proven bounds on the mean radiance of every pixel."""
 
-    Attributes
-    ----------
-    low, high : (height, width, 3) float arrays
-        Lower and upper bounds on the mean linear RGB radiance of each pixel.
-    image : (height, width, 3) float array
-        Best estimate of the mean radiance, which lies between the bounds.
-    cell_count : int
-        Number of cells (square parts of the picture) that were examined.
-    """
-
-    low: Floats
-    high: Floats
-    image: Floats
-    cell_count: int
+    low: Shaped[Floats, "height width 3"]
+    high: Shaped[Floats, "height width 3"]
+    image: Shaped[Floats, "height width 3"]  # best estimate, between the bounds
+    cell_count: int  # number of cells that were examined
 
     @property
-    def error(self) -> Floats:
-        """Upper bound (height, width) on the error of each pixel of `image`, in any channel."""
+    def error(self) -> Shaped[Floats, "height width"]:
+        """Upper bound on the error of each pixel of `image`."""
         return np.asarray((self.high - self.image).max(axis=2))
 
     @property
-    def is_certain(self) -> Bools:
-        """Mask (height, width) of the pixels whose two bounds have the same 8-bit codes."""
+    def is_certain(self) -> Shaped[Bools, "height width"]:
+        """Whether the two bounds of a pixel have the same 8-bit codes."""
         return np.asarray((to_codes(self.low) == to_codes(self.high)).all(axis=2))
 
 
 class CellEstimates(NamedTuple):
-    """Estimates of the mean radiance of c cells, with the n regions on which they are based.
+    """Estimates of the mean radiance of cells, with the regions on which they are based."""
 
-    Each edge lies in a strip between two parallel lines.  The centre lines of the strips divide a
-    cell into regions.  A strip's jump is an upper bound on the change of radiance across its edge.
-
-    Attributes
-    ----------
-    strips : Strips
-        The strips whose centre lines divide cells.
-    regions : Regions
-        The regions.
-    radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance at all points of each region that lie in no strip.
-    sample_error : (n,) float array
-        Additional error of the radiance everywhere in a region: the sum of the jumps of all strips
-        that contain the region's centroid.
-    max_radiance : (3, c) float array
-        Upper bound on the radiance anywhere in a cell.
-    mean, error : (3, c) and (c,) float arrays
-        Estimate of the mean radiance of each cell, and an upper bound on its error in any channel.
-    """
-
-    strips: Strips
+    strips: Strips  # whose centre lines divide cells
     regions: Regions
-    radiance: Enclosures
-    sample_error: Floats
-    max_radiance: Floats
-    mean: Floats
-    error: Floats
+    radiance: Enclosures  # (8, 3, n), of all points of each region that lie in no strip
+    # Sum of the jumps of all strips that contain the region's centroid.
+    sample_error: Shaped[Floats, "n"]
+    max_radiance: Shaped[Floats, "3 c"]  # upper bound on the radiance anywhere in a cell
+    mean: Shaped[Floats, "3 c"]
+    error: Shaped[Floats, "c"]  # upper bound on the error of the mean
 
 
 def estimate_means(
-    analysis: CellAnalysis, contributions: Contributions, is_skipped: Bools
+    analysis: CellAnalysis, contributions: Contributions, is_skipped: Shaped[Bools, "c"]
 ) -> CellEstimates:
     """Estimate the mean radiance of each cell, and bound the error of the estimate.
 
-    Edges divide a cell into regions, and one sample is traced at the centroid of each region.
-
-    Parameters
-    ----------
-    analysis : CellAnalysis
-        The c cells, with their edge functions.
-    contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  An unsettled light perhaps
-        reaches only a part of the face.
-    is_skipped : (c,) bool array
-        Cells in which to trace no sample.  Their mean radiance is estimated as half the maximum.
-        Cells with too many edges are skipped, too.
-
-    Returns
-    -------
-    estimates : CellEstimates
-        The means and errors of all cells, with the regions and strips used to compute them.
-
-    Raises
-    ------
-    RuntimeError
-        If a sample shows a face that is not listed for its cell.
+    One sample is traced at the centroid of each region, except in skipped cells and in cells with
+    too many edges.  Their mean radiance is estimated as half the maximum.
     """
     cells, cell_count = analysis.cells, analysis.cells.x.size
     max_radiance = _bound_radiance(cells, contributions)
@@ -207,21 +164,10 @@ def estimate_means(
     return CellEstimates(strips, regions, radiance, sample_error, max_radiance, mean, cell_error)
 
 
-def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
+def _bound_radiance(cells: Cells, contributions: Contributions) -> Shaped[Floats, "3 c"]:
     """Compute an upper bound on the radiance in each cell, as if no light were blocked.
 
-    Parameters
-    ----------
-    cells : Cells
-        The c cells, with the radiance that each face reflects from settled lights.
-    contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  An unsettled light perhaps
-        reaches only a part of the face.
-
-    Returns
-    -------
-    max_radiance : (3, c) float array
-        For each channel, the maximum over the faces in the cell, or 0 if there are none.
+    It is the maximum over the faces in the cell, or 0 if there are none.
     """
     (_, face_bounds), max_radiance = cells.radiance.find_bounds(), np.zeros((3, cells.x.size))
     add_at_sorted_index(face_bounds, contributions.pair_index, contributions.radiance.max_abs)
@@ -231,29 +177,16 @@ def _bound_radiance(cells: Cells, contributions: Contributions) -> Floats:
 
 
 def _enclose_edges(
-    analysis: CellAnalysis, contributions: Contributions, max_radiance: Floats, is_skipped: Bools
+    analysis: CellAnalysis,
+    contributions: Contributions,
+    max_radiance: Shaped[Floats, "3 c"],
+    is_skipped: Shaped[Bools, "c"],
 ) -> Strips:
     """Enclose each edge in a strip, and bound the jump in radiance across the edge.
 
-    An edge is where an edge function is zero.  A strip is the part of a cell between two parallel
-    lines.
-
-    Parameters
-    ----------
-    analysis : CellAnalysis
-        The c cells, with their edge functions.
-    contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  It bounds the jump where
-        an edge cuts off this light.  An unsettled light perhaps reaches only a part of the face.
-    max_radiance : (3, c) float array
-        Upper bound on the radiance in each cell.  It bounds the jump where the face changes.
-    is_skipped : (c,) bool array
-        Whether to ignore the edges in a cell.
-
-    Returns
-    -------
-    strips : Strips
-        The strips, sorted by cell.  Edges without a jump get no strip.
+    The jump is at most the contribution of the light that the edge cuts off, or the maximum
+    radiance in the cell where the face changes.  Edges without a jump get no strip.  The strips are
+    sorted by cell.
     """
     cells, light_count = analysis.cells, analysis.cells.is_settled.shape[1]
     pair_index, light_index, edge_functions = analysis.collect_edge_functions()
@@ -269,28 +202,10 @@ def _enclose_edges(
     return enclose_in_strips(cell_index[edge_index], edge_functions[edge_index], jump[edge_index])
 
 
-def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Floats:
-    """Bound the errors of regions whose samples may be on the wrong side of an edge.
+def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> Shaped[Floats, "n"]:
+    """Compute the sample error of each region from strips, which are sorted by cell.
 
-    A strip is the part of a cell between two parallel lines that enclose an edge.  Its jump is the
-    maximum change in radiance across the edge.  If the centroid of a region lies in a strip, the
-    sample there may be on the wrong side of the edge.  Then the radiance of the whole region may be
-    wrong by as much as the jump.
-
-    Parameters
-    ----------
-    strips : Strips
-        The strips whose centre lines divide cells into regions, sorted by cell.
-    regions : Regions
-        The n regions.
-    cell_count : int
-        Number of cells.
-
-    Returns
-    -------
-    sample_error : (n,) float array
-        For each region, the sum of the jumps of all strips that contain its centroid; infinity if
-        the region is too small for an accurate centroid.
+    The error is infinite if the region is too small for an accurate centroid.
     """
     _, x, y, *_ = regions.moments
     strip_start = strips.cell_index.searchsorted(np.arange(cell_count + 1))
@@ -307,30 +222,10 @@ def _bound_sample_errors(strips: Strips, regions: Regions, cell_count: int) -> F
 def _enclose_region_radiance(
     analysis: CellAnalysis, contributions: Contributions, regions: Regions
 ) -> Enclosures:
-    """Enclose the radiance of each region by tracing one sample at its centroid.
+    """Enclose the radiance (8, 3, n) of each region by tracing one sample at its centroid.
 
-    The sample shows which face is visible in the region, and which lights reach this face.
-
-    Parameters
-    ----------
-    analysis : CellAnalysis
-        The cells, with the radiance that each face reflects from settled lights.
-    contributions : Contributions
-        The radiance that each unsettled light adds to a face in a cell.  An unsettled light perhaps
-        reaches only a part of the face.
-    regions : Regions
-        The n regions of the cells.
-
-    Returns
-    -------
-    radiance : Enclosures
-        Enclosures (8, 3, n) of the radiance that the visible face reflects from all settled lights,
-        and from the unsettled lights that reach the centroid.  The background has radiance 0.
-
-    Raises
-    ------
-    RuntimeError
-        If a sample shows a face that is not listed for its cell.
+    It is what the visible face reflects from all settled lights, and from the unsettled lights that
+    reach the centroid.  The background has radiance 0.
     """
     pair_index, is_lit = _trace_samples(analysis, regions)
     radiance = analysis.cells.radiance[pair_index].coefficients
@@ -345,30 +240,12 @@ def _enclose_region_radiance(
     return Enclosures(radiance)
 
 
-def _trace_samples(analysis: CellAnalysis, regions: Regions) -> tuple[Ints, Bools]:
+def _trace_samples(
+    analysis: CellAnalysis, regions: Regions
+) -> tuple[Shaped[Ints, "n"], Shaped[Bools, "lights n"]]:
     """Find the visible pair at the centroid of each region, and the unsettled lights that reach it.
 
-    A pair consists of a cell and a face in it.  A light is unsettled for a pair if it perhaps
-    reaches only a part of the face.  One sample is traced for each region.
-
-    Parameters
-    ----------
-    analysis : CellAnalysis
-        The cells and their pairs.
-    regions : Regions
-        The n regions of the cells.
-
-    Returns
-    -------
-    pair_index : (n,) int array
-        For each region, the index of the pair whose face is visible, or -1 for the background.
-    is_lit : (lights, n) bool array
-        Whether an unsettled light reaches the visible face there; False for settled lights.
-
-    Raises
-    ------
-    RuntimeError
-        If a sample shows a face that is not listed for its cell.
+    The pair is -1 for the background.  Settled lights do not count as reaching it.
     """
     cells, faces, half_width = analysis.cells, analysis.faces, analysis.cells.width / 2
     cell_index, (_, x, y, *_) = regions.cell_index, regions.moments
@@ -388,38 +265,18 @@ def _trace_samples(analysis: CellAnalysis, regions: Regions) -> tuple[Ints, Bool
 
 
 class _Picture:
-    """A picture to which cells are added when their mean radiance is known accurately enough.
+    """A picture to which cells are added when their mean radiance is known accurately enough."""
 
-    Attributes
-    ----------
-    faces : Faces
-        The spheres and the sides of boxes in the scene.
-    permitted_error : float
-        Permitted error of each pixel's mean radiance.
-    image : (3, rows, columns) float array
-        For each pixel, the sum of the mean radiance of its finished cells, weighted by area.  There
-        are `MAX_WIDTH` additional rows and columns, because cells may extend beyond the picture.
-    error_bound : (rows, columns) float array
-        Upper bound on the error of `image` in any channel.
-    cell_count : int
-        Number of cells examined so far.
-    """
+    faces: Faces
+    permitted_error: float  # of each pixel's mean radiance
+    # Sum, in each pixel, of the mean radiance of its finished cells, weighted by area.  There are
+    # `MAX_WIDTH` additional rows and columns, because cells may extend beyond the picture.
+    image: Shaped[Floats, "3 rows columns"]
+    error_bound: Shaped[Floats, "rows columns"]  # upper bound on the error of `image`
+    cell_count: int  # number of cells examined so far
 
     def __init__(self, scene: Scene, permitted_error: float) -> None:
-        """Create a black picture of a scene, to which cells can be added.
-
-        Parameters
-        ----------
-        scene : Scene
-            The scene.
-        permitted_error : float
-            Permitted error of each pixel's mean radiance.
-
-        Raises
-        ------
-        ValueError
-            If the eye is on a surface, or a light is too far away.
-        """
+        """Create a black picture; raise ValueError as `certify` does."""
         self.faces, self.permitted_error, self.cell_count = Faces(scene), permitted_error, 0
         padded_size = scene.height + MAX_WIDTH, scene.width + MAX_WIDTH
         self.image, self.error_bound = np.zeros((3, *padded_size)), np.zeros(padded_size)
@@ -427,15 +284,7 @@ class _Picture:
     def split_if_large(self, cells: Cells) -> list[Cells]:
         """Divide the cells into two groups if there are too many for one batch.
 
-        Parameters
-        ----------
-        cells : Cells
-            The cells.
-
-        Returns
-        -------
-        groups : list of Cells
-            One or two groups.  All cells of a pixel are in the same group.
+        All cells of a pixel are in the same group.
         """
         unsettled_light_count = np.count_nonzero(~cells.is_settled)
         item_count = cells.cell_index.size + cells.shadow_triples.shape[1] + unsettled_light_count
@@ -446,38 +295,21 @@ class _Picture:
         groups = [cells.select_cells(is_below_median), cells.select_cells(~is_below_median)]
         return groups if is_below_median.any() else [cells]
 
-    def find_pixel_index(self, cells: Cells) -> Ints:
-        """Find the index of the pixel that contains each of c cells.
+    def find_pixel_index(self, cells: Cells) -> Shaped[Ints, "c"]:
+        """Find the pixel that contains each cell, as an index into the flattened `error_bound`.
 
-        Parameters
-        ----------
-        cells : Cells
-            The cells.
-
-        Returns
-        -------
-        pixel_index : (c,) int array
-            Indices into the flattened array `error_bound`.  For a cell that covers several pixels,
-            the index of the upper left one.
+        For a cell that covers several pixels, it is the upper left one.
         """
         # Distance from a cell's centre to a point in its upper left pixel, along both axes.
         shift = cells.width / 2 if cells.width > 1 else 0
         row, column = (np.floor(center - shift).astype(np.intp) for center in (cells.y, cells.x))
         return np.asarray(row * self.error_bound.shape[1] + column)
 
-    def add_cells(self, cells: Cells, cell_index: Ints, radiance: Enclosures) -> None:
+    def add_cells(self, cells: Cells, cell_index: Shaped[Ints, "n"], radiance: Enclosures) -> None:
         """Add the mean radiance of cells, and its error, to the pixels that they cover.
 
-        A cell that is smaller than a pixel is weighted by its area in pixels.
-
-        Parameters
-        ----------
-        cells : Cells
-            The cells.
-        cell_index : (n,) int array
-            Indices of the cells to add.
-        radiance : Enclosures
-            Enclosures (8, 3, n) of the radiance in these cells.
+        There is an enclosure, (8, 3, n) in all, for each of the selected cells.  A cell that is
+        smaller than a pixel is weighted by its area in pixels.
         """
         pixels_across, area = max(int(cells.width), 1), min(cells.width, 1) ** 2
         first_pixel_index = self.find_pixel_index(cells)[cell_index][:, None, None]
@@ -498,23 +330,9 @@ class _Picture:
     def add_accurate_cells(self, cells: Cells) -> Cells:
         """Add the cells that are accurate enough to the picture, and return the others.
 
-        A cell is accurate enough if it shows a single face, and each light reaches all of this face
-        or none of it.  `find_final_cells` may select other cells of at most one pixel.
-
-        Parameters
-        ----------
-        cells : Cells
-            Cells of which no part has been added yet.
-
-        Returns
-        -------
-        pending : Cells
-            The cells that must be divided.
-
-        Raises
-        ------
-        RuntimeError
-            If a sample shows a face that is not listed for its cell.
+        No part of the cells may have been added yet.  A cell is accurate enough if it shows a
+        single face, and each light reaches all of this face or none of it.  `find_final_cells` may
+        select other cells of at most one pixel.
         """
         self.cell_count += cells.x.size
         analysis = CellAnalysis(self.faces, cells)
@@ -537,27 +355,15 @@ class _Picture:
             is_pending[finished_cell_index] = False
         return cells.select_cells(is_pending)
 
-    def find_final_cells(self, cells: Cells, cell_error: Floats, is_pending: Bools) -> Bools:
-        """Decide which cells to add to the picture without further division.
+    def find_final_cells(
+        self, cells: Cells, cell_error: Shaped[Floats, "c"], is_pending: Shaped[Bools, "c"]
+    ) -> Shaped[Bools, "c"]:
+        """Decide which cells, of at most one pixel, to add to the picture undivided.
 
         The remaining error of a pixel is its permitted error minus the error of its finished cells.
         If the pending cells of the pixel together cause at most this error, all of them are added.
         Otherwise, a cell is added if its error is at most the average that the pixel can afford.
         The smallest cells are always added, and so are all cells of a pixel with too many cells.
-
-        Parameters
-        ----------
-        cells : Cells
-            The c cells, at most one pixel wide.
-        cell_error : (c,) float array
-            Bound on the error of each cell's mean radiance, in any channel.
-        is_pending : (c,) bool array
-            Whether the cell has yet to be added.
-
-        Returns
-        -------
-        is_final : (c,) bool array
-            Whether to add the cell now.
         """
         pending_area = is_pending * np.float64(cells.width**2)
         pixel_index, pixel_number = np.unique(self.find_pixel_index(cells), return_inverse=True)

@@ -7,10 +7,18 @@ region.  So the weighted mean of a function that is linear in each region is exa
 
 Each line is extended across the whole cell.  If the edge that it represents ends within the cell,
 then one region is divided into two, which does no harm.
+
+A point x + iy is relative to the centre of its cell, with x and y between -1/2 and 1/2 of the
+cell's width; areas are fractions of the cell's area.  The lines c + a x + b y = 0 of all cells are
+sorted by cell, so that those of cell i have the indices line_start[i] to line_start[i + 1] - 1.
+A region has one index among the regions of all cells: bit k is 1 on the positive side of line k of
+its cell, and the bits from `max_lines` on are the index of the cell, where `max_lines` is the
+maximum number of lines in a cell.
 """
 
 from __future__ import annotations
 
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -30,52 +38,23 @@ _MIN_DETERMINANT = 1e-6
 
 
 class WeightedPoints(NamedTuple):
-    """Points in cells (pixels, or square parts of pixels), with weights and regions.
+    """Points in cells, with weights and regions."""
 
-    Straight lines divide a cell into regions.
-
-    Attributes
-    ----------
-    cell_index : (n,) int array
-        Index of the cell that contains each point.
-    position : (n,) complex array
-        Point x + iy relative to the centre of its cell, with x and y between -1/2 and 1/2 of the
-        cell's width.
-    weight : (n,) float array
-        Weight of each point in the mean over its cell.  The weights in a region add up to the
-        fraction of the cell that the region covers.  A few weights are negative.
-    region_index : (n,) int array
-        Index of the region that contains each point.  Regions of different cells have different
-        indices.
-    """
-
-    cell_index: Ints
-    position: Points2D
-    weight: Floats
-    region_index: Ints
+    cell_index: Shaped[Ints, "n"]
+    position: Shaped[Points2D, "n"]
+    # Weight in the mean over the cell.  The weights in a region add up to its area.  A few are
+    # negative.
+    weight: Shaped[Floats, "n"]
+    region_index: Shaped[Ints, "n"]
 
 
-def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> WeightedPoints:
-    """Place points in cells, and weight them to represent the regions between lines.
+def place_weighted_points(
+    lines: Lines, cell_count: int, points: Shaped[Points2D, "m"]
+) -> WeightedPoints:
+    """Place the same points in every cell, and weight them to represent the regions between lines.
 
-    A cell is a pixel or a square part of a pixel.  Straight lines divide it into regions.  In each
-    region, the weights add up to the area, and the weighted mean of the points is the centroid.
-
-    Parameters
-    ----------
-    lines : Lines
-        Lines that divide the cells into regions, sorted by cell.  Cells are numbered from 0.
-    cell_count : int
-        Number of cells.
-    points : (m,) complex array
-        Points x + iy to place in every cell, relative to its centre, with x and y between -1/2 and
-        1/2 of its width.
-
-    Returns
-    -------
-    weighted_points : WeightedPoints
-        The m points of the first cell, then those of the second cell, and so on.  For regions with
-        too few points, the centroids of triangles that cover these regions are added at the end.
+    For regions with too few points, the centroids of triangles that cover these regions are added
+    at the end, after the points of the last cell.
     """
     line_start = lines.cell_index.searchsorted(np.arange(cell_count + 1))
     cell_index, max_lines = np.arange(cell_count), int(np.diff(line_start).max(initial=0))
@@ -95,24 +74,13 @@ def place_weighted_points(lines: Lines, cell_count: int, points: Points2D) -> We
     return WeightedPoints._make(map(np.append, placed_points, added_points))
 
 
-def find_samples_in_mixed_regions(region_index: Ints, sample_id: Ints) -> Ints:
-    """Find samples in regions where the ids of samples differ.
+def find_samples_in_mixed_regions(
+    region_index: Shaped[Ints, "n"], sample_id: Shaped[Ints, "n"]
+) -> Shaped[Ints, "k"]:
+    """Find at least one sample in each region where the ids of samples differ.
 
-    Straight lines divide a cell (a pixel, or a square part of a pixel) into regions.  Samples with
-    the same id hit the same face of the same object, under the same lights.  Different ids in a
-    region reveal an edge that no line represents.
-
-    Parameters
-    ----------
-    region_index : (n,) int array
-        Index of the region that contains each sample.
-    sample_id : (n,) int array
-        Id of each sample.
-
-    Returns
-    -------
-    mixed_index : (k,) int array
-        Indices of samples: at least one in each region where ids differ.
+    Samples with the same id hit the same face of the same object, under the same lights.  Different
+    ids in a region reveal an edge that no line represents.
     """
     reference_id = np.empty(int(region_index.max(initial=0)) + 1, dtype=np.intp)
     reference_id[region_index] = sample_id  # the id of an arbitrary sample in the region
@@ -120,29 +88,16 @@ def find_samples_in_mixed_regions(region_index: Ints, sample_id: Ints) -> Ints:
 
 
 def _evaluate_lines(
-    lines: Lines, line_start: Ints, line_number: int, cell_index: Ints, position: Points2D
-) -> tuple[Ints, Floats]:
-    """Evaluate one line of each cell at points in the cell.
+    lines: Lines,
+    line_start: Shaped[Ints, "cells+1"],
+    line_number: int,
+    cell_index: Shaped[Ints, "n"],
+    position: Shaped[Points2D, "m n"],
+) -> tuple[Shaped[Ints, "k"], Shaped[Floats, "m k"]]:
+    """Evaluate one line of each cell, c + a x + b y, at m points in each of n columns.
 
-    Parameters
-    ----------
-    lines : Lines
-        The lines c + a x + b y = 0 of all cells, sorted by cell.
-    line_start : (cells + 1,) int array
-        The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
-    line_number : int
-        Which line to evaluate in each cell: its position among the cell's lines, from 0.
-    cell_index : (n,) int array
-        Index of the cell (a pixel or a square part of a pixel) of each column of `position`.
-    position : (m, n) complex array
-        Points x + iy, with m points in each column.
-
-    Returns
-    -------
-    column_index : (k,) int array
-        Indices of the columns whose cell has a line with this number.
-    values : (m, k) float array
-        Value c + a x + b y of the line at each point in these columns.
+    `line_number` counts the lines of a cell from 0.  Columns whose cell does not have this line are
+    skipped; the first result contains the indices of the others.
     """
     line_index = line_start[cell_index] + line_number
     column_index = find(line_index < line_start[cell_index + 1])
@@ -150,27 +105,13 @@ def _evaluate_lines(
     return column_index, line.a * point.real + line.b * point.imag + line.c
 
 
-def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> WeightedPoints:
-    """Divide cells into triangles that no line crosses.
+def _divide_into_triangles(
+    lines: Lines, line_start: Shaped[Ints, "cells+1"], max_lines: int
+) -> WeightedPoints:
+    """Divide cells into triangles that no line crosses; return centroids weighted by area.
 
-    A cell is a pixel or a square part of a pixel.  A diagonal divides it into two triangles.  Then
-    each line of the cell divides every triangle that it crosses into three.
-
-    Parameters
-    ----------
-    lines : Lines
-        The lines of all cells, sorted by cell.
-    line_start : (cells + 1,) int array
-        The lines of cell i have the indices line_start[i] to line_start[i + 1] - 1.
-    max_lines : int
-        Maximum number of lines in a cell.
-
-    Returns
-    -------
-    centroids : WeightedPoints
-        The centroid of each triangle, weighted by the fraction of the cell that the triangle
-        covers.  In its region index, bit k is 1 if the triangle is on the positive side of line k
-        of its cell, and the bits from `max_lines` on are the index of the cell.
+    A diagonal divides the cell into two triangles.  Then each line of the cell divides every
+    triangle that it crosses into three.
     """
     cell_index = np.arange(line_start.size - 1).repeat(2)
     region_index = cell_index << max_lines
@@ -206,32 +147,15 @@ def _divide_into_triangles(lines: Lines, line_start: Ints, max_lines: int) -> We
 
 
 def _compute_weights(
-    position: Points2D, region_index: Ints, centroids: WeightedPoints, region_count: int
-) -> tuple[Floats, Bools]:
+    position: Shaped[Points2D, "n"],
+    region_index: Shaped[Ints, "n"],
+    centroids: WeightedPoints,
+    region_count: int,
+) -> tuple[Shaped[Floats, "n"], Shaped[Bools, "region_count"]]:
     """Compute weights for points, to average functions that are linear in each region.
 
-    In each region, the weights add up to the area, and the weighted mean of the points is the
-    centroid.
-
-    Parameters
-    ----------
-    position : (n,) complex array
-        Points x + iy relative to the centre of a cell (a pixel or a square part of a pixel), with
-        x and y between -1/2 and 1/2 of the cell's width.
-    region_index : (n,) int array
-        Index of the region that contains each point, from 0 to region_count - 1.
-    centroids : WeightedPoints
-        Centroids of triangles that cover all regions.  Their weights are the triangles' areas.
-    region_count : int
-        Number of regions.
-
-    Returns
-    -------
-    weight : (n,) float array
-        Weight of each point, as a fraction of the cell's area; 0 if the region is not represented.
-    is_represented : (region_count,) bool array
-        Whether each region is represented: it contains at least three points, and they do not lie
-        almost on a straight line.
+    The second result tells whether a region is represented: it contains at least three points, and
+    they do not lie almost on a straight line.  Points in other regions have the weight 0.
     """
 
     def sum_by_region(value_region_index: Ints, values: Floats) -> Floats:

@@ -1,13 +1,15 @@
 """Spheres: intersections with rays from the eye, and tests of shadow segments.
 
-`Spheres` and `Boxes` have the same methods and attributes.  All methods take indices of objects
-among all objects of the scene (see `ObjectRange`).
+`Boxes` has the same methods, which are documented here.  Their `object_index` numbers all objects
+of the scene (see `ObjectRange`), while `sphere_index` numbers the spheres.
 
-Rays start at the eye.  A ray has the direction (ray_x, ray_y, depth) in camera axes:
-`ray_x` changes along a row of the picture, `ray_y` from row to row, and `depth` is the same
-for all rays (see `CameraFrame`).  The result for a pair of a ray and an object depends on this pair
-only.  It is the same to the last bit whatever else the scene contains, and however pairs are
-arranged in batches.
+A ray starts at the eye and has the direction (ray_x, ray_y, depth) in camera axes (see
+`CameraFrame`); the rays of one row of the picture have the same `ray_y`.  A *span* consists of rays
+of one row that are tested with the same sphere.  A *shadow segment* leads from a hit to a light.
+Points, and the ends of segments, are in scene axes.
+
+The result for a pair of a ray and an object depends on this pair only.  It is the same to the last
+bit whatever else the scene contains, and however pairs are arranged in batches.
 
 Infinities and NaN are valid intermediate results, so callers turn off floating-point warnings.
 """
@@ -15,7 +17,8 @@ Infinities and NaN are valid intermediate results, so callers turn off floating-
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated as Shaped
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -38,67 +41,41 @@ from tracer.scene.model import Surfaces
 NO_FACE = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Spheres:
-    """The n spheres of a scene, prepared for the rays of one camera.
+class _Discs(NamedTuple):
+    """The discs that planes through the eye cut from spheres.
 
-    Attributes
-    ----------
-    is_planar : bool
-        Whether objects of this shape consist of planar faces.
-    frame : CameraFrame
-        The camera.
-    objects : ObjectRange
-        Indices of the spheres among all objects of the scene.
-    center : (3, n) float array
-        Centres, in scene axes.
-    radius : (n,) float array
-        Radii.
-    from_eye : tuple of three (n,) float arrays
-        Vectors from the eye to the centres, in camera axes.
-    power : (n,) float array
-        |centre - eye|^2 - radius^2 for each sphere: positive if the eye is outside, 0 if the eye
-        is on the sphere.
-    bounds : ScreenBounds
-        Bounding rectangles of the spheres in the picture.
-    is_eye_inside : (n,) bool array
-        Whether the eye is inside the sphere, or on it.
-    curvature : (n,) float array
-        Curvature of the surface: 1 / radius; 0 for planar shapes.
-    coordinate_bound : (n,) float array
-        Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on
-        the surface are proportional to it.
+    A point in a plane has a rightward and a forward coordinate, relative to the eye.
     """
 
-    is_planar: ClassVar = False
+    center_right: Shaped[Floats, "n"]
+    center_ahead: Shaped[Floats, "n"]
+    radius2: Shaped[Floats, "n"]  # squared radius; negative if the plane misses the sphere
+    ray_ahead: Shaped[Floats, "n"]  # forward component of rays in the plane
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """The spheres of a scene, prepared for the rays of one camera."""
+
+    is_planar: ClassVar = False  # whether objects of this shape consist of planar faces
 
     frame: CameraFrame
     objects: ObjectRange
-    center: Floats
-    radius: Floats
-    from_eye: Triple
-    power: Floats
-    bounds: ScreenBounds
-    is_eye_inside: Bools
-    curvature: Floats
-    coordinate_bound: Floats
+    center: Shaped[Floats, "3 spheres"]  # in scene axes
+    radius: Shaped[Floats, "spheres"]
+    from_eye: Shaped[Triple, "spheres"]  # vectors from the eye to the centres, in camera axes
+    # |centre - eye|^2 - radius^2: positive if the eye is outside, 0 if it is on the sphere.
+    power: Shaped[Floats, "spheres"]
+    bounds: ScreenBounds  # bounding rectangles in the picture
+    is_eye_inside: Shaped[Bools, "spheres"]  # or on the surface
+    curvature: Shaped[Floats, "spheres"]  # 1 / radius; 0 for planar shapes
+    # Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on the
+    # surface are proportional to it.
+    coordinate_bound: Shaped[Floats, "spheres"]
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Extract the spheres of a scene, and precompute the data for tracing camera rays.
-
-        Parameters
-        ----------
-        frame : CameraFrame
-            The camera.
-        surfaces : Surfaces
-            All surfaces of the scene.
-
-        Returns
-        -------
-        spheres : Spheres
-            All n spheres, with their bounding rectangles, and their positions relative to the eye.
-        """
+        """Extract the spheres of a scene, and precompute what rays of its camera need."""
         center, radius = surfaces.center.T.copy(), surfaces.radius
         from_eye = frame.point_to_camera(surfaces.center)
         distance = np.sqrt(dot(from_eye, from_eye))
@@ -115,36 +92,22 @@ class Spheres:
         camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
         return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
 
-    def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Compute the axis-aligned bounding boxes of all n spheres, in scene axes.
-
-        Returns
-        -------
-        low, high : (3, n) float arrays
-            Smallest and largest coordinates of each sphere.
-        """
+    def compute_bounding_boxes(
+        self,
+    ) -> tuple[Shaped[Floats, "3 spheres"], Shaped[Floats, "3 spheres"]]:
+        """Compute the smallest and the largest coordinates of each sphere, in scene axes."""
         return self.center - self.radius, self.center + self.radius
 
     # Intersections with rays from the eye.
 
-    def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """Bound the x coordinates at which each of n spheres may appear in a row of the picture.
+    def find_x_range(
+        self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+        """Find the smallest and largest x at which each sphere may appear in a row of the picture.
 
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each sphere among all objects of the scene.
-        top : (n,) float array
-            Top edge of the row for each sphere, in pixels from the top of the picture.
-        height : float
-            Height of the rows, in pixels; 0 for horizontal lines across the picture.
-
-        Returns
-        -------
-        left, right : (n,) float arrays
-            Smallest and largest x coordinates at which the sphere may appear in the row, in pixels
-            from the left edge of the picture.  If left > right or both are NaN, the sphere does not
-            appear in the row.
+        The row of sphere i extends from y = top[i] to top[i] + height; with height 0, it is a line.
+        Positions are in pixels from the upper left corner of the picture.  If the sphere does not
+        appear in the row, then left > right or both are NaN.
         """
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.
@@ -155,75 +118,52 @@ class Spheres:
         grown_radius = radius + slope_margin * max_depth
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
         discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_y(top + height / 2))
-        ray_ahead, center_right, center_ahead, disc_radius2 = discs
+        center_right, center_ahead, disc_radius2, ray_ahead = discs
         low_slope, high_slope = _find_slope_range(center_right, center_ahead, disc_radius2, power)
         return frame.to_picture_x(low_slope * ray_ahead), frame.to_picture_x(high_slope * ray_ahead)
 
     def _cut_discs(
-        self, sphere_index: Ints, radius: Floats, ray_y: Floats
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Compute the disc that a plane of rays cuts from each of n spheres.
+        self,
+        sphere_index: Shaped[Ints, "n"],
+        radius: Shaped[Floats, "n"],
+        ray_y: Shaped[Floats, "n"],
+    ) -> _Discs:
+        """Compute the disc that the plane of rays with this `ray_y` cuts from each sphere.
 
-        A ray has the direction (ray_x, ray_y, depth), in camera axes.  All rays with the
-        same `ray_y` lie in one plane through the eye.  A point in this plane has a rightward
-        and a forward coordinate.
-
-        Parameters
-        ----------
-        sphere_index : (n,) int array
-            Index of each sphere among all spheres.
-        radius : (n,) float array
-            Radius to use instead of the sphere's own radius.
-        ray_y : (n,) float array
-            Downward component of the rays in the plane that cuts each sphere.
-
-        Returns
-        -------
-        ray_ahead : (n,) float array
-            Forward component of the rays in the plane: sqrt(ray_y^2 + depth^2).
-        center_right, center_ahead : (n,) float arrays
-            Coordinates of the disc's centre in the plane, relative to the eye.
-        disc_radius2 : (n,) float array
-            Squared radius of the disc; negative if the plane misses the sphere.
+        The given radius replaces the sphere's own.
         """
         (center_right, down, forward), depth = take(self.from_eye, sphere_index), self.frame.depth
         ray_ahead = np.sqrt(ray_y * ray_y + depth * depth)
         plane_distance = (down * depth - forward * ray_y) / ray_ahead
         center_ahead = (down * ray_y + forward * depth) / ray_ahead
         disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
-        return ray_ahead, center_right, center_ahead, disc_radius2
+        return _Discs(center_right, center_ahead, disc_radius2, ray_ahead)
 
     def intersect(
-        self, object_index: Ints, ray_y: Floats, ray_x: Floats, ray_count: Ints | None
-    ) -> tuple[Floats, Floats]:
-        """Compute where rays from the eye hit spheres.
-
-        A ray has the direction (ray_x, ray_y, depth), in camera axes.  The rays of one
-        row that are tested with the same sphere form a span.
+        self,
+        object_index: Shaped[Ints, "spans"],
+        ray_y: Shaped[Floats, "spans"],
+        ray_x: Shaped[Floats, "n"],
+        ray_count: Shaped[Ints, "spans"] | None,
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+        """Compute where rays from the eye hit spheres, span by span.
 
         Parameters
         ----------
-        object_index : (spans,) int array
-            Index of the sphere of each span, among all objects of the scene.
-        ray_y : (spans,) float array
-            Downward component of the rays in each span.
-        ray_x : (n,) float array
-            Rightward component of each ray, span by span.
-        ray_count : (spans,) int array or None
+        ray_count
             Number of rays in each span; None if each span has one ray.
 
         Returns
         -------
-        t : (n,) float array
-            Each ray hits the sphere at t times its direction; t is infinity if the ray misses.  If
-            the eye is inside the sphere or on its surface, the hit is where the ray leaves.
-        radial_dot : (n,) float array
-            Absolute dot product of the ray's direction and the vector from the sphere's centre to
-            the hit.
+        t
+            The ray hits the sphere at t times its direction; infinity if it misses.  If the eye is
+            inside the sphere or on its surface, the hit is where the ray leaves.
+        radial_dot
+            Absolute dot product of the ray's direction and the vector from the centre to the hit.
         """
         sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_y)
-        ray_ahead, center_right, center_ahead, disc_radius2 = discs
+        center_right, center_ahead, disc_radius2, ray_ahead = discs
         length2 = repeat_runs(ray_y * ray_y + depth * depth, ray_count)
         length2 = ray_x * ray_x + length2
         # Solve A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The
@@ -246,33 +186,23 @@ class Spheres:
         return np.where(t > 0, t, np.inf), radial_dot
 
     def compute_tangent_planes(
-        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, radial_dot: Floats
-    ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """Compute the tangent plane of the sphere at each of n hits.
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        to_hit: Shaped[Floats, "3 n"],
+        t: Shaped[Floats, "n"],
+        radial_dot: Shaped[Floats, "n"],
+    ) -> tuple[
+        Shaped[Ints, "runs"],
+        Shaped[Floats, ""],
+        Shaped[Floats, ""],
+        Shaped[Triple, "n"],
+        Shaped[Floats, "n"],
+    ]:
+        """Compute the last five fields of `ShapeHits`, which describe tangent planes at hits.
 
-        A run consists of consecutive hits on the same sphere.
-
-        Parameters
-        ----------
-        object_index : (runs,) int array
-            Index of each run's sphere among all objects of the scene.
-        run_length : (runs,) int array
-            Number of hits in each run.
-        to_hit : (3, n) float array
-            Vectors from the eye to the hits, in camera axes.
-        t, radial_dot : (n,) float arrays
-            The results of `intersect` for the rays through the hits.
-
-        Returns
-        -------
-        face_axis : (runs,) int array
-            `NO_FACE` for each run.
-        normal_sign, face_position : 0-dimensional float arrays
-            Placeholders, because spheres have no faces.
-        normal : tuple of three (n,) float arrays
-            Unit normals that face the eye, in camera axes.
-        eye_height : (n,) float array
-            Distance of the eye from each tangent plane.
+        A run consists of consecutive hits on the same sphere.  Pass the vectors from the eye to the
+        hits, in camera axes, and the results of `intersect` for them.
         """
         sphere_index = self.objects.to_local(object_index)
         # If the eye is inside, the normal that faces it points to the centre.
@@ -287,75 +217,42 @@ class Spheres:
 
     # Tests of shadow segments: segments from hits to lights.
 
-    def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Determine whether lights are outside, on or inside n spheres.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each sphere among all objects of the scene.
-        light : tuple of three float arrays
-            Coordinates x, y and z of the lights, in scene axes, broadcastable with (n,).
-
-        Returns
-        -------
-        side : int8 array
-            `OUTSIDE`, `ON` or `INSIDE`.  The shape is that of `object_index` and the lights,
-            broadcast together.
-        """
+    def find_light_side(
+        self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
+    ) -> Shaped[Sides, "... n"]:
+        """Determine whether lights are `OUTSIDE`, `ON` or `INSIDE` spheres."""
         tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
         return determine_side(self.measure_distance(object_index, light), tolerance)
 
-    def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distances of points from n spheres.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each sphere among all objects of the scene.
-        point : tuple of three float arrays
-            Coordinates x, y and z of the points, in scene axes, broadcastable with (n,).
-
-        Returns
-        -------
-        distance : float array
-            Distance from the surface; negative inside.  The shape is that of `object_index` and the
-            points, broadcast together.
-        """
+    def measure_distance(
+        self, object_index: Shaped[Ints, "n"], point: Shaped[Triple, "... #n"]
+    ) -> Shaped[Floats, "... n"]:
+        """Compute the distances of points from the surfaces of spheres; negative inside."""
         sphere_index = self.objects.to_local(object_index)
         to_center = map_xyz(np.subtract, take(self.center, sphere_index), point)
         return np.sqrt(dot(to_center, to_center)) - self.radius[sphere_index]
 
     def occludes(
         self,
-        object_index: Ints,
-        hit: Triple,
-        light: Triple,
-        light_side: Sides,
-        growth: Floats | None = None,
-    ) -> Bools:
-        """Test whether each of n spheres blocks the segment from a hit to a light.
+        object_index: Shaped[Ints, "n"],
+        hit: Shaped[Triple, "n"],
+        light: Shaped[Triple, "n"],
+        light_side: Shaped[Sides, "n"],
+        growth: Shaped[Floats, "n"] | None = None,
+    ) -> Shaped[Bools, "n"]:
+        """Test whether each sphere blocks the segment from a hit to a light.
 
-        A segment is blocked if it crosses the surface of the sphere strictly between its ends.
-        Ends within rounding error of the surface count as on the surface.  If the hit is on the
-        sphere, the segment starts on the eye's side of the surface.
+        A segment is blocked if it crosses the surface strictly between its ends.  Ends within
+        rounding error of the surface count as on the surface.  If the hit is on the sphere, the
+        segment starts on the eye's side of the surface.
 
         Parameters
         ----------
-        object_index : (n,) int array
-            Index of each sphere among all objects of the scene.
-        hit, light : tuples of three (n,) float arrays
-            Coordinates x, y and z of the two ends of each segment, in scene axes.
-        light_side : (n,) int8 array
-            Side of the sphere on which the light lies: the result of `find_light_side`.
-        growth : (n,) float array, optional
-            Distance by which the sphere is grown before the test; negative to shrink it.  A sphere
+        light_side
+            The result of `find_light_side`.
+        growth
+            Distance by which to grow the sphere before the test; negative to shrink it.  A sphere
             that shrinks to nothing blocks nothing.
-
-        Returns
-        -------
-        occludes : (n,) bool array
-            Whether the sphere blocks the segment.
         """
         sphere_index = self.objects.to_local(object_index)
         to_light = map_xyz(np.subtract, light, hit)
@@ -387,28 +284,23 @@ class Spheres:
         return occludes
 
     def test_capsules(
-        self, object_index: Ints, axis_start: Triple, axis_end: Triple, capsule_radius: Floats
-    ) -> tuple[Bools, Bools]:
-        """Test whether each of n spheres blocks some or all of the segments in a capsule.
+        self,
+        object_index: Shaped[Ints, "n"],
+        axis_start: Shaped[Triple, "n"],
+        axis_end: Shaped[Triple, "n"],
+        capsule_radius: Shaped[Floats, "n"],
+    ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
+        """Test whether each sphere blocks some, or all, of the segments in a capsule.
 
-        The segments start at most `capsule_radius` away from the point `axis_start`, and all lead
-        to the point `axis_end` (Haines and Wallace, Shaft culling, 1991).
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index, among all objects of the scene, of the sphere to test with each capsule.
-        axis_start, axis_end : tuples of three (n,) float arrays
-            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
-        capsule_radius : (n,) float array
-            Radius of each capsule: the maximum distance of its points from its axis.
+        The segments start at most `capsule_radius` away from `axis_start`, and all end at
+        `axis_end` (Haines and Wallace, Shaft culling, 1991).
 
         Returns
         -------
-        may_block : (n,) bool array
-            Whether the sphere may block a segment: false only if it certainly blocks none.
-        blocks_all : (n,) bool array
-            Whether the sphere blocks all segments: true only if this is certain.
+        may_block
+            False only if the sphere certainly blocks no segment.
+        blocks_all
+            True only if the sphere certainly blocks all segments.
         """
         sphere_index = self.objects.to_local(object_index)
         center, radius = take(self.center, sphere_index), self.radius[sphere_index]
@@ -437,26 +329,16 @@ class Spheres:
 
 
 def _find_slope_range(
-    center_right: Floats, center_ahead: Floats, disc_radius2: Floats, power: Floats
-) -> tuple[Floats, Floats]:
-    """Compute the slopes of the two tangents from the origin to each of n discs.
+    center_right: Shaped[Floats, "n"],
+    center_ahead: Shaped[Floats, "n"],
+    disc_radius2: Shaped[Floats, "n"],
+    power: Shaped[Floats, "n"],
+) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+    """Compute the slopes, right / ahead, of the two tangents from the origin to each disc.
 
-    The slope of a ray in the direction (right, ahead) is right / ahead.
-
-    Parameters
-    ----------
-    center_right, center_ahead : (n,) float arrays
-        Coordinates of the centre of each disc.
-    disc_radius2 : (n,) float array
-        Squared radius of each disc; negative or NaN if there is no disc.
-    power : (n,) float array
-        Squared distance of the disc's centre from the origin, minus `disc_radius2`: negative if
-        the origin is inside the disc.
-
-    Returns
-    -------
-    low_slope, high_slope : (n,) float arrays
-        Smallest and largest slope of rays that point ahead and meet the disc; NaN without a disc.
+    These are the smallest and the largest slope of rays that point ahead and meet the disc; NaN if
+    there is no disc (`disc_radius2` < 0 or NaN).  `power` is the squared distance of the centre
+    from the origin, minus `disc_radius2`: negative if the origin is inside the disc.
     """
     # Both tangents make the same angle with the direction of the centre.  This angle is set to
     # infinity if the origin is inside the disc, and to pi / 2 if it is almost on the disc's edge.

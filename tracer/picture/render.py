@@ -13,6 +13,10 @@ A `RenderJob` is a picture to render.  Other processes receive only its argument
 prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
 them with any executor.  `render_tiles` yields the tiles encoded for a file, and can share them with
 the worker pool of a command.
+
+Radiance is linear RGB.  A `Rectangle` gives the rows and columns of a tile in the picture.  The
+`encode` functions of tiles are called with the radiance of a tile and the keyword `is_leftmost`:
+whether the tile is at the left edge of the picture.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from collections.abc import Callable, Iterator
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise, product
 from math import isqrt, sqrt
+from typing import Annotated as Shaped
 from typing import Any, SupportsFloat, SupportsIndex, TypeAlias
 
 import numpy as np
@@ -202,23 +207,11 @@ def render_tiles(
 
     Parameters
     ----------
-    job : RenderJob
-        The picture to render.
-    pool : WorkerPool, optional
-        Worker processes that render some of the tiles.  By default, this process renders all of
-        them.
-    encode : callable
-        Encodes a tile in the process that has rendered it.  It is called with the tile's radiance,
-        an array (rows, columns, 3), and the keyword `is_leftmost`: whether the tile is at the left
-        edge of the picture.  The function and its results must be picklable.  By default, tiles are
-        compressed for a PNG file.
-
-    Yields
-    ------
-    data : object
-        The result of `encode` for one tile (a rectangle of pixels).
-    exposure : Exposure
-        The tile's pixel counts: total, lit (not black) and clipped (brighter than 1).
+    pool
+        Worker processes that render some of the tiles; by default, this process renders all.
+    encode
+        Encodes a tile in the process that has rendered it; by default, for a PNG file.  The
+        function and its results must be picklable.
     """
     worker_count = pool.worker_count if pool else 0
     tiles = job.divide(is_shared=worker_count > 0)
@@ -229,22 +222,7 @@ def render_tiles(
 def _compute_samples_per_side(samples: SupportsIndex) -> int:
     """Compute the smallest n for which n x n is at least the requested number of samples.
 
-    Parameters
-    ----------
-    samples : int
-        Requested number of samples per pixel; a NumPy integer is accepted.
-
-    Returns
-    -------
-    samples_per_side : int
-        The number n.
-
-    Raises
-    ------
-    TypeError
-        If `samples` is not an integer.
-    ValueError
-        If `samples` is less than 1 or more than `_MAX_SAMPLES`.
+    Raise TypeError if it is not an integer, and ValueError if it is out of range.
     """
     try:
         sample_count = int(operator.index(samples))  # unlike NumPy integers, ints never overflow
@@ -258,19 +236,11 @@ def _compute_samples_per_side(samples: SupportsIndex) -> int:
 
 
 class RenderJob:
-    """A picture to render, which can be divided into tiles (rectangles of pixels).
+    """A picture to render, which can be divided into tiles.
 
-    A pickled job contains only its arguments.  The process that unpickles the job prepares the
-    scene again, unless it has rendered the same job recently.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene to render.
-    samples : int
-        Number of samples per pixel, as in `render`.
-    offset : (float, float)
-        Distances to the right and down, in pixels, by which every sample is shifted.
+    Arguments, and the errors that they raise, are those of `render`.  A pickled job contains only
+    its arguments.  The process that unpickles the job prepares the scene again, unless it has
+    rendered the same job recently.
 
     Attributes
     ----------
@@ -278,13 +248,6 @@ class RenderJob:
         The scene, prepared for its camera.
     seconds : float
         Rough estimate of the time, in seconds, that one process would need for the picture.
-
-    Raises
-    ------
-    TypeError
-        If `samples` is not an integer.
-    ValueError
-        If `samples` is less than 1 or more than 999,999,999, or `offset` is not two finite numbers.
     """
 
     @_IGNORE_FLOAT_ERRORS
@@ -311,7 +274,7 @@ class RenderJob:
 
     @cached_property
     def _seconds_per_pixel(self) -> float:
-        """Estimate the time, in seconds, that one process needs to render a pixel.
+        """Estimate of the time, in seconds, that one process needs to render a pixel.
 
         The time is proportional to the number of samples in the pixel, to the number of lights, and
         to the mean number of objects on a ray.
@@ -328,18 +291,9 @@ class RenderJob:
         return sample_count * seconds_per_hit * scene.depth_complexity
 
     def divide(self, *, is_shared: bool) -> list[Rectangle]:
-        """Divide the picture into tiles that consist of whole rows, or of part of one row.
+        """Divide the picture into tiles, from top to bottom and from left to right.
 
-        Parameters
-        ----------
-        is_shared : bool
-            Whether several processes share the tiles.  If so, tiles may be smaller, so that each
-            processor gets several.
-
-        Returns
-        -------
-        tiles : list of (slice, slice)
-            Rows and columns of each tile in the picture, from top to bottom and from left to right.
+        Tiles that several processes share may be smaller, so that each processor gets several.
         """
         width, height = self.prepared_scene.frame.width, self.prepared_scene.frame.height
         pixels_per_second = 1 / max(self._seconds_per_pixel, 1e-12)
@@ -357,49 +311,25 @@ class RenderJob:
 
     @cached_property
     def pickled_arguments(self) -> bytes:
-        """Pickle the arguments (scene, samples, offset), which identify the job in any process."""
+        """The pickled arguments (scene, samples, offset), which identify the job in any process."""
         return pickle.dumps(self._arguments)
 
     def render_encoded_tile(
         self, encode: Callable[..., Any], rectangle: Rectangle
     ) -> tuple[Any, Exposure]:
-        """Render a tile and encode it for a file.
-
-        Parameters
-        ----------
-        encode : callable
-            Encodes a tile.  It is called with the tile's radiance, an array (rows, columns, 3), and
-            the keyword `is_leftmost`: whether the tile is at the left edge of the picture.
-        rectangle : (slice, slice)
-            Rows and columns of the tile in the picture.
-
-        Returns
-        -------
-        data : object
-            The result of `encode`.
-        exposure : Exposure
-            The tile's pixel counts: total, lit (not black) and clipped (brighter than 1).
-        """
+        """Render and encode a tile, and count its lit and its clipped pixels."""
         radiance = self.render_tile(rectangle)
         data = encode(radiance, is_leftmost=rectangle[1].start == 0)
         return data, Exposure.from_radiance(radiance)
 
     @_IGNORE_FLOAT_ERRORS
-    def render_tile(self, rectangle: Rectangle, out: Floats | None = None) -> Floats:
-        """Render a tile and return its linear RGB radiance.
+    def render_tile(
+        self, rectangle: Rectangle, out: Shaped[Floats, "rows columns 3"] | None = None
+    ) -> Shaped[Floats, "rows columns 3"]:
+        """Render a tile and return its radiance.
 
-        Parameters
-        ----------
-        rectangle : (slice, slice)
-            Rows and columns of the tile in the picture.
-        out : (rows, columns, 3) float array, optional
-            Array to store the radiance in.  It must contain only zeros, because some black
-            pixels are never written.
-
-        Returns
-        -------
-        radiance : (rows, columns, 3) float array
-            Linear RGB radiance of each pixel in the tile.  If `out` is given, this is `out`.
+        If `out` is given, the radiance is stored in it.  It must contain only zeros, because some
+        black pixels are never written.
         """
         keep_freed_memory()
         scene, (rows, columns) = self.prepared_scene, rectangle
@@ -426,76 +356,27 @@ class RenderJob:
 
 @lru_cache(_MAX_CACHED_JOBS)
 def _unpickle_job(pickled_arguments: bytes) -> RenderJob:
-    """Return the render job with the given pickled arguments.
-
-    Each process caches the jobs that it used last, because preparing a scene may take longer than
-    rendering a tile.
-
-    Parameters
-    ----------
-    pickled_arguments : bytes
-        The pickled tuple of the arguments of `RenderJob`.
-
-    Returns
-    -------
-    job : RenderJob
-        The job with these arguments.
-    """
+    """Return the job with these arguments, from the cache of this process if possible."""
     return RenderJob(*pickle.loads(pickled_arguments))
 
 
 def _intersect_ranges(range_a: slice, range_b: slice) -> slice:
-    """Return the overlap of two ranges.
-
-    Parameters
-    ----------
-    range_a, range_b : slice
-        The ranges, each with a start and a stop.
-
-    Returns
-    -------
-    overlap : slice
-        The range of the numbers in both ranges.  If the ranges do not overlap, the result is empty:
-        stop <= start.
-    """
+    """Return the overlap of two ranges; if they do not overlap, stop <= start."""
     return slice(max(range_a.start, range_b.start), min(range_a.stop, range_b.stop))
 
 
 def _to_tile_range(picture_range: slice, tile_range: slice) -> slice:
-    """Convert a range of rows or columns from picture to tile coordinates.
+    """Convert a range of rows or columns of the picture to a range in the tile that contains it.
 
     For example, rows 12 to 15 of the picture are rows 2 to 5 of a tile that starts at row 10.
-
-    Parameters
-    ----------
-    picture_range : slice
-        Rows or columns, counted from the start of the picture.
-    tile_range : slice
-        All rows or columns of the tile, counted from the start of the picture.  The tile contains
-        `picture_range`.
-
-    Returns
-    -------
-    range_in_tile : slice
-        The rows or columns of `picture_range`, counted from the start of the tile.
     """
     return slice(picture_range.start - tile_range.start, picture_range.stop - tile_range.start)
 
 
 def _divide_range(length: int, max_length: int) -> list[slice]:
-    """Divide the range from 0 to `length` into consecutive slices of almost equal length.
+    """Divide the range from 0 to `length` into as few slices of at most `max_length` as possible.
 
-    Parameters
-    ----------
-    length : int
-        Length of the range, at least 1.
-    max_length : int
-        Maximum length of a slice, at least 1.
-
-    Returns
-    -------
-    slices : list of slice
-        As few slices as possible, in ascending order.  Their lengths differ by at most 1.
+    Their lengths differ by at most 1.
     """
     slice_count = -(-length // max_length)
     bounds = [length * index // slice_count for index in range(slice_count + 1)]

@@ -9,12 +9,14 @@ from the hit adds I (kd max(0, n.l) + ks (n.h)^p) to the radiance, with
 - the unit normal n, the direction l to the light, and the unit half vector h, which is halfway
   between the directions to the light and to the eye.
 
-Light does not fall off with distance, and the highlight has no further cosine.
+Light does not fall off with distance, and the highlight has no further cosine.  The number (n.h)^p,
+from 0 to 1, is the *strength* of a highlight.  All radiance is linear RGB.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -31,48 +33,31 @@ from tracer.world.prepared_scene import Lights
 _MAX_LOBE_STEP, _LOBE_CUTOFF, _LOBE_UNDERFLOW = 0.7, 3.0, 27.0
 
 
+class ChannelRadiance(NamedTuple):
+    """The radiance of hits in one colour channel, summed over the lights."""
+
+    channel: int  # 0 for red, 1 for green, 2 for blue
+    diffuse: Shaped[Floats, "n"]
+    specular: Shaped[Floats, "n"]
+
+
 class LightGeometry(NamedTuple):
     """Dot products of normals and light vectors, for n hits and a batch of lights.
 
-    Here n is the unit normal at the hit, and l the vector from the hit to the light, which is not
-    of unit length.  Occluders are ignored.
-
-    Attributes
-    ----------
-    hits : Hits
-        The hits.
-    lights : Lights
-        The lights.
-    n_dot_l : (lights, n) float array
-        n . l for each pair; -inf if the eye is inside the hit's object and the light is outside,
-        because no light enters the object.
-    squared_distance : (lights, n) float array
-        l . l for each pair: the squared distance of the light.
+    Here l is the vector from the hit to the light, not of unit length.  Occluders are ignored.
     """
 
     hits: Hits
     lights: Lights
-    n_dot_l: Floats
-    squared_distance: Floats
+    # n . l; -inf if the eye is inside the hit's object and the light is outside, because no light
+    # enters the object.
+    n_dot_l: Shaped[Floats, "lights n"]
+    squared_distance: Shaped[Floats, "lights n"]  # l . l
 
-    def compute_highlight_strength(self, light_index: int, hit_index: Ints) -> Floats:
-        """Compute the strength of one light's highlight at selected hits.
-
-        The strength is (n.h)^p, where n is the unit normal, h the unit half vector between the
-        directions to the light and to the eye, and p the exponent of the surface.
-
-        Parameters
-        ----------
-        light_index : int
-            Index of the light in this batch.
-        hit_index : (k,) int array
-            Indices of the hits.  Their surfaces must face the light.
-
-        Returns
-        -------
-        strength : (k,) float array
-            The strength at each selected hit, from 0 to 1.
-        """
+    def compute_highlight_strength(
+        self, light_index: int, hit_index: Shaped[Ints, "k"]
+    ) -> Shaped[Floats, "k"]:
+        """Compute the strength of one light's highlight at hits whose surfaces face the light."""
         hits = self.hits
         from_eye = take(hits.from_eye, hit_index)
         x, y, z = self.lights.from_eye[light_index].tolist()
@@ -102,25 +87,14 @@ class LightGeometry(NamedTuple):
 
 
 def _compute_accurate_highlight(
-    normal: Triple, light_direction: Triple, eye_direction: Triple, exponent: Floats
-) -> Floats:
+    normal: Shaped[Triple, "n"],
+    light_direction: Shaped[Triple, "n"],
+    eye_direction: Shaped[Triple, "n"],
+    exponent: Shaped[Floats, "n"],
+) -> Shaped[Floats, "n"]:
     """Compute the strengths of highlights from unit vectors, without loss of accuracy.
 
-    The strength is (n.h)^p, where n is the normal, h the unit half vector between the directions to
-    the light and to the eye, and p the exponent.
-
-    Parameters
-    ----------
-    normal, light_direction, eye_direction : tuples of three (n,) float arrays
-        Unit normals, and unit vectors to the light and to the eye, all in the same coordinate
-        system.
-    exponent : (n,) float array
-        Exponent p of each highlight.
-
-    Returns
-    -------
-    strength : (n,) float array
-        Strength at each of n points; 0 if the light and the eye are in opposite directions.
+    The strength is 0 if the light and the eye are in opposite directions.
     """
     direction_sum = map_xyz(np.add, light_direction, eye_direction)
     squared_length = dot(direction_sum, direction_sum)
@@ -138,18 +112,8 @@ def _compute_accurate_highlight(
 class Shading:
     """The radiance that n hits reflect towards the eye, summed over lights.
 
-    Parameters
-    ----------
-    hits : Hits
-        The hits.
-    with_ids : bool
-        Whether to compute `visibility_ids`.
-
-    Attributes
-    ----------
-    visibility_ids : (n,) int array
-        For each hit, a number that encodes the object, its face, and the lights that are visible
-        from the hit.  The array is empty if `with_ids` is False.
+    If `with_ids` is true, `visibility_ids` encodes for each hit the object, its face, and the
+    lights that are visible from the hit; otherwise it is empty.
     """
 
     def __init__(self, hits: Hits, *, with_ids: bool) -> None:
@@ -163,16 +127,8 @@ class Shading:
             4 * hits.hit_object + hits.face_axis if with_ids else hits.sample_index[:0]
         )
 
-    def add(self, geometry: LightGeometry, is_lit: Bools) -> None:
-        """Add the reflected light of a batch of lights to the sums, and update `visibility_ids`.
-
-        Parameters
-        ----------
-        geometry : LightGeometry
-            The lights, and the n hits.
-        is_lit : (lights, n) bool array
-            Whether each light is visible from each hit.
-        """
+    def add(self, geometry: LightGeometry, is_lit: Shaped[Bools, "lights n"]) -> None:
+        """Add the light that hits reflect from those lights that are visible from them."""
         for light_index, is_hit_lit in enumerate(is_lit):
             if self._with_ids:
                 # Multiplying by an odd number never shifts a light's bit out of the integer, so
@@ -190,20 +146,8 @@ class Shading:
                 strength[lit_index] = geometry.compute_highlight_strength(light_index, lit_index)
                 self._specular_sum = _add_light(self._specular_sum, intensity, strength)
 
-    def compute_channels(self) -> Iterator[tuple[int, Floats, Floats]]:
-        """Yield the diffuse and the specular radiance of n hits, channel by channel.
-
-        If no hit is lit, nothing is yielded.
-
-        Yields
-        ------
-        channel : int
-            0 for red, 1 for green, 2 for blue.
-        diffuse : (n,) float array
-            Diffuse radiance of each hit, summed over the lights.
-        specular : (n,) float array
-            Specular radiance of each hit, summed over the lights.
-        """
+    def compute_channels(self) -> Iterator[ChannelRadiance]:
+        """Yield the radiance of all hits, channel by channel; nothing if no hit is lit."""
         if self._diffuse_sum is None:
             return
         hits, scene = self._hits, self._hits.scene
@@ -214,20 +158,15 @@ class Shading:
             if self._specular_sum is not None:
                 specular = hits.get_object_values(scene.specular[channel])
                 specular *= self._specular_sum[channel]
-            yield channel, diffuse, specular
+            yield ChannelRadiance(channel, diffuse, specular)
 
-    def compute_radiance(self, out: Floats | None = None) -> Floats:
-        """Compute the radiance towards the eye at each sample.
 
-        Parameters
-        ----------
-        out : (3, samples) float array of zeros, optional
-            Array in which to store the result; it is returned.
+    def compute_radiance(
+        self, out: Shaped[Floats, "3 samples"] | None = None
+    ) -> Shaped[Floats, "3 samples"]:
+        """Compute the radiance towards the eye at each sample; 0 for samples without a hit.
 
-        Returns
-        -------
-        radiance : (3, samples) float array
-            Linear RGB radiance; 0 for samples without a hit.
+        If `out` is given, it must contain zeros; it is filled and returned.
         """
         out = np.zeros((3, self._hits.samples.size)) if out is None else out
         for channel, diffuse, specular in self.compute_channels():
@@ -235,24 +174,14 @@ class Shading:
         return out
 
 
-def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Floats:
-    """Add one light to a sum over lights.
+def _add_light(
+    total: Shaped[Floats, "3 n"] | None,
+    intensity: Shaped[Floats, "3"],
+    factor: Shaped[Floats, "n"],
+) -> Shaped[Floats, "3 n"]:
+    """Add the intensity of one light, times a factor for each hit, to a sum over lights.
 
-    Parameters
-    ----------
-    total : (3, n) float array or None
-        Sum over the lights before this one, for each colour channel and each of n hits.  The array
-        is overwritten.  None for the first light.
-    intensity : (3,) float array
-        The light's RGB intensity.
-    factor : (n,) float array
-        Number by which to multiply the intensity at each hit: a cosine, or the strength of a
-        highlight.
-
-    Returns
-    -------
-    total : (3, n) float array
-        The new sum.
+    The sum is overwritten; it is None before the first light.
     """
     if total is None:  # faster than creating zeros and adding to them
         return np.multiply.outer(intensity, factor)
@@ -262,22 +191,6 @@ def _add_light(total: Floats | None, intensity: Floats, factor: Floats) -> Float
 
 
 def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
-    """Compute the dot products that shading needs for each hit and each light.
-
-    Parameters
-    ----------
-    hits : Hits
-        The n hits.
-    lights : Lights
-        A batch of lights.  Occluders are ignored.
-
-    Returns
-    -------
-    geometry : LightGeometry
-        The (lights, n) arrays `n_dot_l` and `squared_distance` contain n . l and l . l.  Here n is
-        the unit normal at the hit, and l the vector from the hit to the light.  If the eye is
-        inside the hit's object and the light is outside, `n_dot_l` is -inf.
-    """
     pair_shape = len(lights.from_eye), hits.from_eye.shape[1]
     geometry = LightGeometry(hits, lights, np.empty(pair_shape), np.empty(pair_shape))
     for light_index, (x, y, z) in enumerate(lights.from_eye.tolist()):
@@ -296,27 +209,15 @@ def compute_light_geometry(hits: Hits, lights: Lights) -> LightGeometry:
 
 
 def find_narrow_highlights(
-    geometry: LightGeometry, faces_light: Bools, footprint_radius: Floats
-) -> Iterator[Ints]:
+    geometry: LightGeometry,
+    faces_light: Shaped[Bools, "lights n"],
+    footprint_radius: Shaped[Floats, "n"],
+) -> Iterator[Shaped[Ints, "k"]]:
     """Yield, light by light, indices of hits near which one sample may miss a narrow highlight.
 
-    The footprint of a hit is the part of the surface around it that is visible in one cell of the
-    picture (a pixel or a part of it).
-
-    Parameters
-    ----------
-    geometry : LightGeometry
-        The n hits and the lights.
-    faces_light : (lights, n) bool array
-        Whether the surface at the hit faces the light.  Occluders are ignored, because the light
-        may be visible from other points of the footprint.
-    footprint_radius : (n,) float array
-        Radius of each footprint, in the scene's unit of length.
-
-    Yields
-    ------
-    hit_index : (k,) int array
-        For one light, indices of the hits whose footprint may contain a narrow highlight.
+    The footprint of a hit is the part of the surface around it that is visible in one cell (a pixel
+    or a part of it).  Hits whose surface does not face the light are skipped.  Occluders are
+    ignored, because the light may be visible from other points of the footprint.
     """
     hits, scene = geometry.hits, geometry.hits.scene
     is_glossy = hits.get_object_values(scene.is_glossy)

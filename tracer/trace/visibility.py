@@ -2,10 +2,19 @@
 
 Each object is tested only with the rays through samples that it may cover in the picture.  Then the
 nearest intersection at each sample is selected.
+
+A ray has the direction (ray_x, ray_y, depth), in camera axes (see `CameraFrame`).  Its parameter t
+is the distance from the eye divided by the length of the direction; t is infinite if the ray misses
+the object.
+
+There is one group of intersections for each shape.  In a group, (sample, object) pairs are arranged
+in *spans*: consecutive samples in one row, paired with the same object.  Hits are arranged in
+*runs*: consecutive hits in one row of samples, on the same face of the same object.
 """
 
 from __future__ import annotations
 
+from typing import Annotated as Shaped
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,21 +34,9 @@ _MAX_T = np.finfo(np.float64).max
 
 
 def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
-    """Find the first surface that the ray through each sample hits.
+    """Find the first surface that the ray through each sample hits, if it hits any.
 
     If several surfaces are at exactly the same distance, the first one in the scene file is hit.
-
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    samples : Rows or Scattered
-        Positions in the picture, through which rays are traced.
-
-    Returns
-    -------
-    hits : Hits
-        One hit for each sample whose ray meets a surface; other samples have no hit.
     """
     groups = _intersect_objects(scene, samples)
     visible_groups = _select_visible(scene, groups, _find_nearest_t(samples, groups))
@@ -47,22 +44,9 @@ def find_nearest_hits(scene: PreparedScene, samples: Samples) -> Hits:
 
 
 def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tuple[Hits, Hits]:
-    """Find the first surface that the ray through each sample hits, and the objects behind it.
+    """Find the nearest hits, as `find_nearest_hits`, and hits on all objects behind them.
 
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    samples : Rows or Scattered
-        Positions in the picture, through which rays are traced.
-
-    Returns
-    -------
-    nearest_hits : Hits
-        One hit for each sample whose ray meets a surface: the result of `find_nearest_hits`.
-    hidden_hits : Hits
-        One hit for each object that the ray meets behind the nearest surface.  A sample may have
-        any number of hidden hits.
+    A sample may have any number of hidden hits.
     """
     groups = _intersect_objects(scene, samples)
     nearest_t = _find_nearest_t(samples, groups)
@@ -75,59 +59,25 @@ def find_nearest_and_hidden_hits(scene: PreparedScene, samples: Samples) -> tupl
 
 
 class _Intersections(NamedTuple):
-    """Intersections of rays with objects of one shape, for n (sample, object) pairs.
-
-    The ray through a sample has the direction (ray_x, ray_y, depth), in camera axes.  The
-    pairs are arranged in spans: consecutive samples in one row, paired with the same object.
-
-    Attributes
-    ----------
-    shape : Spheres or Boxes
-        The shape of all objects.
-    sample_count : (spans,) int array or None
-        Number of samples in each span; None if each span has one sample.
-    object_index : (spans,) int array
-        Index of each span's object, among all objects of the scene.
-    ray_y : (spans,) float array
-        Downward component of the rays in each span.
-    sample_index : (n,) int array
-        Index of each pair's sample.
-    ray_x : (n,) float array
-        Rightward component of the ray through the sample.
-    t : (n,) float array
-        Ray parameter of the intersection: its distance from the eye, divided by the length of the
-        ray's direction vector.  Infinity if the ray misses the object.
-    hit_data : (n,) array
-        Second result of `Spheres.intersect` or `Boxes.intersect`; for boxes, the face that is hit.
-    """
+    """Intersections of rays with objects of one shape, for n (sample, object) pairs in spans."""
 
     shape: Shape
-    sample_count: Ints | None
-    object_index: Ints
-    ray_y: Floats
-    sample_index: Ints
-    ray_x: Floats
-    t: Floats
-    hit_data: NDArray[Any]
+    sample_count: Shaped[Ints, "spans"] | None  # None: each span has one sample
+    object_index: Shaped[Ints, "spans"]
+    ray_y: Shaped[Floats, "spans"]
+    sample_index: Shaped[Ints, "n"]
+    ray_x: Shaped[Floats, "n"]
+    t: Shaped[Floats, "n"]
+    # Second result of `Spheres.intersect` or `Boxes.intersect`; for boxes, the face that is hit.
+    hit_data: Shaped[NDArray[Any], "n"]
 
     @property
-    def pair_object(self) -> Ints:
-        """Index (n,) of each pair's object, among all objects of the scene."""
+    def pair_object(self) -> Shaped[Ints, "n"]:
+        """Object index of each pair."""
         return repeat_runs(self.object_index, self.sample_count)
 
-    def select(self, is_selected: Bools) -> _Intersections:
-        """Select some of the (sample, object) pairs.
-
-        Parameters
-        ----------
-        is_selected : (n,) bool array
-            Whether to select each pair.
-
-        Returns
-        -------
-        selection : _Intersections
-            The selected pairs in the same order; this object itself if all pairs are selected.
-        """
+    def select(self, is_selected: Shaped[Bools, "n"]) -> _Intersections:
+        """Select pairs, in the same order; return this object itself if all pairs are selected."""
         pair_index = find(is_selected)
         if pair_index.size == is_selected.size:
             return self
@@ -139,26 +89,12 @@ class _Intersections(NamedTuple):
         pair_fields = [field.take(pair_index) for field in pair_fields]
         return _Intersections(shape, sample_count, object_index, ray_y, *pair_fields)
 
-    def find_run_starts(self, samples: Samples, frame: CameraFrame, depth: Floats) -> Ints:
-        """Find the first hit of each run.
+    def find_run_starts(
+        self, samples: Samples, frame: CameraFrame, depth: Shaped[Floats, "n"]
+    ) -> Shaped[Ints, "runs"]:
+        """Find the first hit of each run, from the pairs' samples, objects and depths.
 
-        A run consists of consecutive hits in one row of samples, on the same face of the same
-        object.  A run of scattered samples lies in one row of pixels instead, and its hits are
-        close together.
-
-        Parameters
-        ----------
-        samples : Rows or Scattered
-            Positions in the picture, through which rays are traced.
-        frame : CameraFrame
-            The camera.
-        depth : (n,) float array
-            Depth of each hit: the forward component of the vector from the eye.
-
-        Returns
-        -------
-        run_start : (runs,) int array
-            Index of the first hit of each run, in ascending order.
+        A run of scattered samples lies in one row of pixels, and its hits are close together.
         """
         is_planar = self.shape.is_planar
         is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
@@ -173,21 +109,7 @@ class _Intersections(NamedTuple):
 
 
 def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersections]:
-    """Intersect the ray through each sample with all objects that may cover the sample.
-
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    samples : Rows or Scattered
-        Positions in the picture, through which rays are traced.
-
-    Returns
-    -------
-    groups : list of _Intersections
-        One group of (sample, object) pairs for each shape.  The ray parameter t is infinite if the
-        ray misses the object.
-    """
+    """Intersect the ray through each sample with all objects that may cover the sample."""
     frame, groups = scene.frame, []
     sample_ray_x, row_ray_y = samples.compute_ray_x(frame), frame.to_ray_y(samples.y)
     for shape in scene.shapes:
@@ -200,23 +122,8 @@ def _intersect_objects(scene: PreparedScene, samples: Samples) -> list[_Intersec
     return groups
 
 
-def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Floats:
-    """Find the ray parameter t of the nearest intersection at each sample.
-
-    The parameter is the distance from the eye, divided by the length of the ray's direction vector.
-
-    Parameters
-    ----------
-    samples : Rows or Scattered
-        The n samples: positions in the picture, through which rays are traced.
-    groups : list of _Intersections
-        One group of (sample, object) pairs for each shape.
-
-    Returns
-    -------
-    nearest_t : (n,) float array
-        The ray parameter at each sample; `_MAX_T` if the ray meets no surface.
-    """
+def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Shaped[Floats, "samples"]:
+    """Find the t of the nearest intersection at each sample; `_MAX_T` if there is none."""
     nearest_t = np.full(samples.size, _MAX_T)
     for group in groups:
         np.minimum.at(nearest_t, group.sample_index, group.t)
@@ -224,24 +131,11 @@ def _find_nearest_t(samples: Samples, groups: list[_Intersections]) -> Floats:
 
 
 def _select_visible(
-    scene: PreparedScene, groups: list[_Intersections], nearest_t: Floats
+    scene: PreparedScene, groups: list[_Intersections], nearest_t: Shaped[Floats, "samples"]
 ) -> list[_Intersections]:
-    """Select the visible intersections: one for each sample whose ray meets a surface.
+    """Select the nearest intersection at each sample whose ray meets a surface.
 
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    groups : list of _Intersections
-        One group of (sample, object) pairs for each shape.
-    nearest_t : (samples,) float array
-        Ray parameter of the nearest intersection at each sample, from `_find_nearest_t`.
-
-    Returns
-    -------
-    visible_groups : list of _Intersections
-        The nearest intersection at each sample, in the same groups.  If several objects are at the
-        same distance, only the first one in the scene file is selected.
+    If several objects are at the same distance, only the first one in the scene file is selected.
     """
     candidates = [group.select(group.t == nearest_t.take(group.sample_index)) for group in groups]
     if sum(group.t.size for group in candidates) == np.count_nonzero(nearest_t < _MAX_T):
@@ -257,22 +151,7 @@ def _select_visible(
 
 
 def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersections]) -> Hits:
-    """Compute the positions and tangent planes of hits from intersections.
-
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene.
-    samples : Rows or Scattered
-        Positions in the picture, through which rays are traced.
-    groups : list of _Intersections
-        One group of intersections for each shape, without misses.
-
-    Returns
-    -------
-    hits : Hits
-        One hit for each intersection.
-    """
+    """Compute the positions and tangent planes of hits from intersections, without misses."""
     frame, groups = scene.frame, [group for group in groups if group.t.size]
     group_starts = np.cumsum([0] + [group.t.size for group in groups]).tolist()
     from_eye, shape_hits, no_hits = np.empty((3, group_starts[-1])), [], np.zeros(0, dtype=np.intp)

@@ -20,7 +20,9 @@ cell
 entry
     The part of one object that lies in one octant of one light.
 rectangle
-    The bounding rectangle, in octahedral coordinates, of an entry or of a ball in one octant.
+    The bounding rectangle of an entry, or of a ball in one octant: the minimum and maximum of u,
+    and the minimum and maximum of v, in octahedral coordinates or, in `relative_rectangles`, in
+    coordinates that run from 0 to 1 across the patch.
 direction bounds
     Eight numbers for an entry, or for a ball in one octant: see `_bound_directions`.
 
@@ -34,6 +36,8 @@ vectors' components, which correspond to planes through the light.
 All bounds are computed by interval arithmetic on bounding boxes.  The light may be outside, on or
 inside a box.  All bounds are widened by more than their rounding errors.  So the query excludes
 only objects that cannot lie between the ball and the light.
+
+All positions are in scene axes.
 """
 
 from __future__ import annotations
@@ -41,6 +45,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 from math import sqrt
+from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -82,90 +87,54 @@ _MAX_LIGHT_DISTANCE = 2.0**22
 # Eight bools that are all True, read as one integer.
 _EIGHT_TRUE = 0x0101010101010101
 
-# Minimum (m,) and maximum (m,) of a quantity.
-_Interval: TypeAlias = tuple[Floats, Floats]
+# Minimum and maximum of a quantity.
+_Interval: TypeAlias = tuple[Shaped[Floats, "m"], Shaped[Floats, "m"]]
 
 
 class LightGrid(NamedTuple):
     """Lists of objects by their direction from each light.
 
-    An octant contains the directions for one combination of the signs of x, y and z.  Octahedral
-    coordinates (u, v) map these directions into the unit square.  A patch is a rectangle in these
-    coordinates, and it is divided into a square array of cells.  An entry is the part of one object
-    that lies in one octant of one light.  Each cell lists the entries that may lie in the cell's
-    directions.
-
-    A query for a ball, which encloses a group of points, uses the attributes in their order:
-
-    1. `light_position`: the vectors from the ball to the light determine octants.
-    2. `patch_of_octant`: each octant has at most one patch.
-    3. `patch_origin`, `patch_size` and `cells_per_side`: the bounding rectangle of the ball's
-       directions overlaps certain cells of the patch.
-    4. `list_start` and `listed_entry`: these cells list entries.
-    5. `entry_bounds`: entries at other distances, or in other directions, are excluded.
-    6. `entry_object`: the remaining entries are parts of these objects.
-
-    Attributes
-    ----------
-    light_position : (3, lights, 1) float array
-        Positions of the lights, in scene axes.  Distant lights are moved closer: see
-        `_MAX_LIGHT_DISTANCE`.
-    patch_of_octant : (8 * lights,) int array
-        Element octant * lights + light is the index of the patch in this octant of the light, or
-        -1 if the octant contains no object that the camera may see.
-    patch_origin : (2, patches) float array
-        Smallest u and v in each patch.
-    patch_size : (2, patches) float array
-        Width of each patch in u and in v.
-    cells_per_side : int
-        Number of cells along each side of a patch.
-    list_start : (patches * cells_per_side**2 + 1,) int array
-        Position in `listed_entry` where the list of each cell begins.
-    listed_entry : (m,) int array
-        Indices of the entries in all lists, cell by cell.
-    entry_bounds : (entries, 8) float array
-        Bounds on each entry's directions and distances from the light: see `_bound_directions`.
-        They are arranged so that an entry may block segments from a ball only if each of the ball's
-        eight bounds is at most the entry's bound.
-    entry_object : (entries,) int array
-        Index of the object of each entry.
+    The fields are in the order in which a query uses them.
     """
 
-    light_position: Floats
-    patch_of_octant: Ints
-    patch_origin: Floats
-    patch_size: Floats
+    # Distant lights are moved closer: see `_MAX_LIGHT_DISTANCE`.
+    light_position: Shaped[Floats, "3 lights 1"]
+    # Element octant * lights + light is the index of the patch in this octant of the light, or -1
+    # if the octant contains no object that the camera may see.
+    patch_of_octant: Shaped[Ints, "8*lights"]
+    patch_origin: Shaped[Floats, "2 patches"]  # smallest u and v
+    patch_size: Shaped[Floats, "2 patches"]  # width in u and in v
     cells_per_side: int
-    list_start: NDArray[np.uint32]
-    listed_entry: NDArray[np.uint32]
-    entry_bounds: Floats
-    entry_object: Ints
+    # Position in `listed_entry` where the list of each cell begins.
+    list_start: Shaped[NDArray[np.uint32], "patches*cells_per_side**2+1"]
+    # Indices of the entries in all lists, cell by cell.
+    listed_entry: Shaped[NDArray[np.uint32], "listed"]
+    # Direction bounds, arranged so that an entry may block segments from a ball only if each of
+    # the ball's eight bounds is at most the entry's bound.
+    entry_bounds: Shaped[Floats, "entries 8"]
+    entry_object: Shaped[Ints, "entries"]
 
     def query(
-        self, centers: Floats, radii: Floats, own_object_index: Ints, is_active: Bools
-    ) -> Iterator[Ints]:
-        """Find objects that may lie between balls and lights, and yield them in batches.
+        self,
+        centers: Shaped[Floats, "3 n"],
+        radii: Shaped[Floats, "... n"],
+        own_object_index: Shaped[Ints, "n"],
+        is_active: Shaped[Bools, "lights n"],
+    ) -> Iterator[Shaped[Ints, "3 k"]]:
+        """Yield (light, ball, object) indices of objects that may lie between balls and lights.
 
         Every object that blocks a segment from a point of a ball to a light is found.  Other
         objects may be found, too, and the same object may be found several times.
 
         Parameters
         ----------
-        centers : (3, n) float array
-            Centres of the balls, in scene axes.
-        radii : (n,) or (3, 1, n) float array
-            Radii of the balls.  To search around boxes instead, pass half their widths along each
-            axis.
-        own_object_index : (n,) int array
-            Index of the object on whose surface the points of each ball lie; it is excluded.
-        is_active : (lights, n) bool array
+        radii
+            Radii (n,) of the balls.  To search around boxes instead, pass half their widths along
+            each axis, (3, 1, n).
+        own_object_index
+            The object on whose surface the points of each ball lie; it is excluded.
+        is_active
             Whether to search between the light and the ball.
-
-        Yields
-        ------
-        triples : (3, k) int array
-            Row 0 contains light indices, row 1 ball indices, and row 2 indices of objects that may
-            lie between the light and the ball.
         """
         ball_count = own_object_index.size
         # The vectors from a ball to a light fill a box, which is split into up to eight parts.
@@ -199,35 +168,27 @@ class LightGrid(NamedTuple):
                 yield np.array([row.take(kept_index) for row in rows])
 
 
-def build_light_grid(
-    light_position: Floats,
-    box_min: Floats,
-    box_max: Floats,
-    position_error: Floats,
-    is_visible: Bools,
-    is_occluder: Bools,
-) -> LightGrid | None:
-    """Build a grid for finding the objects that may lie between a point and a light.
 
-    For each light, the grid divides directions into cells, and lists the objects in each cell.
+def build_light_grid(
+    light_position: Shaped[Floats, "lights 3"],
+    box_min: Shaped[Floats, "3 objects"],
+    box_max: Shaped[Floats, "3 objects"],
+    position_error: Shaped[Floats, "objects"],
+    is_visible: Shaped[Bools, "objects"],
+    is_occluder: Shaped[Bools, "objects"],
+) -> LightGrid | None:
+    """Build a light grid; return None if no object can be in the shadow of another object.
 
     Parameters
     ----------
-    light_position : (lights, 3) float array
-        Positions of the lights, in scene axes.
-    box_min, box_max : (3, n) float arrays
-        Smallest and largest coordinates of each object, in scene axes.
-    position_error : (n,) float array
+    box_min, box_max
+        Smallest and largest coordinates of each object.
+    position_error
         Bound on the rounding errors of points on each object.
-    is_visible : (n,) bool array
+    is_visible
         Whether the camera may see the object.  Shadows on all other objects are ignored.
-    is_occluder : (n,) bool array
+    is_occluder
         Whether the object may cast a shadow on other objects.
-
-    Returns
-    -------
-    grid : LightGrid or None
-        The grid; None if no object can be in the shadow of another object.
     """
     light_count, object_count = len(light_position), position_error.size
     if not (light_count and object_count > 1 and is_visible.any()):
@@ -263,31 +224,12 @@ def build_light_grid(
 
 
 def _choose_patches(
-    octant_index: Ints, rectangles: Floats, octant_count: int
-) -> tuple[Ints, Floats, Floats]:
-    """Choose a patch of directions for each octant that contains visible objects.
+    octant_index: Shaped[Ints, "n"], rectangles: Shaped[Floats, "4 n"], octant_count: int
+) -> tuple[Shaped[Ints, "octants"], Shaped[Floats, "2 patches"], Shaped[Floats, "2 patches"]]:
+    """Choose a patch for each octant that contains visible objects, from their rectangles.
 
-    Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
-    a rectangle in these coordinates that contains most of the visible objects in the octant.
-
-    Parameters
-    ----------
-    octant_index : (n,) int array
-        Index of the octant of each rectangle, in ascending order.
-    rectangles : (4, n) float array
-        Minimum u, maximum u, minimum v and maximum v of the part of each visible object that lies
-        in the octant.
-    octant_count : int
-        Total number of octants: 8 for each light.
-
-    Returns
-    -------
-    patch_of_octant : (octant_count,) int array
-        Index of the patch in each octant, or -1 if the octant contains no visible object.
-    patch_origin : (2, patches) float array
-        Smallest u and v in each patch.
-    patch_size : (2, patches) float array
-        Width of each patch in u and in v.
+    The octant indices ascend.  The results are the fields of `LightGrid` from `patch_of_octant` to
+    `patch_size`.
     """
     octant_start, _ = find_runs(octant_index)
     patch_of_octant = np.full(octant_count, -1)
@@ -302,24 +244,15 @@ def _choose_patches(
     return patch_of_octant, patch_origin, patch_size
 
 
-def _move_far_lights(positions: Floats, box_min: Floats, box_max: Floats) -> tuple[Floats, Floats]:
-    """Move distant lights closer to the scene, almost without changing their directions.
+def _move_far_lights(
+    positions: Shaped[Floats, "lights 3"],
+    box_min: Shaped[Floats, "3 objects"],
+    box_max: Shaped[Floats, "3 objects"],
+) -> tuple[Shaped[Floats, "3 lights 1"], Shaped[Floats, "lights 1"]]:
+    """Move lights farther away than `_MAX_LIGHT_DISTANCE` closer to the scene.
 
-    The new distance is `_MAX_LIGHT_DISTANCE` times the size of the scene.
-
-    Parameters
-    ----------
-    positions : (n, 3) float array
-        Positions of the lights, in scene axes.
-    box_min, box_max : (3, objects) float arrays
-        Smallest and largest coordinates of each object in the scene.
-
-    Returns
-    -------
-    near_positions : (3, n, 1) float array
-        Positions of all lights, after distant lights are moved.
-    vector_error : (n, 1) float array
-        Bound on the error of vectors from the scene to each light, due to rounding and to the move.
+    The second result bounds the errors of vectors from the scene to each light, which are due to
+    the move and to rounding.
     """
     scene_min, scene_max = box_min.min(axis=1, keepdims=True), box_max.max(axis=1, keepdims=True)
     center, scene_size = scene_min / 2 + scene_max / 2, (scene_max - scene_min).sum()
@@ -333,34 +266,24 @@ def _move_far_lights(positions: Floats, box_min: Floats, box_max: Floats) -> tup
 
 
 def _split_by_octant(
-    vector_min: Floats, vector_max: Floats, patch_of_octant: Ints, is_active: Bools
-) -> tuple[Ints, Ints, Floats, Floats]:
+    vector_min: Shaped[Floats, "3 lights n"],
+    vector_max: Shaped[Floats, "3 lights n"],
+    patch_of_octant: Shaped[Ints, "8*lights"],
+    is_active: Shaped[Bools, "#lights #n"],
+) -> tuple[Shaped[Ints, "m"], Shaped[Ints, "m"], Shaped[Floats, "4 m"], Shaped[Floats, "8 m"]]:
     """Split boxes of vectors by octant, and bound the directions of the vectors in each part.
 
-    A box is a set of vectors to one light: those with x, y and z in given ranges.  An octant
-    contains all vectors with given signs of x, y and z.  So a box has up to eight parts.
-
-    Parameters
-    ----------
-    vector_min, vector_max : (3, lights, n) float arrays
-        Smallest and largest components of the vectors in each box.
-    patch_of_octant : (8 * lights,) int array
-        For each octant of each light, the index of its patch; octants with a negative index are
-        skipped.
-    is_active : (lights, n) or (1, 1) bool array
-        Whether to split the box; other boxes are skipped.
+    A box contains the vectors to one light whose x, y and z are in given ranges, so it has up to
+    eight parts.  Boxes that are not active, and parts in octants without a patch, are skipped.
 
     Returns
     -------
-    octant_index : (m,) int array
+    octant_index
         Index in `patch_of_octant` of each part's octant, in ascending order.
-    box_index : (m,) int array
+    box_index
         Index of each part's box in the flattened (lights, n) array of boxes.
-    rectangles : (4, m) float array
-        Minimum u, maximum u, minimum v and maximum v of each part.  Here u = |x| / s and
-        v = |y| / s with s = |x| + |y| + |z|.
-    bounds : (8, m) float array
-        More bounds on each part's vectors: see `_bound_directions`.
+    rectangles, bounds
+        The rectangle and the direction bounds of each part.
     """
     # `has_x` tells whether each box contains vectors with x >= 0 (row 0) and with x <= 0 (row 1).
     has_x, has_y, has_z = np.moveaxis(np.array([vector_max >= 0, vector_min <= 0]), 1, 0)
@@ -387,23 +310,13 @@ def _split_by_octant(
     return octant_index, box_index, rectangles, _bound_directions(*abs_ranges)
 
 
-def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
-    """Bound the directions and the lengths of the vectors in each of m sets.
+def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Shaped[Floats, "8 m"]:
+    """Compute the direction bounds of m sets of vectors.
 
     Here x, y and z are the absolute values of a vector's components, and x + y + z measures its
-    length.  Maxima are negated, so that all bounds are lower bounds.  Bounds are widened by more
-    than their rounding errors.
-
-    Parameters
-    ----------
-    x, y, z : pairs of (m,) float arrays
-        Minimum and maximum of x, y and z in each set.
-
-    Returns
-    -------
-    bounds : (8, m) float array
-        Rows 0 to 5 contain the minimum and the negated maximum of x / (x + y), of y / (y + z) and
-        of z / (z + x).  Row 6 contains the negated maximum of x + y + z, and row 7 the minimum.
+    length.  Rows 0 to 5 contain the minimum and the negated maximum of x / (x + y), of y / (y + z)
+    and of z / (z + x).  Row 6 contains the negated maximum of x + y + z, and row 7 the minimum.
+    Maxima are negated, so that all bounds are lower bounds.
     """
     bounds = np.empty((8, x[0].size))
     # Each pair consists of a component a and the next component b.
@@ -415,53 +328,25 @@ def _bound_directions(x: _Interval, y: _Interval, z: _Interval) -> Floats:
     return bounds
 
 
-def _map_to_patch(rectangles: Floats, patch_index: Ints, origins: Floats, sizes: Floats) -> Floats:
-    """Convert rectangles to coordinates that run from 0 to 1 across their patches.
-
-    Octahedral coordinates (u, v) map the directions of one octant into the unit square.  A patch is
-    a rectangle in these coordinates.
-
-    Parameters
-    ----------
-    rectangles : (4, n) float array
-        Minimum u, maximum u, minimum v and maximum v of each rectangle.
-    patch_index : (n,) int array
-        Index of the patch of each rectangle.
-    origins : (2, patches) float array
-        Smallest u and v in each patch.
-    sizes : (2, patches) float array
-        Width of each patch in u and in v.
-
-    Returns
-    -------
-    relative_rectangles : (4, n) float array
-        The same rectangles in the new coordinates.
-    """
+def _map_to_patch(
+    rectangles: Shaped[Floats, "4 n"],
+    patch_index: Shaped[Ints, "n"],
+    origins: Shaped[Floats, "2 patches"],
+    sizes: Shaped[Floats, "2 patches"],
+) -> Shaped[Floats, "4 n"]:
+    """Convert rectangles to coordinates that run from 0 to 1 across their patches."""
     origins, sizes = origins.take(patch_index, axis=1), sizes.take(patch_index, axis=1)
     return ((rectangles.reshape(2, 2, -1) - origins[:, None]) / sizes[:, None]).reshape(4, -1)
 
 
 def _choose_cells_per_side(
-    rectangles: Floats, object_count: int, light_count: int, patch_count: int
+    relative_rectangles: Shaped[Floats, "4 entries"],
+    object_count: int,
+    light_count: int,
+    patch_count: int,
 ) -> int:
-    """Choose the number of cells along each side of a patch, which is a square array of cells.
-
-    A patch has about as many cells as there are objects, or fewer to save memory.
-
-    Parameters
-    ----------
-    rectangles : (4, entries) float array
-        Minimum u, maximum u, minimum v and maximum v of each entry (a part of an object).  Here u
-        and v run from 0 to 1 across the patch.
-    object_count, light_count, patch_count : int
-        Numbers of objects, lights and patches.
-
-    Returns
-    -------
-    cells_per_side : int
-        Number of cells along each side of a patch, at least 1.
-    """
-    min_u, max_u, min_v, max_v = rectangles.clip(0, 1)
+    """Choose the number of cells along each side of a patch: see `_MAX_SIDE`."""
+    min_u, max_u, min_v, max_v = relative_rectangles.clip(0, 1)
     total_area = float(((max_u - min_u) * (max_v - min_v)).sum())  # 1 is the area of a patch
     max_cells = _MAX_ENTRIES / (total_area / light_count)
     cell_count = min(object_count, _MAX_SIDE**2, max_cells, _MAX_CELLS / patch_count)
@@ -469,33 +354,21 @@ def _choose_cells_per_side(
 
 
 def _build_lists(
-    rectangles: Floats, patch_index: Ints, cells_per_side: int, patch_count: int
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Build, for each cell, the list of the entries whose bounding rectangles overlap the cell.
+    relative_rectangles: Shaped[Floats, "4 entries"],
+    patch_index: Shaped[Ints, "entries"],
+    cells_per_side: int,
+    patch_count: int,
+) -> tuple[
+    Shaped[NDArray[np.uint32], "patch_count*cells_per_side**2+1"],
+    Shaped[NDArray[np.uint32], "listed"],
+]:
+    """Build `list_start` and `listed_entry`: for each cell, the entries that overlap it.
 
-    An entry is a part of an object, and a patch is a square array of cells.
-
-    Parameters
-    ----------
-    rectangles : (4, entries) float array
-        Minimum u, maximum u, minimum v and maximum v of each entry.  Here u and v run from 0 to 1
-        across the patch.
-    patch_index : (entries,) int array
-        Index of the patch of each entry.
-    cells_per_side : int
-        Number of cells along each side of a patch.
-    patch_count : int
-        Number of patches.
-
-    Returns
-    -------
-    list_start : (patch_count * cells_per_side**2 + 1,) int array
-        Position in `listed_entry` where the list of each cell begins.
-    listed_entry : (m,) int array
-        Indices of the entries in each list, in ascending order, list by list.
+    In each list, entries ascend.
     """
     sort_keys, list_start = [], np.zeros(patch_count * cells_per_side**2 + 1, dtype=np.uint32)
-    for entry_index, cell_index in _find_overlaps(rectangles, patch_index, cells_per_side):
+    overlaps = _find_overlaps(relative_rectangles, patch_index, cells_per_side)
+    for entry_index, cell_index in overlaps:
         # `np.add.at` is twenty times as fast if the increment has the type of the array.
         np.add.at(list_start, cell_index + 1, np.uint32(1))
         sort_keys.append(cell_index << 32 | entry_index)
@@ -508,31 +381,16 @@ def _build_lists(
 
 
 def _find_overlaps(
-    rectangles: Floats, patch_index: Ints, cells_per_side: int
-) -> Iterator[tuple[Ints, Ints]]:
-    """Find all cells that each rectangle overlaps, and yield (rectangle, cell) pairs in batches.
+    relative_rectangles: Shaped[Floats, "4 n"],
+    patch_index: Shaped[Ints, "n"],
+    cells_per_side: int,
+) -> Iterator[tuple[Shaped[Ints, "k"], Shaped[Ints, "k"]]]:
+    """Yield the indices of each rectangle and of all cells that it overlaps.
 
-    Each rectangle belongs to a patch, which is a square array of cells.  The cells at the border of
-    a patch also cover everything beyond the border.
-
-    Parameters
-    ----------
-    rectangles : (4, n) float array
-        Minimum u, maximum u, minimum v and maximum v of each rectangle.  Here u and v run from 0 to
-        1 across the patch.
-    patch_index : (n,) int array
-        Index of the patch of each rectangle.
-    cells_per_side : int
-        Number of cells along each side of a patch.
-
-    Yields
-    ------
-    rectangle_index : (k,) int array
-        Index of the rectangle in each pair.
-    cell_index : (k,) int array
-        Index of the cell in each pair: (patch * cells_per_side + column) * cells_per_side + row.
+    The cells at the border of a patch also cover everything beyond the border.  The index of a cell
+    is (patch * cells_per_side + column) * cells_per_side + row.
     """
-    cell_ranges = (cells_per_side * rectangles).clip(0, cells_per_side - 1).astype(np.intp)
+    cell_ranges = (cells_per_side * relative_rectangles).clip(0, cells_per_side - 1).astype(np.intp)
     first_column, last_column, first_row, last_row = cell_ranges
     column_count, row_count = last_column - first_column + 1, last_row - first_row + 1
     for batch in split_by_size(column_count * row_count, _CELLS_PER_BATCH):

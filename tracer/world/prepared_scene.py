@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import sqrt
 from threading import Lock
+from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, mark_run_starts
 from tracer.geometry.box import Boxes
-from tracer.geometry.camera import ScreenBounds, compute_frame
+from tracer.geometry.camera import CameraFrame, ScreenBounds, compute_frame
 from tracer.geometry.rounding import POSITION_ROUNDING
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
@@ -40,32 +41,17 @@ _PACKET_SCALE = 0.75
 
 
 class Lights(NamedTuple):
-    """A batch of lights, with data that shadow tests of a scene's n objects need.
+    """A batch of lights, with the data that shadow tests need."""
 
-    Attributes
-    ----------
-    position : (lights, 3) float array
-        Positions of the lights, in scene axes.
-    from_eye : (lights, 3) float array
-        Vectors from the eye to the lights, in camera axes.
-    intensity : (lights, 3) float array
-        Linear RGB intensities.
-    side : (lights, n) int8 array
-        Side of each object's surface on which the light lies: `OUTSIDE`, `ON` or `INSIDE`, from
-        `Spheres.find_light_side`.
-    grid : LightGrid or None
-        Lists of objects by their direction from each light; None if no object can be in shadow.
-    """
-
-    position: Floats
-    from_eye: Floats
-    intensity: Floats
-    side: Sides
-    grid: LightGrid | None
+    position: Shaped[Floats, "lights 3"]  # in scene axes
+    from_eye: Shaped[Floats, "lights 3"]  # in camera axes
+    intensity: Shaped[Floats, "lights 3"]  # linear RGB
+    side: Shaped[Sides, "lights objects"]  # from `Spheres.find_light_side`
+    grid: LightGrid | None  # None if no object can be in shadow
 
     @property
-    def near_position(self) -> Floats:
-        """Positions of the lights, (lights, 3), with distant lights moved closer as in `grid`."""
+    def near_position(self) -> Shaped[Floats, "lights 3"]:
+        """Positions in which distant lights are moved closer, as in `grid`."""
         return self.position if self.grid is None else self.grid.light_position[:, :, 0].T
 
     @property
@@ -76,12 +62,7 @@ class Lights(NamedTuple):
 
 
 class PreparedScene:
-    """A scene with n objects, and precomputed data for tracing rays of its camera.
-
-    The data do not depend on the samples.  Threads may share a `PreparedScene`: its arrays never
-    change, and a lock protects its cache of lights.
-
-    Objects have indices from 0 to n - 1: see `ObjectRange`.
+    """A scene, and precomputed data for tracing rays of its camera through any samples.
 
     Parameters
     ----------
@@ -89,43 +70,29 @@ class PreparedScene:
         The scene.
     offset : (float, float)
         Displacement of every ray to the right and down, in pixels.
-
-    Attributes
-    ----------
-    surfaces : Surfaces
-        The surfaces of the scene.
-    frame : CameraFrame
-        The rays of the camera.
-    spheres, boxes : Spheres, Boxes
-        The objects of each shape.
-    shapes : tuple of Spheres and Boxes
-        `spheres` and `boxes`, except for those without objects.
-    bounds : ScreenBounds
-        Bounding rectangles of all objects in the picture.
-    is_eye_inside : (n,) bool array
-        Whether the eye is inside the object, or on its surface.
-    curvature : (n,) float array
-        Curvature of each object's surface: 1 / radius for spheres, and 0 for boxes.
-    is_duplicate : (n,) bool array
-        Whether the object is equal to an object earlier in the file.  A duplicate is never visible,
-        and its shadow equals the shadow of the earlier object.
-    depth_complexity : float
-        Upper bound on the mean number of objects on a ray, for the rays of any row of pixels.
-    window : (slice, slice)
-        Rows and columns of pixels that contain all visible objects.
-    light_count : int
-        Number of lights in the scene.
-    diffuse, specular : (3, n) float arrays
-        Linear RGB colours of the objects.
-    exponent : (n,) float array
-        Exponents of the highlights.
-    is_glossy : (n,) bool array
-        Whether the object has highlights.
-    position_error : (n,) float array
-        Upper bound on the rounding errors of points on each object.
-    packet_width : float
-        Width of a packet (a group of neighbouring hits), in pixels.
     """
+
+    surfaces: Surfaces
+    frame: CameraFrame
+    spheres: Spheres
+    boxes: Boxes
+    shapes: tuple[Shape, ...]  # `spheres` and `boxes`, except for those without objects
+    bounds: ScreenBounds  # of all objects
+    is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
+    curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
+    # Whether the object equals an object earlier in the file.  A duplicate is never visible, and
+    # its shadow equals the shadow of the earlier object.
+    is_duplicate: Shaped[Bools, "objects"]
+    # Upper bound on the mean number of objects on a ray, for the rays of any row of pixels.
+    depth_complexity: float
+    window: tuple[slice, slice]  # rows and columns of pixels that contain all visible objects
+    light_count: int
+    diffuse: Shaped[Floats, "3 objects"]  # linear RGB
+    specular: Shaped[Floats, "3 objects"]
+    exponent: Shaped[Floats, "objects"]
+    is_glossy: Shaped[Bools, "objects"]  # whether the object has highlights
+    position_error: Shaped[Floats, "objects"]  # upper bound on rounding errors of points on it
+    packet_width: float  # in pixels; a packet is a group of neighbouring hits
 
     def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.surfaces = surfaces = scene.surfaces
@@ -158,45 +125,24 @@ class PreparedScene:
         self._cache, self._lock = dict[int, Lights](), Lock()
 
     def choose_batch_size(self, max_samples: int) -> int:
-        """Choose how many samples to trace together, within a limit on memory.
+        """Choose how many samples, from 1 to `max_samples`, to trace together, to limit memory.
 
-        Parameters
-        ----------
-        max_samples : int
-            Maximum number of samples.
-
-        Returns
-        -------
-        sample_count : int
-            Number of samples, from 1 to `max_samples`; smaller if more objects lie on each ray.
+        The number is smaller if more objects lie on each ray.
         """
         return max(1, min(max_samples, int(_MAX_SAMPLE_PAIRS / max(self.depth_complexity, 1.0))))
 
     @property
     def light_batches(self) -> Iterator[Lights]:
-        """Yield all lights of the scene in batches, with the data that shadow tests need.
-
-        If the scene has many objects, batches are smaller, to save memory.
-        """
+        """Yield all lights of the scene, in smaller batches if there are many objects."""
         object_count = max(self.curvature.size, 1)
         lights_per_batch = max(1, min(_MAX_LIGHTS, _MAX_LIGHT_PAIRS // object_count))
         for start in range(0, self.light_count, lights_per_batch):
             yield self._get_light_batch(slice(start, start + lights_per_batch))
 
     def _get_light_batch(self, light_slice: slice) -> Lights:
-        """Return a batch of prepared lights, from the cache if possible.
+        """Return prepared lights from the cache, or prepare them and add them unless it is full.
 
-        Newly prepared lights are added to the cache unless it is full.
-
-        Parameters
-        ----------
-        light_slice : slice
-            Indices of the lights in the batch, in the order of the file.
-
-        Returns
-        -------
-        lights : Lights
-            The prepared lights.  Do not change them: other threads may use them, too.
+        Do not change the result: other threads may use it, too.
         """
         # With the lock, threads wait for a batch instead of preparing the same batch twice.
         with self._lock:
@@ -207,18 +153,7 @@ class PreparedScene:
         return self.prepare_lights(light_slice)
 
     def prepare_lights(self, light_slice: slice = slice(None)) -> Lights:
-        """Prepare lights for shading and shadow tests, without using the cache.
-
-        Parameters
-        ----------
-        light_slice : slice
-            Indices of the lights to prepare, in the order of the file; by default, all lights.
-
-        Returns
-        -------
-        lights : Lights
-            The lights, with the data that shadow tests need.
-        """
+        """Prepare lights, selected in the order of the file, without using the cache."""
         lights = self._lights[light_slice]
         positions = np.array([light.position for light in lights]).reshape(-1, 3)
         x, y, z = positions.T[:, :, None]
@@ -238,19 +173,8 @@ class PreparedScene:
         )
 
 
-def _find_duplicates(surfaces: Surfaces) -> Bools:
-    """Find the objects that have the same geometry as an earlier object in the file.
-
-    Parameters
-    ----------
-    surfaces : Surfaces
-        The n surfaces of the scene.
-
-    Returns
-    -------
-    is_duplicate : (n,) bool array
-        Whether each object is a duplicate.  All spheres come before all boxes.
-    """
+def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
+    """Find the objects that have the same geometry as an object earlier in the file."""
     # Describe each object by six numbers.  The last is infinite for spheres and finite for boxes,
     # so no sphere equals a box.
     radius, box_geometry = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
