@@ -1,12 +1,11 @@
 """Limits of size, and the direction of imports: no module imports one of a higher layer.
 
-Sizes are counted in lines of code, which are what a reader has to understand.  Blank lines,
-comments and docstrings are free.
+Sizes are counted in lines of code.  Blank lines, comments and docstrings are free.  The header of a
+function counts as one line, and so does a field of a record, however the formatter divides them.
 """
 
 import ast
 import io
-import re
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -18,30 +17,15 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def read_budgets() -> dict[str, int]:
-    """Read the maximum numbers of lines of code from the table in CONTRIBUTING.
-
-    Returns
-    -------
-    budgets : dict of str to int
-        The limits.  A key is the name of a folder, "module" or "function".
-    """
-    text = (ROOT / ".github/CONTRIBUTING.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (?:a |`)(\w+)(?:/`)? \| ([\d,]+) \|$", text, re.M)
-    return {name: int(limit.replace(",", "")) for name, limit in rows}
-
-
-FOLDERS, BUDGET = ("tracer", "converters", "reference", "tests"), read_budgets()
-# Factor by which a folder may exceed its budget.
-TOLERANCE = 1.01
+FOLDERS = ("tracer", "converters", "reference", "tests")
+# Maximum lines of code in a module and in a function.
+MAX_MODULE_LINES, MAX_FUNCTION_LINES = 300, 45
 # Maximum number of modules of the tracer in a chain in which each imports the next.
 MAX_DEPTH = 14
 
 # Packages and modules of the tracer, from the lowest layer to the highest.
 LAYERS = ["version", "arrays", "messages", "files", "scene", "geometry", "world", "trace"]
 LAYERS += ["antialias", "picture", "command", "__init__", "__main__"]
-
-RULE = "see 'Budgets' in .github/CONTRIBUTING.md"
 
 # Types of tokens that do not make a line a line of code.
 NO_CODE = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}
@@ -95,6 +79,10 @@ def parse_module(path: Path) -> Module:
         # A string that stands alone is a docstring, or documents the attribute above it.
         if isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str):
             code_lines -= {*range(node.lineno, (node.end_lineno or 0) + 1)}
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            code_lines -= {*range(node.lineno + 1, node.body[0].lineno)}
+        elif isinstance(node, ast.AnnAssign):
+            code_lines -= {*range(node.lineno + 1, (node.end_lineno or 0) + 1)}
     return Module(tree, code_lines, imported_names(tree))
 
 
@@ -129,23 +117,16 @@ def imported_names(tree: ast.Module) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
-def test_no_folder_exceeds_its_budget(folder: str) -> None:
-    count, budget = sum(len(m.code_lines) for m in parse_folder(folder).values()), BUDGET[folder]
-    excess = f"{folder}/ has {count:,} lines of code, {count - budget:,} more than its budget"
-    assert 0 < count <= TOLERANCE * budget, f"{excess} of {budget:,}: {RULE}"
-
-
 def test_no_function_and_no_module_is_too_long() -> None:
     too_long = []
     modules = {name: m for folder in FOLDERS for name, m in parse_folder(folder).items()}
     for name, (tree, code_lines, _) in modules.items():
-        too_long += [f"{name}: {len(code_lines)}"] * (len(code_lines) > BUDGET["module"])
+        too_long += [f"{name}: {len(code_lines)}"] * (len(code_lines) > MAX_MODULE_LINES)
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 count = len(code_lines & {*range(node.lineno, (node.end_lineno or 0) + 1)})
-                too_long += [f"{name}.{node.name}: {count}"] * (count > BUDGET["function"])
-    assert too_long == [], f"too many lines of code: {RULE}"
+                too_long += [f"{name}.{node.name}: {count}"] * (count > MAX_FUNCTION_LINES)
+    assert too_long == []
 
 
 def layer_height(module: str) -> int:

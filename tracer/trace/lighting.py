@@ -160,7 +160,6 @@ class Shading:
                 specular *= self._specular_sum[channel]
             yield ChannelRadiance(channel, diffuse, specular)
 
-
     def compute_radiance(
         self, out: Shaped[Floats, "3 samples"] | None = None
     ) -> Shaped[Floats, "3 samples"]:

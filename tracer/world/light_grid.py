@@ -168,7 +168,6 @@ class LightGrid(NamedTuple):
                 yield np.array([row.take(kept_index) for row in rows])
 
 
-
 def build_light_grid(
     light_position: Shaped[Floats, "lights 3"],
     box_min: Shaped[Floats, "3 objects"],
