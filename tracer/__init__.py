@@ -57,7 +57,16 @@ if not TYPE_CHECKING:
         *("picture.render", "picture.png", "picture.lint", "picture.explanation"),
     )
 
+    def _make_notebook_png(scene: object) -> bytes:
+        from tracer.picture.notebook import make_notebook_png
+
+        return make_notebook_png(scene)
+
     def __getattr__(name: str) -> object:
+        if name in __all__:
+            # Notebooks call this method of a scene.  It is set here, because the module of scenes
+            # knows nothing of rendering.
+            import_module("tracer.scene.model").Scene._repr_png_ = _make_notebook_png
         for path in _MODULES if name in __all__ else ():
             if hasattr(module := import_module(f"tracer.{path}"), name):
                 return globals().setdefault(name, getattr(module, name))

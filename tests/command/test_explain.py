@@ -1,20 +1,25 @@
 """Explanations of pixels, and warnings about scenes: both agree with the picture."""
 
+import io
 import re
 import shutil
+import tracemalloc
+import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from PIL import Image
 from probe import record_calls, scene_of
 from random_scenes import random_scene
 from running import run
 from scene_files import HARD_SCENES
 
 import tracer
-from tracer import Box, Camera, PointLight, SceneWarning, Sphere, render
+from tracer import Box, Camera, PointLight, Scene, SceneWarning, Sphere, render
 from tracer.picture import explanation
 from tracer.picture.lint import Exposure
 from tracer.world.prepared_scene import PreparedScene
@@ -151,5 +156,59 @@ def test_a_notebook_shows_an_explanation_as_text():
     printer.text.assert_called_once_with(str(pixel))
 
 
+def show_in_notebook(scene: Scene) -> tuple[bytes, list[tuple[str, str]]]:
+    """Show a scene as a notebook does; return the picture, and each warning with its file."""
+    pictures: list[bytes] = []
+
+    def display(value: Any) -> None:
+        pictures.append(value._repr_png_())
+
+    cell = compile("scene", "<cell>", "single")
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(record=True) as caught:
+        patch.setattr("sys.displayhook", display)
+        warnings.simplefilter("always")
+        exec(cell, {"__name__": "__main__", "scene": scene})
+    return pictures[0], [(str(warning.message), warning.filename) for warning in caught]
+
+
 def test_a_notebook_shows_a_scene_as_its_picture():
-    assert BALL._repr_png_().startswith(b"\x89PNG\r\n")
+    picture, messages = show_in_notebook(BALL)
+    assert messages == []
+    np.testing.assert_array_equal(
+        np.asarray(Image.open(io.BytesIO(picture))), tracer.to_codes(render(BALL))
+    )
+
+
+def test_a_warning_in_a_notebook_is_about_the_line_that_shows_the_scene():
+    _, messages = show_in_notebook(replace(BALL, lights=()))
+    assert messages == [
+        ("the scene has no light: the picture is black; add <light>", "<cell>"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("size", "shown"), [((96, 24), (48, 12)), ((24, 24), (24, 24)), ((65, 2), (64, 1))]
+)
+def test_a_picture_in_a_notebook_is_no_larger_than_a_browser_shows(monkeypatch, size, shown):
+    monkeypatch.setattr("tracer.picture.notebook._MAX_PIXELS", 24 * 24)
+    monkeypatch.setattr("tracer.picture.notebook._MAX_SIDE", 64)
+    (width, height), camera = size, replace(BALL.camera, view_width=size[0] / size[1])
+    scene = replace(BALL, camera=camera, width=width, height=height)
+    picture, messages = show_in_notebook(scene)
+    assert np.asarray(Image.open(io.BytesIO(picture))).shape == (*shown[::-1], 3)
+    reduced = f"the picture of {width} x {height} pixels is shown with only {shown[0]} x {shown[1]}"
+    if shown == size:
+        assert messages == []
+    else:
+        text = f"{reduced}; tracer.write_png writes all of them"
+        assert messages[-1] == (text, "<cell>")
+
+
+def test_a_large_picture_in_a_notebook_takes_little_memory():
+    scene = replace(BALL, width=1500, height=1500)
+    tracemalloc.start()
+    show_in_notebook(scene)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # A tile has 98,304 samples, whose arrays take about 10 MB; the whole picture takes 54 MB.
+    assert peak < 24 * 1500 * 1500 / 2

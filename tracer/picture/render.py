@@ -146,6 +146,9 @@ def render(
         raise TypeError(f"render takes a Scene, as load_scene returns it; {scene!r} is not a Scene")
     if not (executor is None or callable(getattr(executor, "submit", None))):
         raise TypeError(f"executor must be a concurrent.futures.Executor, not {executor!r}")
+    if hasattr(executor, "get_executor"):
+        message = "executor must be a concurrent.futures.Executor"
+        raise TypeError(f"{message}: from a Dask client, client.get_executor()")
     job = RenderJob(scene, samples, offset)
     if job.seconds < MIN_SHARED_SECONDS:
         executor = None

@@ -568,10 +568,3 @@ class Scene(Validated):
             message = f"{self.width} x {self.height} pixels are too many: {memory}"
             limit = f"at most {schema.MAX_PIXELS} are allowed"
             raise schema.SceneError([f"width, height: {message}; {limit}"])
-
-    def _repr_png_(self) -> bytes:
-        """Render the scene, and return the bytes of a PNG file, which notebooks display."""
-        # The only import from a higher layer, needed because Jupyter calls this method of a scene.
-        from tracer.picture.render import to_png
-
-        return to_png(self)

@@ -1,0 +1,74 @@
+"""Show a scene as its picture in a notebook, which calls `Scene._repr_png_`.
+
+`tracer/__init__.py` adds this method to the class, whose module knows nothing of rendering.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from math import sqrt
+from operator import add
+
+from tracer.picture.lint import Exposure, SceneWarning, lint_scene
+from tracer.picture.png import CompressedTile, write_tiles
+from tracer.picture.render import RenderJob, render_tiles
+from tracer.scene.model import Scene
+
+# Maximum number of pixels in a notebook: 4096 x 4096, the most that Safari draws on iOS.
+_MAX_PIXELS = 1 << 24
+# Maximum width and height in a notebook: the largest texture of usual graphics processors.
+_MAX_SIDE = 1 << 14
+
+
+def make_notebook_png(scene: Scene) -> bytes:
+    """Render a scene to the bytes of a PNG file, which is no larger than a browser can show.
+
+    The picture is made tile by tile, so it takes little more memory than the file.  Warnings are
+    about the line of the user's code that shows the scene.
+    """
+    shown_scene = _limit_size(scene)
+    job, exposure = RenderJob(shown_scene), Exposure()
+
+    def collect_tiles() -> Iterator[CompressedTile]:
+        nonlocal exposure
+        for tile, tile_exposure in render_tiles(job):
+            exposure = Exposure(*map(add, exposure, tile_exposure))
+            yield tile
+
+    file = io.BytesIO()
+    write_tiles(file, shown_scene.width, shown_scene.height, collect_tiles())
+    for message in lint_scene(shown_scene, job.prepared_scene, exposure):
+        warnings.warn(message, SceneWarning, stacklevel=_find_user_level())
+    if shown_scene is not scene:
+        message = (
+            f"the picture of {scene.width} x {scene.height} pixels is shown with only"
+            f" {shown_scene.width} x {shown_scene.height}; tracer.write_png writes all of them"
+        )
+        warnings.warn(message, stacklevel=_find_user_level())
+    return file.getvalue()
+
+
+def _limit_size(scene: Scene) -> Scene:
+    """Reduce the size of a scene's picture to the limits; within them, return the scene itself."""
+    width, height = scene.width, scene.height
+    factor = max(sqrt(width * height / _MAX_PIXELS), max(width, height) / _MAX_SIDE)
+    if factor <= 1:
+        return scene
+    return replace(scene, width=max(1, int(width / factor)), height=max(1, int(height / factor)))
+
+
+def _find_user_level() -> int:
+    """Return the `stacklevel` with which the caller warns about the user's innermost line.
+
+    Between that line and this module are functions of the notebook.  User code runs in `__main__`.
+    """
+    level, frame = 1, sys._getframe(1)
+    while frame.f_globals.get("__name__") != "__main__":
+        if frame.f_back is None:
+            return 2
+        level, frame = level + 1, frame.f_back
+    return level
