@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from running import ROOT, run
 
-from reference import illustrations, regenerate
+from reference import regenerate
 from reference.command import list_scene_files
 from tracer import SceneFileError, load_scene, render, save_scene
 
@@ -155,15 +155,6 @@ def test_the_map_names_every_module_of_the_tracer():
     text = (ROOT / "reference/map.md").read_text(encoding="utf-8")
     modules = {path.stem for path in (ROOT / "tracer").rglob("*.py")} - {"__init__", "__main__"}
     assert modules - set(re.findall(r"`(\w+)`", text)) == set()
-
-
-def test_each_illustration_of_the_study_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(illustrations, "_STUDY_FOLDER", tmp_path)
-    monkeypatch.setattr(sys, "argv", ["reference.illustrations"])
-    illustrations.main()
-    study = (ROOT / "reference/study.md").read_text(encoding="utf-8")
-    drawn = {path.name for path in tmp_path.iterdir()}
-    assert drawn == set(re.findall(r"\(study/(.*?)\)", study))
 
 
 def test_the_sheet_shows_every_scene(monkeypatch):

@@ -184,8 +184,7 @@ def test_other_packages_use_only_public_names_of_the_tracer(folder: str) -> None
     shared = ("tracer.command.", "tracer.files", "tracer.messages", "tracer.picture.parallel")
     public = {f"tracer.{name}" for name in tracer.__all__} | {"tracer", "tracer.__version__"}
     # The certificate needs to know which surface each sample hits, and uses the light grid.
-    # Illustrations show data structures of the tracer.
-    internal = {"reference.judges.faces", "reference.illustrations"}
+    internal = {"reference.judges.faces"}
     for name, module in parse_folder(folder).items():
         if name not in internal:
             imported = {each for each in module.imports if each.partition(".")[0] == "tracer"}
