@@ -122,6 +122,15 @@ def test_all_digits_are_saved(tmp_path):
     assert len(same.surfaces.shaders) <= 4
 
 
+def test_equal_shaders_are_saved_as_one(tmp_path):
+    shaders = [Phong(exponent=9), Lambertian(), Phong(exponent=9), Phong(), Phong(exponent=8)]
+    surfaces = [Sphere(shader=shader) for shader in (*shaders, shaders[0])] + [Sphere()]
+    scene, path = Scene(width=4, height=3, surfaces=surfaces), tmp_path / "a.xml"
+    tracer.save_scene(scene, path)
+    assert path.read_text().count("<shader name") == 4
+    assert load_scene(path) == scene
+
+
 def test_only_scenes_are_replaced(tmp_path):
     scene, path = Scene(width=1, height=2), tmp_path / "scene.xml"
     for old_content in (

@@ -9,16 +9,17 @@ The metadata of the fields define the elements of scene files: see `schema.tag_f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, SupportsIndex, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tracer.arrays import Floats
 from tracer.scene import schema
-from tracer.scene.schema import Floats, Validated, format_number, tag_field
+from tracer.scene.schema import FieldError, Validated, format_number, tag_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
@@ -94,42 +95,39 @@ class Camera(Validated):
     view_width: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "viewWidth"))
     view_height: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "viewHeight"))
 
+    if TYPE_CHECKING:  # the parameters accept more types than the fields have
+
+        def __init__(
+            self,
+            *,
+            view_point: VectorLike = ...,
+            view_dir: VectorLike = ...,
+            view_up: VectorLike = ...,
+            proj_normal: VectorLike | None = ...,
+            proj_distance: SupportsFloat = ...,
+            view_width: SupportsFloat = ...,
+            view_height: SupportsFloat = ...,
+        ) -> None: ...
+
     @classmethod
-    def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
-        """Find cameras whose vectors do not define a window.
-
-        The window is the rectangle in space that the picture fills; `proj_normal` is its normal.
-        The normal must be neither parallel to `view_up` nor perpendicular to `view_dir`.
-
-        Parameters
-        ----------
-        field_arrays : mapping of str to (n, 3) float array
-            For each field name, the vectors of n cameras.  In "proj_normal", a row of NaN stands
-            for the default, `view_dir`.
-
-        Yields
-        ------
-        index : int
-            Index of the camera with the error, from 0 to n - 1.
-        name : str
-            Name of the field with the error.
-        message : str
-            What is wrong, without the name of the field.
-        """
-        arrays = (field_arrays[name] for name in ("view_up", "view_dir", "proj_normal"))
+    def find_conflicts(cls, get_rows: Callable[[str], Floats]) -> Iterator[FieldError]:
+        """Find cameras whose window's normal is parallel to `view_up`, or not ahead of the eye."""
+        arrays = map(get_rows, ("view_up", "view_dir", "proj_normal"))
         for index, (view_up, view_dir, normal) in enumerate(zip(*arrays, strict=True)):
             normal_name = "proj_normal"
             if np.isnan(normal).all():
-                normal_name, normal = "view_dir", view_dir
+                normal_name = "view_dir"
+                normal = view_dir
             with np.errstate(all="ignore"):  # vectors may be zero or not finite
                 view_up, view_dir, normal = map(normalize, (view_up, view_dir, normal))
-                sine, cosine = np.linalg.norm(np.cross(view_up, normal)), abs(normal @ view_dir)
+                sine = np.linalg.norm(np.cross(view_up, normal))
+                cosine = abs(normal @ view_dir)
             if sine < _MIN_SINE:
                 message = f"must not be parallel to {normal_name}; choose another view_up"
-                yield index, "view_up", message
+                yield FieldError(row=index, name="view_up", message=message)
             if cosine < _MIN_COSINE:
                 message = "must not be perpendicular to view_dir: no ray would meet the window"
-                yield index, "proj_normal", message
+                yield FieldError(row=index, name="proj_normal", message=message)
 
     @property
     def normal(self) -> VectorLike:
@@ -216,8 +214,21 @@ class Phong(Validated):
     exponent: float = field(default=1.0, metadata=tag_field(schema.EXPONENT, "exponent"))
     line: int | None = field(default=None, compare=False, repr=False)
 
+    if TYPE_CHECKING:  # the parameters accept more types than the fields have
+
+        def __init__(
+            self,
+            *,
+            diffuse: VectorLike = ...,
+            specular: VectorLike = ...,
+            exponent: SupportsFloat = ...,
+            line: int | None = ...,
+        ) -> None: ...
+
 
 Shader: TypeAlias = Lambertian | Phong
+
+_MATTE_WHITE = Lambertian()
 
 _SHADER = tag_field(schema.require_type(Lambertian, Phong), "shader")
 
@@ -245,8 +256,19 @@ class Sphere(Validated):
 
     center: VectorLike = field(default=_ORIGIN, metadata=tag_field(schema.POINT, "center"))
     radius: float = field(default=1.0, metadata=tag_field(schema.LENGTH, "radius"))
-    shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    shader: Shader = field(default=_MATTE_WHITE, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
+
+    if TYPE_CHECKING:  # the parameters accept more types than the fields have
+
+        def __init__(
+            self,
+            *,
+            center: VectorLike = ...,
+            radius: SupportsFloat = ...,
+            shader: Shader = ...,
+            line: int | None = ...,
+        ) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,28 +292,13 @@ class Box(Validated):
 
     min_pt: VectorLike = field(metadata=tag_field(schema.POINT, "minPt"))
     max_pt: VectorLike = field(metadata=tag_field(schema.POINT, "maxPt"))
-    shader: Shader = field(default_factory=Lambertian, metadata=_SHADER)
+    shader: Shader = field(default=_MATTE_WHITE, metadata=_SHADER)
     line: int | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterator[tuple[int, str, str]]:
-        """Find boxes whose `min_pt` exceeds `max_pt` in any coordinate.
-
-        Parameters
-        ----------
-        field_arrays : mapping of str to (n, 3) float array
-            The corners of n boxes, under the names "min_pt" and "max_pt".
-
-        Yields
-        ------
-        index : int
-            Index of the box with the error, from 0 to n - 1.
-        name : str
-            Name of the field with the error: "min_pt".
-        message : str
-            What is wrong, including the coordinates.
-        """
-        min_pt, max_pt = field_arrays["min_pt"], field_arrays["max_pt"]
+    def find_conflicts(cls, get_rows: Callable[[str], Floats]) -> Iterator[FieldError]:
+        """Find boxes whose `min_pt` exceeds `max_pt` in any coordinate."""
+        min_pt, max_pt = get_rows("min_pt"), get_rows("max_pt")
         for index in np.flatnonzero((min_pt > max_pt).any(axis=1)).tolist():
             conflicts = [
                 f"{axis} has {format_number(minimum)} > {format_number(maximum)}"
@@ -299,7 +306,7 @@ class Box(Validated):
                 if minimum > maximum
             ]
             message = f"must not exceed max_pt, but {' and '.join(conflicts)}; swap these"
-            yield index, "min_pt", message
+            yield FieldError(row=index, name="min_pt", message=message)
 
 
 class Surfaces(Sequence[Sphere | Box]):

@@ -463,7 +463,11 @@ class _Reader:
             return numbers
         words = re.findall("[^ \t\r\n]+", element.text)  # str.split() accepts more white space
         invalid_words = [word for word in words[:_MAX_CHECKED_WORDS] if not parse_numbers(word, 1)]
-        for word in invalid_words:
+        explained_words = dict.fromkeys(invalid_words)
+        # All commas are explained by the first word with one.
+        for word in [word for word in explained_words if word.isascii() and "," in word][1:]:
+            del explained_words[word]
+        for word in explained_words:
             self.report(element, explain_invalid_number(word))
         if not invalid_words and not element:
             self.report(element, f"{validator.requirement}, but has {len(words)}")

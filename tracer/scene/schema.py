@@ -1,8 +1,12 @@
 """Validate the values of a scene.
 
-The metadata of a dataclass field contain its validator, and its XML tags (`tag_field`).  The same
-rules validate the fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in
-a scene file (`find_errors`).
+The metadata of each dataclass field contain its *validator*, a function of a value and the name of
+the field, which returns the value to store or raises `SceneError`.  The same rules validate the
+fields of one object (`Validated`), the arrays of `Surfaces`, and the numbers in a scene file
+(`find_errors`).
+
+The *rows* of a numeric field are its values in n objects: one row of numbers for each object.  A
+row of NaN stands for a missing value.
 """
 
 from __future__ import annotations
@@ -11,20 +15,24 @@ import operator
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
-from typing import Any, TypeAlias, TypeVar
+from typing import Annotated as Shaped
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from tracer.arrays import Bools, Floats, Ints
 
 _Instance = TypeVar("_Instance")
-Floats: TypeAlias = NDArray[np.float64]
 
 MAX_PIXELS = 1 << 28
 """Maximum number of pixels in a picture: 2^28 (16384 x 16384), 6 GiB as float64 RGB."""
 
-# Limits for the magnitude of lengths and coordinates other than 0.  The upper limit applies to
-# colours and exponents, too.  The fourth powers of numbers between the limits are normal float64.
-_MIN_LENGTH, _MAX_VALUE = 1e-75, 1e75
+# Minimum magnitude of lengths and coordinates other than 0.
+_MIN_LENGTH = 1e-75
+# Maximum magnitude of lengths, coordinates, colours and exponents.  The fourth powers of numbers
+# between the limits are normal float64.
+_MAX_VALUE = 1e75
 
 
 def format_number(value: float) -> str:
@@ -55,9 +63,17 @@ class SceneError(ValueError):
 
 
 def raise_if_any(lines: Iterable[str]) -> None:
-    """Raise a `SceneError` with the given lines as its message, unless there are no lines."""
+    """Raise a `SceneError` with these lines as its message, unless there are none."""
     if message_lines := tuple(lines):
         raise SceneError(message_lines)
+
+
+class FieldError(NamedTuple):
+    """An error in a field of one of n objects."""
+
+    row: int  # index of the object, from 0 to n - 1
+    name: str
+    message: str  # what is wrong, without the name of the field
 
 
 _Validator: TypeAlias = Callable[[Any, str], Any]
@@ -66,19 +82,7 @@ _Validator: TypeAlias = Callable[[Any, str], Any]
 def tag_field(validator: _Validator, *tags: str) -> dict[str, Any]:
     """Create the metadata of a dataclass field: its validator, and its XML tags.
 
-    Parameters
-    ----------
-    validator : callable
-        A function that takes a value and the name of the field.  It returns the value to store,
-        or raises `SceneError`.
-    *tags : str
-        Tags of the XML elements that can contain the value in a scene file.  The first tag is used
-        for writing files.
-
-    Returns
-    -------
-    metadata : dict
-        The entries "validator" and "tags".
+    Any of the tags is read in a scene file; the first one is written.
     """
     return {"validator": validator, "tags": tags}
 
@@ -86,11 +90,19 @@ def tag_field(validator: _Validator, *tags: str) -> dict[str, Any]:
 class Validated:
     """A base class of frozen dataclasses that validate their fields, one by one and then together.
 
-    A subclass gives each field a validator with `tag_field`.  It overrides `find_conflicts` if
+    A subclass gives each field a validator with `tag_field`, and overrides `find_conflicts` if
     valid values can contradict each other.  The constructor raises `SceneError` for invalid values.
     """
 
     __slots__ = ("__weakref__",)
+
+    def __new__(cls, *args: object, **_values: object) -> Any:
+        """Create an instance, or tell a caller who gives values by position to name them."""
+        if args:
+            names = (field.name for field in fields(cls) if "validator" in field.metadata)  # type: ignore[arg-type]
+            keywords = ", ".join(f"{name}=..." for name in names)
+            raise TypeError(f"{cls.__name__} takes keywords only: {cls.__name__}({keywords})")
+        return super().__new__(cls)
 
     def __post_init__(self: Any) -> None:
         lines: list[str] = []
@@ -102,43 +114,25 @@ class Validated:
                 except SceneError as error:
                     lines += error.lines
         raise_if_any(lines)
-        row = {name: np.array([getattr(self, name)], float) for name in get_number_validators(self)}
-        raise_if_any(f"{name}: {message}" for _, name, message in self.find_conflicts(row))
+
+        def get_row(name: str) -> Floats:
+            return np.array([getattr(self, name)], dtype=np.float64)  # NaN for None
+
+        raise_if_any(f"{error.name}: {error.message}" for error in self.find_conflicts(get_row))
 
     @classmethod
-    def find_conflicts(cls, field_arrays: Mapping[str, Floats]) -> Iterable[tuple[int, str, str]]:
-        """Find objects whose values are valid individually but contradict each other.
+    def find_conflicts(cls, get_rows: Callable[[str], Floats]) -> Iterable[FieldError]:
+        """Find objects whose values are valid individually but contradict each other: here, none.
 
-        Parameters
-        ----------
-        field_arrays : mapping of str to (n, number_count) float array
-            For each field name, the values of this field in n objects.  NaN marks a missing value.
-
-        Returns
-        -------
-        errors : iterable of (int, str, str)
-            For each error, the index of the object, the name of the field, and the message.  The
-            base class finds no errors.
+        `get_rows` returns the rows of a field by its name.
         """
         return ()
 
 
 def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instance:
-    """Create an instance of a frozen dataclass from values that are known to be valid.
+    """Create an instance of a frozen dataclass from values of all fields, which must be valid.
 
     The constructor is not called, because it would validate the values again.
-
-    Parameters
-    ----------
-    dataclass : type
-        The class to instantiate.
-    **values : object
-        The values of all fields, by field name.
-
-    Returns
-    -------
-    instance : object
-        The new instance of the class.
     """
     instance = object.__new__(dataclass)
     for name, value in values.items():
@@ -146,62 +140,38 @@ def construct_unchecked(dataclass: type[_Instance], **values: object) -> _Instan
     return instance
 
 
-# A function that tests which numbers in an array are invalid, and a message, in which {} stands for
-# the invalid number.
-_Rule: TypeAlias = tuple[Callable[[Floats], NDArray[np.bool_]], str]
+class _Rule(NamedTuple):
+    """A property that numbers must have."""
+
+    find_invalid: Callable[[Floats], Bools]  # tests all numbers of some rows
+    message: str  # in which {} stands for the invalid number
+
 
 _MAX_TEXT = format_number(_MAX_VALUE)
 _LIMITS = f"lengths other than 0 are from {format_number(_MIN_LENGTH)} to {_MAX_TEXT}"
-_FINITE: _Rule = (lambda x: ~np.isfinite(x), "must be finite")
-_NOT_LARGE: _Rule = (lambda x: abs(x) > _MAX_VALUE, f"{{}} is too large; {_LIMITS}")
-_NOT_HUGE: _Rule = (lambda x: x > _MAX_VALUE, f"{{}} is too large; it is at most {_MAX_TEXT}")
-_NOT_SMALL: _Rule = (lambda x: (abs(x) < _MIN_LENGTH) & (x != 0), f"{{}} is too small; {_LIMITS}")
-_NOT_NEGATIVE: _Rule = (lambda x: x < 0, "must be 0 or more, not {}")
-_POSITIVE: _Rule = (lambda x: x <= 0, "must be positive, not {}")
-_NOT_ZERO: _Rule = (lambda x: (x == 0) & ~x.any(1, keepdims=True), "must not be the zero vector")
+_FINITE = _Rule(lambda x: ~np.isfinite(x), "must be finite")
+_NOT_LARGE = _Rule(lambda x: abs(x) > _MAX_VALUE, f"{{}} is too large; {_LIMITS}")
+_NOT_HUGE = _Rule(lambda x: x > _MAX_VALUE, f"{{}} is too large; it is at most {_MAX_TEXT}")
+_NOT_SMALL = _Rule(lambda x: (abs(x) < _MIN_LENGTH) & (x != 0), f"{{}} is too small; {_LIMITS}")
+_NOT_NEGATIVE = _Rule(lambda x: x < 0, "must be 0 or more, not {}")
+_POSITIVE = _Rule(lambda x: x <= 0, "must be positive, not {}")
+_NOT_ZERO = _Rule(lambda x: (x == 0) & ~x.any(axis=1, keepdims=True), "must not be the zero vector")
 
 
 class NumberValidator:
-    """The validator of a field that consists of one or several numbers, such as a point.
+    """The validator of a field that consists of `number_count` numbers, such as a point."""
 
-    Parameters
-    ----------
-    number_count : int
-        Number of numbers in the field.
-    *rules : (callable, str)
-        Each rule is a function and a message.  The function tests which numbers in an array are
-        invalid.  In the message, {} stands for the invalid number.
-
-    Attributes
-    ----------
-    requirement : str
-        The required count, as a phrase for messages: "needs 3 numbers".
-    """
+    number_count: int
+    rules: tuple[_Rule, ...]
+    requirement: str  # the count as a phrase for messages: "needs 3 numbers"
 
     def __init__(self, number_count: int, *rules: _Rule) -> None:
-        self.number_count, self.rules = number_count, rules
+        self.number_count = number_count
+        self.rules = rules
         self.requirement = f"needs {number_count} number{'s' * (number_count > 1)}"
 
     def __call__(self, value: ArrayLike, name: str) -> tuple[float, ...] | float:
-        """Validate the value of a field, and convert it to Python floats.
-
-        Parameters
-        ----------
-        value : array_like
-            A number, or a sequence of `number_count` numbers.
-        name : str
-            Name of the field, for messages.
-
-        Returns
-        -------
-        numbers : tuple of float, or float
-            A single float if one number is required, otherwise a tuple.
-
-        Raises
-        ------
-        SceneError
-            If there are too few or too many numbers, or a number violates a rule.
-        """
+        """Validate the value of a field, and convert it to a tuple of floats, or to one float."""
         array = _copy_floats(value, name)
         if array.size != self.number_count or array.ndim > 1:
             shape_or_size = f"shape {array.shape}" if array.ndim > 1 else array.size
@@ -210,56 +180,29 @@ class NumberValidator:
         raise_if_any(f"{name}: {message}" for _, message in self.find_errors(row))
         return tuple(row[0].tolist()) if self.number_count > 1 else row.item()
 
-    def copy_rows(self, values: ArrayLike, name: str) -> Floats:
-        """Copy the values of a field into an array, with one row for each object.
+    def copy_rows(self, values: ArrayLike, name: str) -> Shaped[Floats, "n ..."]:
+        """Copy the rows of a field into an array, which is one-dimensional if a row is one number.
 
         Only the shape and the type are checked here; `find_errors` checks the numbers themselves.
-
-        Parameters
-        ----------
-        values : (n, number_count) array_like, or (n,) array_like if `number_count` is 1
-            The values of the field in n objects, each of which has `number_count` numbers.
-        name : str
-            Name of the field, for messages.
-
-        Returns
-        -------
-        rows : (n, number_count) or (n,) float array
-            The copy; one-dimensional if `number_count` is 1.
-
-        Raises
-        ------
-        SceneError
-            If the shape is wrong, or the values are not real numbers.
         """
         array = _copy_floats(values, name)
         if array.size % self.number_count or array.shape[1:] not in ((), (self.number_count,)):
             raise SceneError([f"{name}: {self.requirement} per row, but has shape {array.shape}"])
         return array.reshape((-1, self.number_count) if self.number_count > 1 else -1)
 
-    def find_errors(self, rows: Floats) -> Iterator[tuple[int, str]]:
-        """Find the rows of an array that violate a rule of this validator.
+    def find_errors(self, rows: Shaped[Floats, "n number_count"]) -> Iterator[tuple[int, str]]:
+        """Find rows that violate a rule, and yield their index and what is wrong.
 
-        A rule tests for one kind of invalid number, such as negative numbers.
-
-        Parameters
-        ----------
-        rows : (n, number_count) float array
-            The values of a field in n objects, one row for each object.
-
-        Yields
-        ------
-        index : int
-            Index of a row with an invalid number.
-        message : str
-            What is wrong with the row; only the first violated rule is reported.
+        Only the first rule that a row violates is reported.
         """
         message_of_row: dict[int, str] = {}
-        for find_invalid_numbers, template in self.rules:
-            is_invalid = find_invalid_numbers(rows)
+        for rule in self.rules:
+            is_invalid = rule.find_invalid(rows)
+            if not is_invalid.any():
+                continue
             for index in np.flatnonzero(is_invalid.any(axis=1)).tolist():
                 invalid_number = rows[index, is_invalid[index]][0]
-                message_of_row.setdefault(index, template.format(format_number(invalid_number)))
+                message_of_row.setdefault(index, rule.message.format(format_number(invalid_number)))
         yield from message_of_row.items()
 
 
@@ -271,69 +214,23 @@ EXPONENT = NumberValidator(1, _FINITE, _NOT_NEGATIVE, _NOT_HUGE)
 
 
 def get_number_validators(dataclass: Any) -> dict[str, NumberValidator]:
-    """Return the validators of all numeric fields of a dataclass.
-
-    Parameters
-    ----------
-    dataclass : type or object
-        A dataclass, or an instance of one.
-
-    Returns
-    -------
-    validators : dict of str to NumberValidator
-        The validator of each field that consists of numbers, under the name of the field.
-    """
+    """Return the validators of all fields that consist of numbers, by the name of the field."""
     items = ((field.name, field.metadata.get("validator")) for field in fields(dataclass))
     return {name: validator for name, validator in items if isinstance(validator, NumberValidator)}
 
 
 def find_errors(
-    dataclass: type[Validated], field_arrays: Mapping[str, Floats]
-) -> Iterator[tuple[int, str, str]]:
-    """Find invalid and contradictory numbers in many objects of one class.
-
-    Parameters
-    ----------
-    dataclass : subclass of Validated
-        The class of the objects.
-    field_arrays : mapping of str to (n, number_count) float array
-        For each field name, the values of this field in n objects.  NaN marks a missing value.
-
-    Yields
-    ------
-    index : int
-        Index of the object with the error, from 0 to n - 1.
-    name : str
-        Name of the field with the error.
-    message : str
-        What is wrong, without the name of the field.
-    """
+    dataclass: type[Validated], field_arrays: Mapping[str, Shaped[Floats, "n number_count"]]
+) -> Iterator[FieldError]:
+    """Find invalid and contradictory numbers in objects of one class, given the rows of fields."""
     for name, validator in get_number_validators(dataclass).items():
         for index, message in validator.find_errors(field_arrays[name]):
-            yield index, name, message
-    yield from dataclass.find_conflicts(field_arrays)
+            yield FieldError(row=index, name=name, message=message)
+    yield from dataclass.find_conflicts(field_arrays.__getitem__)
 
 
-def copy_integers(values: ArrayLike, name: str) -> NDArray[np.intp]:
-    """Copy whole numbers into a one-dimensional int array.
-
-    Parameters
-    ----------
-    values : array_like
-        The numbers; floats are accepted if they are whole.
-    name : str
-        Name of the argument, for messages.
-
-    Returns
-    -------
-    integers : (n,) int array
-        The copy.
-
-    Raises
-    ------
-    SceneError
-        If a value is not a whole number.
-    """
+def copy_integers(values: ArrayLike, name: str) -> Shaped[Ints, "n"]:
+    """Copy whole numbers, which may be floats, into a one-dimensional int array."""
     floats = _copy_floats(values, name).ravel()
     with np.errstate(invalid="ignore"):
         integers = floats.astype(np.intp)
@@ -345,25 +242,10 @@ def copy_integers(values: ArrayLike, name: str) -> NDArray[np.intp]:
 def validate_picture_side(value: int, name: str) -> int:
     """Validate the width or height of a picture, and convert it to a Python int.
 
-    Parameters
-    ----------
-    value : int
-        Width or height in pixels; NumPy integers are accepted.
-    name : str
-        Name of the field, for messages.
-
-    Returns
-    -------
-    side : int
-        The same number as a Python int.
-
-    Raises
-    ------
-    SceneError
-        If the value is not an integer from 1 to `MAX_PIXELS`.
+    Products of NumPy integers may overflow.
     """
     try:
-        side = int(operator.index(value))  # products of NumPy integers may overflow
+        side = int(operator.index(value))
     except TypeError:
         raise SceneError([f"{name}: must be an int, not {value!r}"]) from None
     if not 1 <= side <= MAX_PIXELS:
@@ -374,19 +256,7 @@ def validate_picture_side(value: int, name: str) -> int:
 
 
 def require_list(*types: type) -> _Validator:
-    """Return a function that checks the types of all objects in a list.
-
-    Parameters
-    ----------
-    *types : type
-        The allowed types.
-
-    Returns
-    -------
-    validate : callable
-        A function that takes an iterable of objects and the name of a field.  It returns the
-        objects as a tuple, or raises `SceneError` if an object is of another type.
-    """
+    """Return a validator of iterables whose items have one of these types; it returns a tuple."""
     allowed_types = " or ".join(allowed_type.__name__ for allowed_type in types)
 
     def validate(values: Iterable[object], name: str) -> tuple[object, ...]:
@@ -404,44 +274,13 @@ def require_list(*types: type) -> _Validator:
 
 
 def require_type(*types: type) -> _Validator:
-    """Return a function that checks the type of an object.
-
-    Parameters
-    ----------
-    *types : type
-        The allowed types.
-
-    Returns
-    -------
-    validate : callable
-        A function that takes an object and the name of a field.  It returns the object, or
-        raises `SceneError` if the object is of another type.
-    """
+    """Return a validator of objects that have one of these types."""
     validate_list = require_list(*types)
     return lambda value, name: validate_list([value], name)[0]
 
 
-def _copy_floats(value: ArrayLike, name: str) -> Floats:
-    """Copy real numbers into a float64 array of the same shape.
-
-    Parameters
-    ----------
-    value : array_like
-        The numbers.
-    name : str
-        Name of the field or argument, for messages.
-
-    Returns
-    -------
-    array : float64 array
-        The copy.
-
-    Raises
-    ------
-    SceneError
-        If the value contains text, None, dates, complex numbers, or integers beyond the range of
-        float64.
-    """
+def _copy_floats(value: ArrayLike, name: str) -> Shaped[Floats, "..."]:
+    """Copy real numbers into a float64 array of the same shape."""
     try:
         array = np.asarray(value)
         # NumPy would parse text, convert None and times to NaN, and drop imaginary parts.

@@ -16,8 +16,9 @@ from typing import Any, cast
 
 import numpy as np
 
+from tracer.arrays import Floats
 from tracer.scene import schema
-from tracer.scene.schema import Floats, NumberValidator, construct_unchecked
+from tracer.scene.schema import NumberValidator, construct_unchecked
 
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch

@@ -12,7 +12,7 @@ import numpy as np
 
 from tracer.files import open_atomically
 from tracer.scene.elements import FileOrPath
-from tracer.scene.model import Scene
+from tracer.scene.model import Scene, Shader
 from tracer.scene.schema import NumberValidator, format_number
 
 
@@ -44,24 +44,9 @@ def save_scene(scene: Scene, target: FileOrPath) -> None:
 
 
 def _is_scene_file(path: str) -> bool:
-    """Test whether a file is a scene file.
+    """Test whether a file is XML, with the root <scene>, and not a scene of Mitsuba.
 
-    Mitsuba's scene files have the same root element, but with an attribute `version`.
-
-    Parameters
-    ----------
-    path : str
-        Path of the file.
-
-    Returns
-    -------
-    is_scene_file : bool
-        True if the file is XML, and its root element is <scene> without the attribute `version`.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    The root of Mitsuba's files has an attribute `version`.
     """
     # Imported only when needed, because importing takes time.
     from xml.etree import ElementTree as ET
@@ -75,49 +60,33 @@ def _is_scene_file(path: str) -> bool:
 
 
 def _format_scene(scene: Scene) -> Iterator[str]:
-    """Format a scene as XML.
+    """Yield the text of a scene file, piece by piece.
 
     Each shader is written once, before the surfaces, which refer to it by name.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene to write.
-
-    Yields
-    ------
-    text : str
-        The next lines of the file, with line breaks.
     """
     surfaces = scene.surfaces
     yield f"<scene>\n  <camera>{_format_numbers(scene.camera)} </camera>\n"
     yield f"  <image>{scene.width} {scene.height}</image>\n"
     for light in scene.lights:
         yield f"  <light>{_format_numbers(light)} </light>\n"
-    for shader_index in np.unique(surfaces.shader_index).tolist():
-        shader = surfaces.shaders[shader_index]
-        start_tag = f'<shader name="shader{shader_index}" type="{type(shader).__name__}">'
-        yield f"  {start_tag}{_format_numbers(shader)} </shader>\n"
-    shader_index_of_surface = surfaces.shader_index[surfaces.array_index]
-    for shader_index, surface in zip(shader_index_of_surface, surfaces, strict=True):
+    # Each shader has the index of the first one that is equal to it.
+    written_index: dict[Shader, int] = {}
+    for index in np.unique(surfaces.shader_index).tolist():
+        shader = surfaces.shaders[index]
+        if written_index.setdefault(shader, index) == index:
+            start_tag = f'<shader name="shader{index}" type="{type(shader).__name__}">'
+            yield f"  {start_tag}{_format_numbers(shader)} </shader>\n"
+    for surface in surfaces:
         yield f'  <surface type="{type(surface).__name__}">\n'
-        yield f'    <shader ref="shader{shader_index}"/>\n'
+        yield f'    <shader ref="shader{written_index[surface.shader]}"/>\n'
         yield f"   {_format_numbers(surface)}\n  </surface>\n"
     yield "</scene>\n"
 
 
 def _format_numbers(scene_object: Any) -> str:
-    """Format the numbers of a camera, light, shader or surface as XML elements.
+    """Format the numbers of a scene's part as XML elements, each after a space.
 
-    Parameters
-    ----------
-    scene_object : Camera, PointLight, Lambertian, Phong, Sphere or Box
-        The object.  Fields that are None, or do not consist of numbers, are skipped.
-
-    Returns
-    -------
-    text : str
-        The elements, each preceded by a space, as in " <center>0 0 0</center> <radius>1</radius>".
+    Fields that are None are skipped.  A sphere gives " <center>0 0 0</center> <radius>1</radius>".
     """
     text_of_tag = {
         field.metadata["tags"][0]: " ".join(map(format_number, np.ravel(value).tolist()))
