@@ -250,33 +250,6 @@ def test_lines_divide_crowded_pixels(monkeypatch):
     np.testing.assert_allclose(image[:, 9] / image[:, 8], 0.33, atol=1e-3)
 
 
-def test_unresolved_pixels_whose_samples_agree_are_not_divided(monkeypatch):
-    real_classify = refine.classify_cells
-
-    def classify_as_unresolved(*arguments):
-        classified = real_classify(*arguments)
-        is_unresolved = np.ones_like(classified.is_unresolved)
-        return classified._replace(
-            lines=classified.lines.take(slice(0)), is_unresolved=is_unresolved
-        )
-
-    # No sample at the centre of a pixel or of a quarter sees the bead, but samples on the lattice
-    # do: its pixel is divided.
-    bead = Sphere(center=(0.125, 0.06, -1), radius=0.03, shader=RED)
-    scenes = view(WALL), view(WALL, bead)
-    truths = [reference_picture(scene) for scene in scenes]
-    monkeypatch.setattr(refine, "classify_cells", classify_as_unresolved)
-    counts = record_calls(
-        monkeypatch, visibility, "_intersect_objects", lambda _, samples: samples.size
-    )
-    for scene, truth in zip(scenes, truths, strict=True):
-        counts.clear()
-        np.testing.assert_allclose(render(scene, 64), truth, atol=2e-3)
-        # To divide all pixels would take 3 times this number of samples.
-        assert sum(counts) < 1.2 * 16 * 16 * 65
-    assert np.ptp(truths[1]) > 0.02
-
-
 def test_quarters_with_lines_are_refined_although_samples_agree():
     # The horizon passes the centres of the middle row of pixels, and light falls off towards it.
     scene = load_scene(HARD_SCENES / "light-that-falls-off-towards-a-horizon-2.xml")

@@ -23,10 +23,6 @@ from tracer.world.prepared_scene import PreparedScene, Shape
 # Spans are widened by this many pixels on both sides: far more than their rounding errors.
 _SPAN_PADDING = 0.5
 
-# Maximum magnitude of the numbers that combine the row and x of a scattered sample.  At this
-# magnitude, the rounding errors are less than 1e-4 pixels.
-_MAX_COMBINED_KEY = 2.0**39
-
 # Scattered samples are sorted along a row if they are at most this many pixels from the left edge
 # of the picture.  Samples farther away are treated as equally far, so they are tested with more
 # objects than necessary.  A power of two: see `_encode_position`.
@@ -151,13 +147,7 @@ class Scattered(NamedTuple):
         cls, x: Shaped[Floats, "n"], y: Shaped[Floats, "n"]
     ) -> tuple[Scattered, Shaped[Ints, "n"]]:
         """Sort finite positions, and return also their order: sample i is at position order[i]."""
-        row = np.floor(y)
-        # Sorting by one number is faster than by two, but large numbers have large rounding errors.
-        combined_key = row * (2 * np.ceil(np.abs(x).max(initial=0)) + 2) + x
-        if np.abs(combined_key).max(initial=0) < _MAX_COMBINED_KEY:
-            order = combined_key.argsort(kind="stable")
-        else:
-            order = np.lexsort((x, row))
+        order = np.lexsort((x, np.floor(y)))
         y, x = y[order], x[order]
         is_row_start = mark_run_starts(np.floor(y))
         return cls(y, x, find(is_row_start), _encode_position(is_row_start.cumsum(), x)), order
