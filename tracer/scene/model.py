@@ -9,7 +9,7 @@ The metadata of the fields define the elements of scene files: see `schema.tag_f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex, TypeAlias, overload
@@ -309,6 +309,9 @@ class Box(Validated):
             yield FieldError(row=index, name="min_pt", message=message)
 
 
+Kind: TypeAlias = type[Sphere] | type[Box]
+
+
 class Surfaces(Sequence[Sphere | Box]):
     """All surfaces of a scene: a sequence of `Sphere` and `Box` that stores its numbers in arrays.
 
@@ -342,6 +345,10 @@ class Surfaces(Sequence[Sphere | Box]):
         For arrays whose lengths do not match, or that contain invalid numbers.
     """
 
+    # For each kind of surface, in the order of the arrays, its numbers: an array for each field.
+    tables: dict[Kind, dict[str, Floats]]
+    counts: dict[Kind, int]  # number of surfaces of each kind
+
     def __init__(
         self,
         *,
@@ -354,10 +361,40 @@ class Surfaces(Sequence[Sphere | Box]):
         shaders: tuple[Shader, ...] = (),
         line: ArrayLike | None = None,
     ) -> None:
-        self.center = schema.POINT.copy_rows(center, "center")
-        self.radius = schema.LENGTH.copy_rows(radius, "radius")
-        self.min_pt = schema.POINT.copy_rows(min_pt, "min_pt")
-        self.max_pt = schema.POINT.copy_rows(max_pt, "max_pt")
+        spheres = {"center": center, "radius": radius}
+        boxes = {"min_pt": min_pt, "max_pt": max_pt}
+        self._fill({Sphere: spheres, Box: boxes}, shader_index, file_index, shaders, line)
+
+    @classmethod
+    def from_tables(
+        cls,
+        tables: Mapping[Kind, Mapping[str, Any]],
+        *,
+        shader_index: ArrayLike,
+        file_index: ArrayLike,
+        shaders: tuple[Shader, ...],
+        line: ArrayLike,
+    ) -> Surfaces:
+        """Copy and validate tables, as in `Surfaces.tables`.
+
+        Other arguments are those of the constructor.
+        """
+        surfaces = cls.__new__(cls)
+        surfaces._fill(tables, shader_index, file_index, shaders, line)
+        return surfaces
+
+    def _fill(
+        self,
+        tables: Mapping[Kind, Mapping[str, Any]],
+        shader_index: ArrayLike,
+        file_index: ArrayLike | None,
+        shaders: tuple[Shader, ...],
+        line: ArrayLike | None,
+    ) -> None:
+        self.tables = {kind: _copy_columns(kind, columns) for kind, columns in tables.items()}
+        self.counts = {
+            kind: len(next(iter(columns.values()))) for kind, columns in self.tables.items()
+        }
         file_index = np.arange(len(self)) if file_index is None else file_index
         line = np.zeros(len(self)) if line is None else line
         self.shader_index = schema.copy_integers(shader_index, "shader_index")
@@ -371,6 +408,22 @@ class Surfaces(Sequence[Sphere | Box]):
         schema.raise_if_any(f"surface {index}: {message}" for index, message in errors)
         self.__setstate__(vars(self))
 
+    @property
+    def center(self) -> Floats:
+        return self.tables[Sphere]["center"]
+
+    @property
+    def radius(self) -> Floats:
+        return self.tables[Sphere]["radius"]
+
+    @property
+    def min_pt(self) -> Floats:
+        return self.tables[Box]["min_pt"]
+
+    @property
+    def max_pt(self) -> Floats:
+        return self.tables[Box]["max_pt"]
+
     def _find_array_errors(self) -> Iterator[str]:
         """Find arrays that have the wrong length or contain invalid indices.
 
@@ -379,13 +432,16 @@ class Surfaces(Sequence[Sphere | Box]):
         message : str
             Name of an array, and what is wrong with it.
         """
-        requirements = [("radius", len(self.center), "the length of center")]
-        requirements += [("max_pt", len(self.min_pt), "the length of min_pt")]
+        requirements = list[tuple[str, NDArray[Any], int, str]]()
+        for columns in self.tables.values():
+            (first_name, first_column), *others = columns.items()
+            reason = f"the length of {first_name}"
+            requirements += [(name, column, len(first_column), reason) for name, column in others]
         for name in ("shader_index", "file_index", "line"):
-            requirements += [(name, len(self), "the number of surfaces")]
-        for name, required_length, reason in requirements:
-            if (length := len(getattr(self, name))) != required_length:
-                yield f"{name}: must have length {required_length} ({reason}), not {length}"
+            requirements += [(name, getattr(self, name), len(self), "the number of surfaces")]
+        for name, array, required_length, reason in requirements:
+            if len(array) != required_length:
+                yield f"{name}: must have length {required_length} ({reason}), not {len(array)}"
         shader_index, shader_count = self.shader_index, len(self.shaders)
         is_invalid = (shader_index < 0) | (shader_index >= shader_count)
         for invalid_index in shader_index[is_invalid].tolist()[:1]:
@@ -404,21 +460,21 @@ class Surfaces(Sequence[Sphere | Box]):
         message : str
             Name of a field of the surface, and what is wrong with it.
         """
-        field_arrays = {name: getattr(self, name) for name in ("center", "min_pt", "max_pt")}
-        field_arrays["radius"] = self.radius[:, None]
-        first_index_of_type: dict[type[Validated], int] = {Sphere: 0, Box: self.sphere_count}
-        for surface_type, first_index in first_index_of_type.items():
-            for index, name, message in schema.find_errors(surface_type, field_arrays):
+        first_index = 0
+        for kind, columns in self.tables.items():
+            # One row for each surface, also if the field is a single number.
+            rows = {name: np.atleast_2d(column.T).T for name, column in columns.items()}
+            for index, name, message in schema.find_errors(kind, rows):
                 yield self.file_index.item(first_index + index), f"{name}: {message}"
+            first_index += self.counts[kind]
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
-        # 20 times as long, and every array that is computed from these arrays inherits the copy.
         for name, value in state.items():
-            if isinstance(value, np.ndarray):
-                value = value.view(value.dtype.type)
-                value.setflags(write=False)
-            setattr(self, name, value)
+            setattr(self, name, _protect(value) if isinstance(value, np.ndarray) else value)
+        self.tables = {
+            kind: {name: _protect(column) for name, column in columns.items()}
+            for kind, columns in state["tables"].items()
+        }
 
     @classmethod
     def from_objects(cls, surfaces: Iterable[Sphere | Box]) -> Surfaces:
@@ -445,29 +501,25 @@ class Surfaces(Sequence[Sphere | Box]):
         # Shaders are identified by id(), so surfaces that share a shader object still share it.
         shader_of_id = {id(surface.shader): surface.shader for surface in objects}
         index_of_id = {shader_id: index for index, shader_id in enumerate(shader_of_id)}
-        # In the arrays, all spheres come before all boxes.
-        file_index = sorted(range(len(objects)), key=lambda index: isinstance(objects[index], Box))
-        sorted_surfaces = [objects[index] for index in file_index]
-        spheres: list[Any] = [item for item in sorted_surfaces if isinstance(item, Sphere)]
-        boxes = sorted_surfaces[len(spheres) :]
-        return cls(
-            center=[sphere.center for sphere in spheres],
-            radius=[sphere.radius for sphere in spheres],
-            min_pt=[box.min_pt for box in boxes],
-            max_pt=[box.max_pt for box in boxes],
-            shader_index=[index_of_id[id(surface.shader)] for surface in sorted_surfaces],
+        file_index, tables = list[int](), dict[Kind, dict[str, Any]]()
+        kinds: tuple[Kind, ...] = Sphere, Box
+        for kind in kinds:
+            members = [index for index, surface in enumerate(objects) if isinstance(surface, kind)]
+            file_index += members
+            tables[kind] = {
+                name: [getattr(objects[index], name) for index in members]
+                for name in schema.get_number_validators(kind)
+            }
+        return cls.from_tables(
+            tables,
+            shader_index=[index_of_id[id(objects[index].shader)] for index in file_index],
             file_index=file_index,
             shaders=tuple(shader_of_id.values()),
-            line=[surface.line or 0 for surface in sorted_surfaces],
+            line=[objects[index].line or 0 for index in file_index],
         )
 
     def __len__(self) -> int:
-        return len(self.radius) + len(self.min_pt)
-
-    @property
-    def sphere_count(self) -> int:
-        """Number of spheres, which come first in the arrays."""
-        return len(self.radius)
+        return sum(self.counts.values())
 
     @cached_property
     def array_index(self) -> NDArray[np.intp]:
@@ -506,12 +558,16 @@ class Surfaces(Sequence[Sphere | Box]):
             A new object with the surface's numbers, its shader, and its line in the file.
         """
         shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
-        construct, box_index = schema.construct_unchecked, index - self.sphere_count
-        if index < self.sphere_count:
-            center, radius = tuple(self.center[index].tolist()), self.radius.item(index)
-            return construct(Sphere, center=center, radius=radius, shader=shader, line=line)
-        min_pt, max_pt = (tuple(point[box_index].tolist()) for point in (self.min_pt, self.max_pt))
-        return construct(Box, min_pt=min_pt, max_pt=max_pt, shader=shader, line=line)
+        row, counts = index, iter(self.counts.items())
+        kind, count = next(counts)
+        while row >= count:
+            row -= count
+            kind, count = next(counts)
+        fields = {"shader": shader, "line": line}
+        for name, column in self.tables[kind].items():
+            value = column[row].tolist()  # of Python's numbers
+            fields[name] = tuple(value) if column.ndim > 1 else value
+        return schema.construct_unchecked(kind, **fields)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -524,6 +580,21 @@ class Surfaces(Sequence[Sphere | Box]):
 
     def __repr__(self) -> str:
         return f"<Surfaces: {len(self.radius)} spheres, {len(self.min_pt)} boxes>"
+
+
+def _copy_columns(kind: Kind, columns: Mapping[str, ArrayLike]) -> dict[str, Floats]:
+    """Copy the numbers of surfaces of one kind into arrays, in the order of the kind's fields."""
+    validators = schema.get_number_validators(kind)
+    return {name: each.copy_rows(columns[name], name) for name, each in validators.items()}
+
+
+def _protect(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view of an array, with NumPy's own dtype."""
+    # Unpickled arrays have copies of NumPy's built-in dtypes.  With a copy, `ufunc.at` takes
+    # 20 times as long, and every array that is computed from these arrays inherits the copy.
+    view: NDArray[Any] = array.view(array.dtype.type)
+    view.setflags(write=False)
+    return view
 
 
 _DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()

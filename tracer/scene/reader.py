@@ -622,8 +622,8 @@ class _Reader:
             for index, shader in zip(table.object_indices, table.make_objects(), strict=True):
                 shaders[index] = shader
         tables = self.surface_tables.values()
-        surfaces = Surfaces(
-            **{name: numbers for table in tables for name, numbers in table.to_arrays().items()},
+        surfaces = Surfaces.from_tables(
+            {cast(model.Kind, table.dataclass): table.to_arrays() for table in tables},
             shader_index=np.concatenate([table.shader_indices for table in tables]),
             file_index=np.concatenate([table.object_indices for table in tables]),
             shaders=tuple(shaders),
