@@ -106,7 +106,7 @@ def test_a_small_picture_is_not_given_to_the_executor(monkeypatch):
         executor = WaitingExecutor(pool)
         render(sphere_scene(40, 30), executor=executor)
         assert executor.futures == []
-        render(sphere_scene(1280, 720), executor=executor)
+        render(sphere_scene(1920, 1080), executor=executor)
         assert executor.futures != []
 
 
@@ -186,7 +186,7 @@ def test_an_error_here_is_raised_here(error, monkeypatch):
     executor.failure_rate = 1
     for owner, name in (
         (render_module, "compute_radiance"),
-        (parallel.Distribution, "_wait_for_executor"),
+        (parallel, "_wait_for_any"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fail)
@@ -231,8 +231,8 @@ def test_an_item_that_takes_as_long_in_a_worker_as_here_is_not_repeated():
         return -item
 
     with Threads(1) as pool:
-        work = parallel.Distribution(wait, wait, range(4), 1, pool)
-        assert [*work] == [0, -1, -2, -3]
+        work = parallel.Distribution(wait, wait, 1, pool)
+        assert [*work.process(range(4))] == [0, -1, -2, -3]
     assert sorted(calls) == [0, 1, 2, 3]
 
 

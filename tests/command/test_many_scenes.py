@@ -14,7 +14,6 @@ from running import SCENE, needs_two, run, write_ball
 
 from tracer.command import batch, cli, progress
 from tracer.command.batch import Job, Settings
-from tracer.command.failure import Failure
 from tracer.command.progress import Progress, track
 
 
@@ -49,15 +48,13 @@ def test_lines_and_errors_come_in_the_order_of_the_arguments(scenes, processes):
 
 
 @pytest.fixture
-def submitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Use two processes on any machine; return the names of all functions that workers are given.
+def submitted(monkeypatch: pytest.MonkeyPatch) -> list[type]:
+    """Use two processes on any machine; return the types of all items that workers are given.
 
     The list grows while commands run in this process.
     """
     monkeypatch.setattr(cli, "count_processors", lambda: 2)
-    return record_calls(
-        monkeypatch, batch.WorkerPool, "submit", lambda _, function, *rest: function.func.__name__
-    )
+    return record_calls(monkeypatch, batch.WorkerPool, "submit", lambda _pool, _f, item: type(item))
 
 
 @pytest.mark.parametrize(
@@ -65,10 +62,10 @@ def submitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (1, (300, 200), set()),  # one small scene starts no process
         (3, (30, 20), set()),  # and neither do a few that take less time than starting it
-        (1, (4000, 3000), {"render_encoded_tile"}),
+        (1, (4000, 3000), {batch._Tile}),
         # Two whole scenes, and the third is shared.
-        (3, (4000, 3000), {"render_encoded_tile", "_render_in_worker"}),
-        (40, (400, 400), {"_render_in_worker"}),
+        (3, (4000, 3000), {batch._Tile, Job}),
+        (40, (400, 400), {Job}),
     ],
 )
 def test_whole_scenes_are_distributed_and_large_ones_are_shared(
@@ -84,7 +81,7 @@ def test_a_large_scene_among_many_is_shared(scenes, submitted, monkeypatch):
     monkeypatch.setattr(batch, "_MAX_UNSHARED_SECONDS", 0.05)
     write_ball(scenes[30], 4000, 2000)
     assert cli.main([*map(str, scenes), "--quiet"]) == 0
-    assert {*submitted} == {"render_encoded_tile", "_render_in_worker"}
+    assert {*submitted} == {batch._Tile, Job}
     assert read_codes(scenes[30])[0] == (4000, 2000)
 
 
@@ -92,11 +89,11 @@ def test_a_worker_writes_the_picture_of_a_small_scene(scenes):
     """Otherwise the main process would silently repeat the work of all workers."""
     path = scenes[0]
     settings = Settings(samples=1, size=None, file_format="png", quiet=True)
-    report = batch._render_in_worker(settings, Job(str(path), f"{path}.png"))
+    report = batch._process_in_worker(settings, Job(str(path), f"{path}.png"))
     (width, height), _ = read_codes(path)
     assert report == batch.Report(pixel_count=width * height)
-    with pytest.raises(Failure, match="all processes should share this picture"):
-        batch._render_in_worker(settings, Job(str(path), f"{path}.png", min_shared_seconds=0))
+    shared = Job(str(path), f"{path}.png", min_shared_seconds=0)
+    assert batch._process_in_worker(settings, shared) is None
 
 
 def test_one_process_if_the_user_wants_no_more(scenes, submitted):

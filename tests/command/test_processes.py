@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
 from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
@@ -64,7 +65,7 @@ def test_the_estimated_time_grows_with_samples_and_lights():
     more_light = replace(scene, lights=[*scene.lights] * 3)
     seconds = RenderJob(scene, 4).seconds
     assert RenderJob(scene, 400).seconds > 2 * seconds
-    assert RenderJob(more_light, 4).seconds == pytest.approx(3 * seconds)
+    assert RenderJob(more_light, 4).seconds > 2 * seconds
 
 
 def test_a_worker_caches_the_jobs_of_several_pictures():
@@ -114,9 +115,14 @@ def test_a_picture_with_some_black_tiles_is_not_black(y, small_tiles, tmp_path, 
     render(scene)
 
 
-def test_leaving_early_ends_the_pool(small_tiles, monkeypatch):
+def test_leaving_early_drops_the_remaining_items_and_ends_the_pool(small_tiles):
+    job = RenderJob(sphere_scene())
     with closing(WorkerPool(1)) as pool:
-        next(render_tiles(RenderJob(sphere_scene()), pool))
+        work = parallel.Distribution(job.render_tile, job.render_tile, 1, pool)
+        with closing(work.process(job.divide(is_shared=True))) as results:
+            next(results)
+            assert multiprocessing.active_children()
+        assert (work._waiting, work._futures) == (deque(), {})
     wait_until(lambda: not multiprocessing.active_children())
 
 

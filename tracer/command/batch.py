@@ -5,19 +5,19 @@ them, renders them and writes the pictures, so the processes exchange only names
 This is best for many scenes.  (2) All processes share the tiles of one picture.  This is best for a
 single large picture.
 
-A batch combines both.  It distributes whole scenes, but a worker process refuses a scene that is
-large, or that is one of the last and not small.  The main process, which is that of the command,
-then renders the scene, and shares the tiles of the picture with the workers.
+A batch combines both.  It has one list of *items* (see `Distribution`), which are scenes and tiles.
+A worker process declines a scene that is large, or that is one of the last and not small.  The main
+process, which is that of the command, then reads the scene, puts the tiles of the picture in front
+of the other items, and writes the picture.
 
-All workers come from one pool for the whole command.  The pool is started only if the remaining
-work takes longer than starting it.  A worker that dies costs time, but no picture, because the
-main process repeats whatever a worker has not finished (see `Distribution`).
+The worker processes are started only if the remaining work takes longer than starting them.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from operator import add
@@ -34,86 +34,79 @@ from tracer.picture.linear import EXR_MAGIC, NPY_MAGIC, encode_raw, write_exr, w
 from tracer.picture.lint import Exposure, lint_scene
 from tracer.picture.parallel import Distribution, WorkerPool
 from tracer.picture.png import PNG_MAGIC, compress_tile, write_tiles
-from tracer.picture.render import MIN_POOL_SECONDS, RenderJob, render_tiles
+from tracer.picture.render import (
+    MIN_SHARED_SECONDS,
+    EncodedTile,
+    Rectangle,
+    RenderJob,
+    render_tiles,
+)
 from tracer.scene.model import Scene
 from tracer.scene.reader import load_scene
 from tracer.scene.schema import SceneError
 
-FORMATS: dict[str, tuple[bytes, Callable[..., Any], Callable[..., None]]] = {
-    "png": (PNG_MAGIC, compress_tile, write_tiles),
-    "npy": (NPY_MAGIC, encode_raw, write_npy),
-    "exr": (EXR_MAGIC, encode_raw, write_exr),
+
+class Format(NamedTuple):
+    """A picture format."""
+
+    magic: bytes  # the first bytes of a file
+    encode: Callable[..., Any]  # makes, from the radiance of a tile, the argument of `write`
+    write: Callable[..., None]  # writes a file from its width, its height and all encoded tiles
+
+
+FORMATS: dict[str, Format] = {
+    "png": Format(magic=PNG_MAGIC, encode=compress_tile, write=write_tiles),
+    "npy": Format(magic=NPY_MAGIC, encode=encode_raw, write=write_npy),
+    "exr": Format(magic=EXR_MAGIC, encode=encode_raw, write=write_exr),
 }
-"""Picture formats.  The key is the suffix of the file name.  The value contains the first bytes of
-a file, the function that encodes a tile, and the function that writes a file from encoded tiles."""
+"""Picture formats, by the suffix of the file name."""
 
 _BUG = "this is a bug in the tracer; please report it with the scene"
 _SHRINK = "make the image smaller or take fewer samples"
 
-# Seconds that a process needs to read a small scene and to write its picture, without rendering.
-_SECONDS_PER_SCENE = 0.003
-
-# Maximum estimated seconds of rendering for which one process renders a picture alone, while the
-# other processes render other scenes.
+# Maximum estimated seconds of a picture that one process renders alone, while the others render
+# other scenes.  Sharing a picture takes longer in all, because each process prepares the scene: for
+# 10,000 objects, preparing takes as long as rendering 640 x 360 pixels.
 _MAX_UNSHARED_SECONDS = 1.0
 
 
 class Settings(NamedTuple):
-    """The settings that all pictures of a command have in common.
+    """The settings that all pictures of a command have in common."""
 
-    Attributes
-    ----------
-    samples : int
-        Number of samples per pixel.
-    size : (int,), (int, int) or None
-        Width, or width and height, of the pictures in pixels.  If only a width is given, the aspect
-        ratio of each scene file is kept; None keeps the size in the file.
-    file_format : str
-        Format of the pictures: a key of `FORMATS`.
-    quiet : bool
-        Whether to print only errors.
-    """
-
-    samples: int
+    samples: int  # per pixel
+    # Width, or width and height, of the pictures in pixels.  If only a width is given, the aspect
+    # ratio of each scene file is kept; None keeps the size in the file.
     size: tuple[int, ...] | None
-    file_format: str
-    quiet: bool
+    file_format: str  # a key of `FORMATS`
+    quiet: bool  # whether to print only errors
 
 
 class Job(NamedTuple):
-    """A scene file to render, and the path of its picture.
+    """A scene file to render, and the path of its picture: an item of the list."""
 
-    Attributes
-    ----------
-    scene_path : str
-        Path of the scene file; "-" is standard input.
-    output_path : str
-        Path of the picture; "-" is standard output.
-    min_shared_seconds : float
-        Minimum estimated rendering time, in seconds, for which all processes share the picture.  A
-        picture that takes less time is rendered by a single process.
-    """
+    scene_path: str  # "-" is standard input
+    output_path: str  # "-" is standard output
+    # Minimum estimated seconds of rendering for which all processes share the picture.
+    min_shared_seconds: float = MIN_SHARED_SECONDS
 
-    scene_path: str
-    output_path: str
-    min_shared_seconds: float = MIN_POOL_SECONDS
+
+class _Tile(NamedTuple):
+    """A tile of a picture that all processes share: an item of the list."""
+
+    render_job: RenderJob
+    rectangle: Rectangle
+    encode: Callable[..., Any]  # of the `Format`
+
+    def render(self) -> EncodedTile:
+        return self.render_job.encode_tile(self.rectangle, self.encode)
 
 
 class Report(NamedTuple):
-    """The lines to print about a scene whose picture was written or could not be written.
+    """The lines to print about a scene whose picture was written or could not be written."""
 
-    Attributes
-    ----------
-    pixel_count : int
-        Number of pixels of the picture; 0 if it could not be written.
-    line : str
-        The line about the picture; empty if it was not written, or the command is quiet.
-    notices : tuple of str
-        Lines for standard error: why the picture was not written, or warnings about the scene.
-    """
-
-    pixel_count: int = 0
-    line: str = ""
+    pixel_count: int = 0  # 0 if the picture could not be written
+    line: str = ""  # about the picture; empty if it was not written, or the command is quiet
+    # Lines for standard error: why the picture was not written, or warnings about the scene.
     notices: tuple[str, ...] = ()
 
 
@@ -124,46 +117,42 @@ class Batch:
 
     Parameters
     ----------
-    settings : Settings
-        The settings that all pictures have in common.
-    max_processes : int
+    max_processes
         Maximum number of processes, including the calling process.
     """
 
     def __init__(self, settings: Settings, max_processes: int) -> None:
         self._settings, self._pool = settings, WorkerPool(max_processes - 1, end_on_signals)
-        # The scenes to render; None in a worker process, which renders only single scenes.
-        self._distribution: Distribution[Job, Report] | None = None
-        # Numbers of finished pictures, and of their pixels.
-        self._finished_count = self._pixel_count = 0
+
+    def close(self) -> None:
+        """End the worker processes, if there are any."""
+        self._pool.close()
 
     def render(self, jobs: Sequence[Job]) -> bool:
         """Render scenes, write their pictures, and print a line about each scene, in order.
 
         If a scene cannot be rendered, an error is printed, and the other scenes are still rendered.
-
-        Parameters
-        ----------
-        jobs : sequence of Job
-            The scene files, each with the path of its picture.
-
-        Returns
-        -------
-        has_succeeded : bool
-            Whether all pictures were written.
+        Return whether all pictures were written.
         """
-        self._finished_count, self._pixel_count, has_succeeded = 0, 0, True
+        worker_count = self._pool.worker_count
         # At the end, too few scenes are left to occupy all processes.  So any large one among them
         # is divided among the processes.
-        worker_count = self._pool.worker_count
         unshared_count = len(jobs) - len(jobs) % (worker_count + 1)
-        queue = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
-        queue[unshared_count:] = jobs[unshared_count:]
-        # If a worker fails, for example because it lacks memory, this process repeats its job.
-        render_in_worker = partial(_render_in_worker, self._settings)
-        self._distribution = Distribution(self._try_render, render_in_worker, queue, worker_count)
+        items = [job._replace(min_shared_seconds=_MAX_UNSHARED_SECONDS) for job in jobs]
+        items[unshared_count:] = jobs[unshared_count:]
+        # If a worker declines a job or fails, for example because it lacks memory, this process
+        # does the job.
+        self._distribution = Distribution[Job | _Tile, Any](
+            self._process,
+            partial(_process_in_worker, self._settings),
+            worker_count,
+            is_valid=lambda _item, result: result is not None,
+        )
+        # Numbers of finished scenes, and of pixels in their pictures.
+        self._finished_count = self._pixel_count = 0
+        self._job_count, has_succeeded = len(jobs), True
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
-            for job, report in zip(jobs, self._distribution, strict=True):
+            for job, report in zip(jobs, self._distribution.process(items), strict=True):
                 self._finished_count += 1
                 self._pixel_count += report.pixel_count
                 has_succeeded &= report.pixel_count > 0
@@ -174,127 +163,108 @@ class Batch:
                     print_line(sys.stderr if job.output_path == "-" else sys.stdout, report.line)
         return has_succeeded
 
-    def close(self) -> None:
-        """End the worker processes, if there are any."""
-        self._pool.close()
+    def _process(self, item: Job | _Tile) -> Report | EncodedTile:
+        """Process an item in the main process.
 
-    def _try_render(self, job: Job) -> Report:
-        """Read a scene, render it and write the picture, or report the failure.
-
-        Parameters
-        ----------
-        job : Job
-            The scene file, and the path of its picture.
-
-        Returns
-        -------
-        report : Report
-            The lines to print about the scene.
+        While a scene is rendered, the progress is shown, and items are submitted to the workers.
         """
+        if isinstance(item, _Tile):
+            return item.render()
+        start_time, encode = perf_counter(), FORMATS[self._settings.file_format].encode
         try:
-            return self._render_to_file(job)
+            render_job = _make_render_job(item, self._settings)
+            if render_job.seconds * (self._job_count - self._finished_count) >= MIN_SHARED_SECONDS:
+                self._distribution.executor = self._pool
+            if render_job.seconds >= item.min_shared_seconds:
+                rectangles = render_job.divide(is_shared=self._pool.worker_count > 0)
+                items = [_Tile(render_job, rectangle, encode) for rectangle in rectangles]
+                tiles = self._distribution.process(items)
+            else:
+                tiles = render_tiles(render_job, encode)
+            with closing(tiles):
+                tracked_tiles = self._track(render_job, tiles)
+                return _write_picture(item, self._settings, render_job, tracked_tiles, start_time)
         except Failure as failure:
             return Report(notices=(str(failure),))
 
-    def _render_to_file(self, job: Job) -> Report:
-        """Read a scene, render it, and write the picture.
-
-        While the main process renders, it shows the progress and submits scenes to the workers.
-
-        Parameters
-        ----------
-        job : Job
-            The scene file, and the path of its picture.
-
-        Returns
-        -------
-        report : Report
-            The lines to print about the scene.
-
-        Raises
-        ------
-        Failure
-            If the scene cannot be read or rendered, or the picture cannot be written.  In a worker
-            process, also if all processes should share the picture.
-        """
-        start_time, (samples, size, file_format, quiet) = perf_counter(), self._settings
-        scene, exposure = read_scene(job.scene_path, size), Exposure()
-        magic, encode, write = FORMATS[file_format]
-
-        def encode_tiles(pool: WorkerPool | None) -> Iterator[Any]:
-            nonlocal exposure
-            for data, tile_exposure in render_tiles(render_job, pool, encode):
-                yield data
-                exposure = Exposure(*map(add, exposure, tile_exposure))
-                if self._distribution is not None:
-                    fraction = exposure.pixel_count / (scene.width * scene.height)
-                    self._show_progress(fraction, exposure.pixel_count)
-                    self._distribution.submit_items()
-
-        with errors_as_failure(
-            job.scene_path, "rendered", _BUG, memory_remedy=_SHRINK, error_types=(ValueError,)
-        ):
-            render_job = RenderJob(scene, samples)
-            is_large = render_job.seconds >= job.min_shared_seconds
-            if self._distribution is not None:
-                remaining_count = len(self._distribution.items) - self._finished_count
-                if (render_job.seconds + _SECONDS_PER_SCENE) * remaining_count >= MIN_POOL_SECONDS:
-                    self._distribution.executor = self._pool
-                    self._distribution.submit_items()
-            elif is_large:
-                raise Failure(job.scene_path, "all processes should share this picture")
-            with (
-                errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
-                open(1, "wb", closefd=False)
-                if job.output_path == "-"
-                else open_atomically(job.output_path, magic) as file,
-            ):
-                tiles = encode_tiles(self._pool if is_large else None)
-                write(file, scene.width, scene.height, tiles)
-        if quiet:
-            return Report(exposure.pixel_count)
-        seconds = perf_counter() - start_time
-        line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
-        warnings = lint_scene(scene, render_job.prepared_scene, exposure)
-        warning_lines = (make_printable(f"{job.scene_path}: warning: {text}") for text in warnings)
-        return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
+    def _track(self, render_job: RenderJob, tiles: Iterator[EncodedTile]) -> Iterator[EncodedTile]:
+        """Yield tiles of a picture; after each, show the progress, and keep the workers busy."""
+        frame, pixel_count = render_job.prepared_scene.frame, 0
+        self._distribution.submit_items()
+        for tile in tiles:
+            yield tile
+            pixel_count += tile.exposure.pixel_count
+            self._show_progress(pixel_count / (frame.width * frame.height), pixel_count)
+            self._distribution.submit_items()
 
     def _show_progress(self, rendered_fraction: float, rendered_pixel_count: int) -> None:
         """Show progress in pictures and pixels, including the rendered part of the current picture.
 
-        Parameters
-        ----------
-        rendered_fraction : float
-            Rendered fraction of the current picture, from 0 to 1.
-        rendered_pixel_count : int
-            Number of rendered pixels of the current picture.
+        The fraction is from 0 to 1.
         """
         note = f"{(self._pixel_count + rendered_pixel_count) / 1e6:.3g} million pixels"
         self._progress.update(self._finished_count + rendered_fraction, note)
 
 
-def _render_in_worker(settings: Settings, job: Job) -> Report:
-    """Read a scene, render it and write the picture, in a worker process.
+def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | EncodedTile | None:
+    """Process an item in a worker process, or return None if all processes should share it.
 
-    Parameters
-    ----------
-    settings : Settings
-        The settings that all pictures of the command have in common.
-    job : Job
-        The scene file, and the path of its picture.
-
-    Returns
-    -------
-    report : Report
-        The lines to print about the scene.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read or rendered, the picture cannot be written, or all processes
-        should share the picture.  A worker cannot read standard input.
+    Raise Failure if it cannot be processed.  For example, a worker cannot read standard input.
     """
-    return Batch(settings, max_processes=1)._render_to_file(job)
+    if isinstance(item, _Tile):
+        return item.render()
+    start_time, render_job = perf_counter(), _make_render_job(item, settings)
+    if render_job.seconds >= item.min_shared_seconds:
+        return None
+    tiles = render_tiles(render_job, FORMATS[settings.file_format].encode)
+    return _write_picture(item, settings, render_job, tiles, start_time)
+
+
+def _make_render_job(job: Job, settings: Settings) -> RenderJob:
+    """Read a scene, and prepare its picture.
+
+    Raise Failure for everything that a user can get wrong.  So whatever raises ValueError later is
+    a bug.
+    """
+    scene = read_scene(job.scene_path, settings.size)
+    with errors_as_failure(
+        job.scene_path, "rendered", memory_remedy=_SHRINK, error_types=(ValueError,)
+    ):
+        return RenderJob(scene, settings.samples)
+
+
+def _write_picture(
+    job: Job,
+    settings: Settings,
+    render_job: RenderJob,
+    tiles: Iterable[EncodedTile],
+    start_time: float,  # of `perf_counter`
+) -> Report:
+    """Write a picture from its tiles, which are rendered meanwhile; raise Failure if this fails."""
+    exposure, scene = Exposure(), render_job.scene
+    file_format = FORMATS[settings.file_format]
+
+    def list_data() -> Iterator[Any]:
+        nonlocal exposure
+        for tile in tiles:
+            exposure = Exposure(*map(add, exposure, tile.exposure))
+            yield tile.data
+
+    with (
+        errors_as_failure(job.scene_path, "rendered", _BUG, error_types=(ValueError,)),
+        errors_as_failure(job.output_path, "written", OUTPUT_REMEDY, memory_remedy=_SHRINK),
+        open(1, "wb", closefd=False)
+        if job.output_path == "-"
+        else open_atomically(job.output_path, file_format.magic) as file,
+    ):
+        file_format.write(file, scene.width, scene.height, list_data())
+    if settings.quiet:
+        return Report(exposure.pixel_count)
+    seconds = perf_counter() - start_time
+    line = f"{job.output_path}: {scene.width} x {scene.height} pixels in {seconds:.3f} s"
+    warnings = lint_scene(scene, render_job.prepared_scene, exposure)
+    warning_lines = (make_printable(f"{job.scene_path}: warning: {text}") for text in warnings)
+    return Report(exposure.pixel_count, make_printable(line), tuple(warning_lines))
 
 
 def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
@@ -302,16 +272,10 @@ def read_scene(path: str, size: tuple[int, ...] | None) -> Scene:
 
     Parameters
     ----------
-    path : str
-        Path of the scene file; "-" is standard input.
-    size : (int,), (int, int) or None
-        Width, or width and height, of the picture in pixels.  If only a width is given, the aspect
-        ratio of the scene file is kept; None keeps the size in the file.
-
-    Returns
-    -------
-    scene : Scene
-        The scene, with the requested size.
+    path
+        "-" is standard input.
+    size
+        As in `Settings`.
 
     Raises
     ------

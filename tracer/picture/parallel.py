@@ -1,7 +1,7 @@
-"""Distribute work between this process and the workers of an executor.
+"""Share work between this process and the workers of an executor.
 
 The problem is that workers fail: they are killed, stop, run out of memory, or never answer.  The
-solution has two parts.  (1) Any process can process any item, with the same result.  (2) This
+solution has two parts.  (1) Any process can process any *item*, with the same result.  (2) This
 process depends on no other one: when no item is left to take, it repeats those that the workers
 have not finished.  So a worker that fails costs time, but no result.
 
@@ -15,11 +15,12 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Set
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from tracer.files import remove_part_files
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+_Tasks: TypeAlias = "Set[_Task[Any, Any]]"  # those of one call of `Distribution.process`
 
 # Maximum number of submitted but unfinished items for each worker: enough to keep the worker busy.
 _ITEMS_PER_WORKER = 2
@@ -50,93 +52,84 @@ class Executor(Protocol):
     """The part of a `concurrent.futures.Executor` that is used here."""
 
     def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule the call ``function(*args)`` in a worker.
+        """Schedule the call ``function(*args)`` in a worker, and return the future of its result.
 
-        Parameters
-        ----------
-        function : callable
-            The function to call.
-        *args : object
-            The arguments.
-
-        Returns
-        -------
-        future : Future
-            The future, which receives the result of the call or the exception that it raises.
+        If the worker is another process, the function, its arguments and its result must be
+        picklable.
         """
 
 
 @dataclass(eq=False)
+class _Task(Generic[_Item, _Result]):
+    """An item, and its result once it has been processed."""
+
+    item: _Item
+    results: tuple[_Result, ...] = ()  # at most one
+    seconds: float = 0.0  # that this process took for the item
+
+
 class Distribution(Generic[_Item, _Result]):
-    """A list of items that this process and an executor process together.
+    """A list of items that this process and the workers of an executor process together.
 
-    Iterate over the instance once: this processes all items, and yields their results in order.
+    All take items from the front of the list.  When no item is left to take, this process repeats
+    the items that the workers have not finished, first those that no worker has begun.  Before it
+    repeats an item that a worker has begun, it waits for as long as its own slowest item took.  If
+    the executor fails to process an item, this process repeats it.
 
-    This process and the executor both take items from the front of the list.  When no item is left
-    to take, this process repeats the items that the executor has not finished, first those that no
-    worker has begun.  Before it repeats an item that a worker has begun, it waits for as long as
-    its own slowest item took.  If the executor fails to process an item, this process repeats it.
+    While this process is busy with a large item, it can divide the item: a nested call of `process`
+    puts the parts in front of all other items.
 
     Parameters
     ----------
-    function : callable
-        Processes an item in this process: called with the item, it returns the result.  Its
-        exceptions end the iteration.
-    remote_function : callable
-        Processes an item in the executor: called with the item, it returns the result.  If the
-        executor uses other processes, the function, the items and the results must be picklable.
-    items : sequence
-        The items to process.
-    worker_count : int
+    function
+        Processes an item in this process.  Its exceptions end the iteration over `process`.
+    remote_function
+        Processes an item in a worker.  If workers are other processes, the function, the items and
+        the results must be picklable.
+    worker_count
         Number of workers of the executor, which determines how many items are submitted to it.
-    executor : Executor, optional
-        Processes some of the items.  By default, this process does all the work.
-    is_valid : callable
-        Tests a result of the executor: called with the item and the result, it returns a bool.  An
-        item with an invalid result is processed again in this process.  By default, all results are
-        valid.
-
-    Notes
-    -----
-    `executor` can be set at any time, to share the remaining items.
+    executor
+        None if this process does all the work.  The attribute can be set at any time, to share the
+        remaining items.
+    is_valid
+        Tests an item and the result that the executor returns for it: a worker may decline an item,
+        and an executor of a user may return anything.  If the result is not valid, this process
+        repeats the item.
     """
 
-    function: Callable[[_Item], _Result]
-    remote_function: Callable[[_Item], _Result]
-    items: Sequence[_Item]
-    worker_count: int
-    executor: Executor | None = None
-    is_valid: Callable[[_Item, Any], bool] = lambda _item, _result: True
+    def __init__(
+        self,
+        function: Callable[[_Item], _Result],
+        remote_function: Callable[[_Item], Any],
+        worker_count: int,
+        executor: Executor | None = None,
+        is_valid: Callable[[_Item, Any], bool] = lambda _item, _result: True,
+    ) -> None:
+        self._function, self._remote_function = function, remote_function
+        self._worker_count, self.executor, self._is_valid = worker_count, executor, is_valid
+        self._waiting = deque[_Task[_Item, _Result]]()  # that nobody has taken
+        # Futures whose results have not been collected, in order of submission.
+        self._futures = dict[_Task[_Item, _Result], "Future[Any]"]()
 
-    # Index of the first item that nobody has taken.
-    _next_index: int = field(default=0, init=False)
-    # Futures of items whose results have not been collected, in order of submission, and results
-    # that have not been yielded.  The keys are the indices of the items.
-    _futures: dict[int, Future[_Result]] = field(default_factory=dict, init=False)
-    _results: dict[int, _Result] = field(default_factory=dict, init=False)
-    # The longest time, in seconds, that an item has taken in this process.
-    _max_item_seconds: float = field(default=0.0, init=False)
+    def process(self, items: Iterable[_Item]) -> Generator[_Result]:
+        """Process items, and yield their results in order.
 
-    def __iter__(self) -> Iterator[_Result]:
-        """Process all items, and yield their results in the order of the items.
-
-        If the caller stops early, submitted items that no worker has begun are cancelled.
-
-        Yields
-        ------
-        result : object
-            The result of `function` or `remote_function` for the next item.
+        A caller that stops early must close the iterator, so that the remaining items are dropped.
         """
+        # All of them that wait are at the front of the list: a nested call has ended before the
+        # next item is taken here.
+        tasks = dict.fromkeys(_Task[_Item, _Result](item) for item in items)
+        self._waiting.extendleft(reversed(tasks))
         try:
-            for index in range(len(self.items)):
-                while index not in self._results:
+            for task in tasks:
+                while not task.results:
                     self.submit_items()
-                    self._process_next_item()
-                    self._collect_results()
-                yield self._results.pop(index)
+                    self._process_next_task(tasks.keys())
+                    self._collect_results(tasks.keys())
+                result, task.results = task.results[0], ()  # because results may be large
+                yield result
         finally:
-            for future in self._futures.values():
-                future.cancel()
+            self._drop(tasks.keys())
 
     def submit_items(self) -> None:
         """Submit enough items to the executor to keep all its workers busy.
@@ -150,69 +143,68 @@ class Distribution(Generic[_Item, _Result]):
             return
         unfinished_count = sum(not future.done() for future in self._futures.values())
         # The workers get only their share of the remaining items: this process needs work, too.
-        remaining_count = len(self.items) - self._next_index
-        worker_share = remaining_count * self.worker_count // (self.worker_count + 1)
-        needed_count = _ITEMS_PER_WORKER * self.worker_count - unfinished_count
+        worker_share = len(self._waiting) * self._worker_count // (self._worker_count + 1)
+        needed_count = _ITEMS_PER_WORKER * self._worker_count - unfinished_count
         try:
             for _ in range(min(needed_count, worker_share)):
-                item = self.items[self._next_index]
-                future = self.executor.submit(self.remote_function, item)
-                self._futures[self._next_index] = future
-                self._next_index += 1
+                task = self._waiting[0]
+                self._futures[task] = self.executor.submit(self._remote_function, task.item)
+                self._waiting.popleft()
         except Exception:  # for example, a worker has died, or none can be started
             self.executor = None
 
-    def _process_next_item(self) -> None:
+    def _process_next_task(self, tasks: _Tasks) -> None:
         """Process the next item or, if none is left, an item that the executor has not finished.
 
         Before repeating an item that a worker may have begun, wait for the executor.  If the
         executor finishes any item in time (see `_wait_for_executor`), repeat nothing.
         """
-        if self._next_index < len(self.items):
-            self._next_index += 1
-            self._process_item(self._next_index - 1)
-        elif self._futures:
+        if self._waiting and self._waiting[0] in tasks:
+            self._process_task(self._waiting.popleft())
+            return
+        futures = {task: future for task, future in self._futures.items() if task in tasks}
+        if futures:
             # Workers have probably not begun the item that was submitted last.
-            index, future = next(reversed(self._futures.items()))
-            if future.cancel() or not self._wait_for_executor():
-                del self._futures[index]
-                self._process_item(index)
+            task, future = futures.popitem()
+            max_seconds = max(task.seconds for task in tasks)
+            if future.cancel() or not _wait_for_any([*futures.values(), future], max_seconds):
+                del self._futures[task]
+                self._process_task(task)
 
-    def _process_item(self, index: int) -> None:
-        """Process the item with the given index in this process, and measure how long it takes."""
+    def _process_task(self, task: _Task[_Item, _Result]) -> None:
+        """Process an item in this process, and measure how long it takes."""
         start_time = perf_counter()
-        self._results[index] = self.function(self.items[index])
-        self._max_item_seconds = max(self._max_item_seconds, perf_counter() - start_time)
+        task.results = (self._function(task.item),)
+        task.seconds = perf_counter() - start_time
 
-    def _collect_results(self) -> None:
+    def _collect_results(self, tasks: _Tasks) -> None:
         """Store the results of all items that the executor has finished.
 
         Items that failed, or whose results are invalid, are processed again in this process.
         """
-        finished_indices = [index for index, future in self._futures.items() if future.done()]
-        for index in finished_indices:
-            future = self._futures.pop(index)
+        for task in [task for task, future in self._futures.items() if future.done()]:
+            if task not in tasks:
+                continue
+            future = self._futures.pop(task)
             # future.result() would raise a worker's exception, even a KeyboardInterrupt.
             has_result = not future.cancelled() and future.exception() is None
-            if has_result and self.is_valid(self.items[index], future.result()):
-                self._results[index] = future.result()
+            if has_result and self._is_valid(task.item, future.result()):
+                task.results = (future.result(),)
             else:
-                self._process_item(index)
+                self._process_task(task)
 
-    def _wait_for_executor(self) -> bool:
-        """Wait until the executor finishes a submitted item, or until the time limit passes.
+    def _drop(self, tasks: _Tasks) -> None:
+        """Remove items from the list, and cancel those that no worker has begun."""
+        self._waiting = deque(task for task in self._waiting if task not in tasks)
+        for task in [task for task in self._futures if task in tasks]:
+            self._futures.pop(task).cancel()
 
-        The time limit is the longest time that an item has taken in this process.
 
-        Returns
-        -------
-        has_finished : bool
-            Whether the executor has finished at least one submitted item.
-        """
-        from concurrent.futures import FIRST_COMPLETED, wait
+def _wait_for_any(futures: Iterable[Future[Any]], max_seconds: float) -> bool:
+    """Wait until any of the futures is done; return False if none is after the time limit."""
+    from concurrent.futures import FIRST_COMPLETED, wait
 
-        futures = self._futures.values()
-        return bool(wait(futures, self._max_item_seconds, return_when=FIRST_COMPLETED).done)
+    return bool(wait(futures, max_seconds, return_when=FIRST_COMPLETED).done)
 
 
 class WorkerPool:
@@ -225,12 +217,7 @@ class WorkerPool:
     Workers end when the calling process ends.  They ignore SIGINT, which the terminal sends to all
     processes when the user presses Ctrl-C: then the calling process ends the workers.
 
-    Parameters
-    ----------
-    worker_count : int
-        Number of worker processes.
-    initializer : callable, optional
-        Called without arguments in each worker before any work.
+    The initializer is called without arguments in each worker, before any work.
     """
 
     def __init__(self, worker_count: int, initializer: Callable[[], None] | None = None) -> None:
@@ -239,21 +226,7 @@ class WorkerPool:
         self._start_count = 0
 
     def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Schedule the call ``function(*args)`` in a worker.
-
-        Workers are started if there are none, or if one of them has died.
-
-        Parameters
-        ----------
-        function : callable
-            The function to call.  The function, its arguments and its result must be picklable.
-        *args : object
-            The arguments.
-
-        Returns
-        -------
-        future : Future
-            The future, which receives the result of the call or the exception that it raises.
+        """Schedule a call in a worker (see `Executor`), and start workers if none are alive.
 
         Raises
         ------
@@ -285,11 +258,6 @@ class WorkerPool:
 
         Also suppress, in this process, the warnings of Python's resource tracker and the tracebacks
         of exceptions that end a thread.
-
-        Returns
-        -------
-        executor : ProcessPoolExecutor
-            The executor, which starts its processes when work is first submitted.
         """
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
@@ -329,11 +297,6 @@ def _init_worker(initializer: Callable[[], None] | None) -> None:
 
     A thread waits for the end of the parent.  If the thread cannot be started, the worker ends
     immediately with exit status 1.
-
-    Parameters
-    ----------
-    initializer : callable or None
-        Called without arguments when the worker is prepared.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -11,12 +11,9 @@ adaptive
 
 A `RenderJob` is a picture to render.  Other processes receive only its arguments, and each process
 prepares the scene once.  `render` collects the radiance of all tiles in an array, and can share
-them with any executor.  `render_tiles` yields the tiles encoded for a file, and can share them with
-the worker pool of a command.
+them with any executor.  `render_tiles` yields the tiles encoded for a file.
 
-Radiance is linear RGB.  A `Rectangle` gives the rows and columns of a tile in the picture.  The
-`encode` functions of tiles are called with the radiance of a tile and the keyword `is_leftmost`:
-whether the tile is at the left edge of the picture.
+Radiance is linear RGB.  A `Rectangle` gives the rows and columns of a tile in the picture.
 """
 
 from __future__ import annotations
@@ -25,12 +22,12 @@ import io
 import operator
 import pickle
 import warnings
-from collections.abc import Callable, Iterator
-from functools import cached_property, lru_cache, partial
+from collections.abc import Callable, Generator
+from functools import cached_property, lru_cache
 from itertools import pairwise, product
 from math import isqrt, sqrt
 from typing import Annotated as Shaped
-from typing import Any, SupportsFloat, SupportsIndex, TypeAlias
+from typing import Any, NamedTuple, SupportsFloat, SupportsIndex, TypeAlias
 
 import numpy as np
 
@@ -39,7 +36,7 @@ from tracer.antialias.refine import average_pixels, is_supersampling_cheaper
 from tracer.arrays import CACHE_SIZE, Floats
 from tracer.picture.lint import Exposure, SceneWarning, lint_scene
 from tracer.picture.memory import keep_freed_memory
-from tracer.picture.parallel import Distribution, Executor, WorkerPool, count_processors
+from tracer.picture.parallel import Distribution, Executor, count_processors
 from tracer.picture.png import compress_tile, write_png
 from tracer.scene.model import Scene
 from tracer.trace.radiance import compute_radiance
@@ -66,6 +63,9 @@ _HALVING_SAMPLES = 10_000
 # Minimum number of tiles for each processor, to balance the load, if the other limits allow it.
 _TILES_PER_PROCESSOR = 4
 
+# Estimated seconds for a picture of any size, for example for reading and preparing a small scene.
+_FIXED_SECONDS = 0.003
+
 # Estimated seconds for each sample, light, and object that the ray through the sample meets.  For
 # 21 scenes of 1 to 10,000 objects and 1 to 100 lights, the measured time was 0.5 to 1.8 times the
 # estimate; for 300 lights and one object, 0.1 times.
@@ -84,9 +84,8 @@ _ADAPTIVE_SAMPLES, _EDGE_FACTOR, _PAIR_FACTOR, _SQUARE_DIVISOR = 2.5, 330, 400, 
 # the pixels around each tile are classified, too.
 _MAX_ADAPTIVE_FACTOR = 2
 
-MIN_POOL_SECONDS, MIN_SHARED_SECONDS = 0.1, 0.03
-"""Minimum estimated seconds of rendering that make it worth starting a pool, and worth sharing a
-picture with a running executor."""
+MIN_SHARED_SECONDS = 0.1
+"""Minimum estimated seconds of rendering for which it is worth using other processes."""
 
 # Maximum number of samples per pixel.
 _MAX_SAMPLES = 999_999_999
@@ -162,11 +161,11 @@ def render(
     def fits_tile(rectangle: Rectangle, result: object) -> bool:
         return isinstance(result, np.ndarray) and result.shape == image[rectangle].shape
 
-    remote_radiances = Distribution[Rectangle, Any](
-        render_into_image, job.render_tile, tiles, count_processors(), executor, fits_tile
+    distribution = Distribution[Rectangle, Any](
+        render_into_image, job.render_tile, count_processors(), executor, fits_tile
     )
-    for rectangle, radiance in zip(tiles, remote_radiances, strict=True):
-        if radiance is not None:
+    for rectangle, radiance in zip(tiles, distribution.process(tiles), strict=True):
+        if radiance is not None:  # it comes from the executor
             image[rectangle] = radiance
     for warning in lint_scene(scene, job.prepared_scene, Exposure.from_radiance(image)):
         warnings.warn(warning, SceneWarning, stacklevel=2)
@@ -203,23 +202,19 @@ def to_png(scene: Scene, samples: SupportsIndex = 1) -> bytes:
     return file.getvalue()
 
 
-def render_tiles(
-    job: RenderJob, pool: WorkerPool | None = None, encode: Callable[..., Any] = compress_tile
-) -> Iterator[tuple[Any, Exposure]]:
-    """Render a picture and yield its encoded tiles, from top to bottom and left to right.
+class EncodedTile(NamedTuple):
+    """A rendered tile, in a form for a file."""
 
-    Parameters
-    ----------
-    pool
-        Worker processes that render some of the tiles; by default, this process renders all.
-    encode
-        Encodes a tile in the process that has rendered it; by default, for a PNG file.  The
-        function and its results must be picklable.
-    """
-    worker_count = pool.worker_count if pool else 0
-    tiles = job.divide(is_shared=worker_count > 0)
-    render_and_encode = partial(job.render_encoded_tile, encode)
-    yield from Distribution(render_and_encode, render_and_encode, tiles, worker_count, pool)
+    data: Any  # from a function that is called with the radiance and the keyword `is_leftmost`
+    exposure: Exposure
+
+
+def render_tiles(
+    job: RenderJob, encode: Callable[..., Any] = compress_tile
+) -> Generator[EncodedTile]:
+    """Render and encode the tiles of a picture, by default for a PNG file, in this process."""
+    for rectangle in job.divide(is_shared=False):
+        yield job.encode_tile(rectangle, encode)
 
 
 def _compute_samples_per_side(samples: SupportsIndex) -> int:
@@ -245,13 +240,11 @@ class RenderJob:
     its arguments.  The process that unpickles the job prepares the scene again, unless it has
     rendered the same job recently.
 
-    Attributes
-    ----------
-    prepared_scene : PreparedScene
-        The scene, prepared for its camera.
-    seconds : float
-        Rough estimate of the time, in seconds, that one process would need for the picture.
     """
+
+    scene: Scene
+    prepared_scene: PreparedScene
+    seconds: float  # rough estimate of the time that one process needs for the picture
 
     @_IGNORE_FLOAT_ERRORS
     def __init__(
@@ -260,6 +253,7 @@ class RenderJob:
         samples: SupportsIndex = 1,
         offset: tuple[SupportsFloat, SupportsFloat] = (0.0, 0.0),
     ) -> None:
+        self.scene = scene
         self._arguments = scene, samples, offset
         self._samples_per_side = per_side = _compute_samples_per_side(samples)
         sample_shift = np.asarray(offset, dtype=np.float64)
@@ -273,7 +267,7 @@ class RenderJob:
         self._lattice = Lattice.choose(per_side) if uses_lattice else PIXEL_CENTERS
         max_samples = _MAX_TILE_SAMPLES * (_ADAPTIVE_FACTOR if self._is_adaptive else 1)
         self._max_samples = self.prepared_scene.choose_batch_size(max_samples)
-        self.seconds = self._seconds_per_pixel * scene.width * scene.height
+        self.seconds = _FIXED_SECONDS + self._seconds_per_pixel * scene.width * scene.height
 
     @cached_property
     def _seconds_per_pixel(self) -> float:
@@ -317,13 +311,11 @@ class RenderJob:
         """The pickled arguments (scene, samples, offset), which identify the job in any process."""
         return pickle.dumps(self._arguments)
 
-    def render_encoded_tile(
-        self, encode: Callable[..., Any], rectangle: Rectangle
-    ) -> tuple[Any, Exposure]:
-        """Render and encode a tile, and count its lit and its clipped pixels."""
+    def encode_tile(self, rectangle: Rectangle, encode: Callable[..., Any]) -> EncodedTile:
+        """Render and encode a tile."""
         radiance = self.render_tile(rectangle)
         data = encode(radiance, is_leftmost=rectangle[1].start == 0)
-        return data, Exposure.from_radiance(radiance)
+        return EncodedTile(data=data, exposure=Exposure.from_radiance(radiance))
 
     @_IGNORE_FLOAT_ERRORS
     def render_tile(
