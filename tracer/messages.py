@@ -4,10 +4,7 @@ from __future__ import annotations
 
 
 def make_printable(text: str) -> str:
-    """Escape the unprintable characters in a string, such as line breaks.
-
-    The result is a single line without control characters, so it is safe to show in a terminal.
-    """
+    """Escape unprintable characters, so that the result is one line that is safe in a terminal."""
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)

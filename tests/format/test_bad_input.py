@@ -230,4 +230,5 @@ def test_a_large_file_takes_few_calls(content, max_calls):
             load_scene(file)
     finally:
         sys.setprofile(None)
-    assert 0 < calls < max_calls + 3000
+    # In an empty file there are up to 1,000 calls, and as many again while shapes are checked.
+    assert 0 < calls < max_calls + 4000

@@ -27,11 +27,11 @@ MAX_TOKEN_LENGTH = 1 << 20
 MAX_DESCENDANTS = 64
 """Maximum number of elements inside one child of the scene, and of attributes of one element."""
 
-# Number of bytes that are parsed together, and number of earlier bytes that are kept to diagnose a
-# syntax error.
-_CHUNK_BYTES, _KEPT_BYTES = 1 << 14, 1 << 12
-
-# Number of bytes read after a chunk with a syntax error, to diagnose the error.
+# Number of bytes that are parsed together.
+_CHUNK_BYTES = 1 << 14
+# Number of bytes before a chunk that are kept to diagnose a syntax error.
+_KEPT_BYTES = 1 << 12
+# Number of bytes after a chunk that are read to diagnose a syntax error.
 _LOOKAHEAD_BYTES = 256
 
 # Elements that contain other elements, and no text.
@@ -47,50 +47,21 @@ class FatalError(Exception):
 
 
 class Element(list["Element"]):
-    """An XML element of a scene file: a list of its child elements.
-
-    Attributes
-    ----------
-    tag : str
-        The name of the element.
-    attrib : dict of str
-        Values of the element's attributes, by name.
-    line : int
-        Line of the file where the element begins.
-    text : str
-        The text inside the element.  If the element must not contain text, the first text that was
-        reported as an error.
-    """
+    """An XML element of a scene file: a list of its child elements."""
 
     # The parser sets the slots one by one, which is faster than calling `__init__`.
     __slots__ = ("attrib", "line", "tag", "text")
     tag: str
     attrib: dict[str, str]
-    line: int
-    text: str
+    line: int  # where the element begins
+    text: str  # where none is allowed: the first text that was reported as an error
 
 
 def open_scene(path: str) -> IO[bytes]:
-    """Open a scene file for reading if it is a regular file of at most 256 MiB (`MAX_BYTES`).
+    """Open a scene file for reading if it is a regular file of at most `MAX_BYTES`.
 
     Pipes, devices and other special files are refused, because reading them might never end.
-
-    Parameters
-    ----------
-    path : str
-        Path of the file.
-
-    Returns
-    -------
-    file : binary file
-        The open file, which the caller must close.
-
-    Raises
-    ------
-    FatalError
-        If the path is invalid or names a folder, a special file, or a file that is too large.
-    OSError
-        If the file does not exist or cannot be opened.
+    FatalError is raised for these and for invalid paths, OSError if the file cannot be opened.
     """
     try:
         file_status = os.stat(path)
@@ -107,38 +78,29 @@ def open_scene(path: str) -> IO[bytes]:
 
 
 class Parser:
-    """A streaming parser of one scene file, which passes each child of the root to a function.
+    """A streaming parser of one scene file.
 
-    Parameters
-    ----------
-    read_element : callable
-        A function of an `Element`.  It is first called with the root, which has no children yet;
-        then with each complete child of the root, which contains all its descendants.
-    report_at : callable
-        A function that is called if an element contains text that is not allowed.  Its arguments
-        are the line of the text, the tag of the element, and the error message.
-
-    Attributes
-    ----------
-    open_elements : list of Element
-        Elements whose end tags have not been parsed yet, starting with the root.
-    descendant_count : int
-        Number of elements parsed so far inside the current child of the root.
-    encoding : str
-        Encoding given by the XML declaration, or "".
-    byte_count : int
-        Number of bytes passed to expat.
-    recent_bytes : bytes
-        The last bytes passed to expat: the current chunk, and up to `_KEPT_BYTES` before it.
+    `read_element` is called with the root, which has no children yet, and then with each complete
+    child of the root.  `report_at` is called for text that is not allowed: with its line, the tag
+    of its element, and the error message.
     """
+
+    open_elements: list[Element]  # those whose end tag has not been parsed yet, the root first
+    descendant_count: int  # elements parsed so far inside the current child of the root
+    encoding: str  # given by the XML declaration, or ""
+    byte_count: int  # bytes passed to expat
+    recent_bytes: bytes  # the current chunk, and up to `_KEPT_BYTES` before it
 
     def __init__(
         self, read_element: Callable[[Element], None], report_at: Callable[[int, str, str], None]
     ) -> None:
-        self.read_element, self.report_at = read_element, report_at
-        self.open_elements: list[Element] = []
-        self.descendant_count, self.encoding = 0, ""
-        self.byte_count, self.recent_bytes = 0, b""
+        self.read_element = read_element
+        self.report_at = report_at
+        self.open_elements = []
+        self.descendant_count = 0
+        self.encoding = ""
+        self.byte_count = 0
+        self.recent_bytes = b""
         self.expat: Any = expat.ParserCreate()
         self.expat.buffer_text = True
         self.expat.StartElementHandler = self._handle_start_tag
@@ -148,22 +110,10 @@ class Parser:
         self.expat.StartDoctypeDeclHandler = self._handle_doctype
 
     def parse(self, file: IO[bytes]) -> None:
-        """Parse a whole scene file, and pass its root and each child of the root to `read_element`.
+        """Parse a whole scene file.
 
-        Each parser can parse only one file.
-
-        Parameters
-        ----------
-        file : binary file
-            The scene file, open for reading.
-
-        Raises
-        ------
-        FatalError
-            If the file is not well-formed XML, or exceeds a limit.  Elements before the error have
-            already been passed to `read_element`.
-        TypeError
-            If `file` returns text instead of bytes.
+        FatalError is raised if the file is not well-formed XML, or exceeds a limit; elements before
+        the error have then been passed on.  TypeError is raised if `file` returns text.
         """
         try:
             chunk = file.read(_CHUNK_BYTES)
@@ -180,20 +130,9 @@ class Parser:
             self.expat = None
 
     def _parse_chunk(self, chunk: bytes, file: IO[bytes]) -> None:
-        """Parse the next bytes of a scene file.
+        """Parse the next bytes of a scene file: none at its end.
 
-        Parameters
-        ----------
-        chunk : bytes
-            The bytes; empty at the end of the file.
-        file : binary file
-            The file, positioned after the chunk.  If there is a syntax error, the next bytes are
-            read to diagnose it.
-
-        Raises
-        ------
-        FatalError
-            If the XML is not well-formed, or exceeds a limit.
+        After a syntax error, more bytes are read from `file` to diagnose it.
         """
         self.recent_bytes = self.recent_bytes[-_KEPT_BYTES:] + chunk
         self.byte_count += len(chunk)
@@ -214,56 +153,31 @@ class Parser:
             raise FatalError(0, f"has more than the {MAX_BYTES} bytes allowed")
 
     def _diagnose_syntax_error(self, error: expat.ExpatError, next_bytes: bytes) -> FatalError:
-        """Convert a syntax error found by expat to a `FatalError` with a suggested fix.
+        """Convert a syntax error of expat to an error with a suggested fix.
 
-        Parameters
-        ----------
-        error : ExpatError
-            The error from expat, the XML parser.
-        next_bytes : bytes
-            The bytes that follow the current chunk in the file.
-
-        Returns
-        -------
-        fatal_error : FatalError
-            The error to raise; its message gives the column and a suggested fix.
-
-        Raises
-        ------
-        MemoryError
-            If expat ran out of memory.
+        `next_bytes` follow the current chunk in the file.
         """
         message = expat.ErrorString(error.code)
         if message == expat.errors.XML_ERROR_NO_MEMORY:
             raise MemoryError from None
         position = max(0, self.expat.ErrorByteIndex - self.byte_count + len(self.recent_bytes))
-        before, after = self.recent_bytes[:position], self.recent_bytes[position:] + next_bytes
-        line, column = error.lineno, error.offset + 1
+        before = self.recent_bytes[:position]
+        after = self.recent_bytes[position:] + next_bytes
+        line = error.lineno
         fix = suggest_syntax_fix(message, line, before, after, self.open_elements, self.encoding)
-        return FatalError(line, f"not XML: {message} at column {column}; {fix}")
+        return FatalError(line, f"not XML: {message} at column {error.offset + 1}; {fix}")
 
     def _handle_start_tag(self, tag: str, attrib: dict[str, str]) -> None:
-        """Handle a start tag: create an element, and add it to its parent.
+        """Create an element, and add it to its parent.
 
-        The root is passed to `read_element` immediately.  The children of the root are not added to
-        the root, so that their memory can be freed.
-
-        Parameters
-        ----------
-        tag : str
-            Tag of the element.
-        attrib : dict of str to str
-            Names and values of the element's attributes.
-
-        Raises
-        ------
-        FatalError
-            If the element has more than `MAX_DESCENDANTS` attributes, or the current child of the
-            root contains more than `MAX_DESCENDANTS` elements.
+        The root is passed on immediately.  Its children are not added to it, so that their memory
+        can be freed.
         """
         element = Element()
-        element.tag, element.attrib = tag, attrib
-        element.line, element.text = self.expat.CurrentLineNumber, ""
+        element.tag = tag
+        element.attrib = attrib
+        element.line = self.expat.CurrentLineNumber
+        element.text = ""
         open_elements = self.open_elements
         open_elements.append(element)
         if len(open_elements) > 2:
@@ -281,29 +195,16 @@ class Parser:
             raise FatalError(element.line, f"{container_tag}: {message}; {remedy}")
 
     def _handle_end_tag(self, _tag: str) -> None:
-        """Handle an end tag: close the innermost open element.
-
-        A child of the root is now complete, and is passed to `read_element`.
-        """
+        """Close the innermost open element; if it is a child of the root, pass it on."""
         element = self.open_elements.pop()
         if len(self.open_elements) == 1:
             self.read_element(element)
 
     def _handle_text(self, text: str) -> None:
-        """Handle text between two tags: add it to the innermost open element.
+        """Add text to the innermost open element; expat may split a long text into several calls.
 
-        White space between elements is ignored.  Any other text is an error in an element that may
-        contain only elements, such as <camera>.  Only the first error in each element is reported.
-
-        Parameters
-        ----------
-        text : str
-            The text, or part of it: expat may split long text into several calls.
-
-        Raises
-        ------
-        FatalError
-            If the whole text of the element exceeds `MAX_TOKEN_LENGTH`.
+        White space between elements is ignored.  Other text is an error in an element that contains
+        elements, such as <camera>; only the first error in each element is reported.
         """
         element = self.open_elements[-1]
         if text.isspace() and not element.text:
@@ -321,28 +222,15 @@ class Parser:
             self.report_at(line, element.tag, message)
 
     def _handle_declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
-        """Handle the XML declaration: store its encoding, or "" if it declares none."""
         self.encoding = encoding or ""
 
     def _handle_doctype(
         self, _name: str, system_id: str | None, _public_id: str | None, has_declarations: int
     ) -> None:
-        """Handle a DOCTYPE: refuse it if it contains declarations or refers to another file.
+        """Refuse a DOCTYPE that contains declarations, or names another file by `system_id`.
 
         Declarations can define entities, which stand for pieces of text.  Nested entities can grow
         exponentially.  Entities defined in another file would silently be ignored.
-
-        Parameters
-        ----------
-        system_id : str or None
-            Name of the other file; None if the DOCTYPE does not refer to one.
-        has_declarations : int
-            Nonzero if the DOCTYPE contains declarations.
-
-        Raises
-        ------
-        FatalError
-            If the DOCTYPE is refused.
         """
         if has_declarations or system_id is not None:
             remedy = "remove the DOCTYPE, and write out what entities stand for"

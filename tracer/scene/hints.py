@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Any
 from xml.parsers.expat import errors
@@ -88,36 +88,24 @@ _REPLACEMENTS: dict[str, Sequence[str]] = {
 def suggest_syntax_fix(
     message: str, line: int, before: bytes, after: bytes, elements: Sequence[Any], encoding: str
 ) -> str:
-    """Suggest a fix for an XML syntax error.
+    """Suggest a fix for an XML syntax error, such as "close the <light> opened on line 3".
 
     Parameters
     ----------
-    message : str
-        The error message from expat, the XML parser.
-    line : int
-        Line number of the error.
-    before, after : bytes
-        The bytes of the file just before the error, and the bytes from the error on.
-    elements : sequence of Element
-        Elements that are still open at the error, starting with the root.
-    encoding : str
-        Encoding that the file declares; "" if it declares none.
-
-    Returns
-    -------
-    remedy : str
-        The suggested fix, such as "close the <light> opened on line 3".
+    message
+        Expat's error message.
+    before, after
+        The bytes of the file just before the error, and from the error on.
+    elements
+        Those that are still open at the error, starting with the root.
+    encoding
+        As the file declares it; "" if it declares none.
     """
     # The file is in UTF-8, but declares another encoding.  (Expat does not know the name "utf8".)
     if encoding.lower() not in ("", "utf-8") and re.match(rb"[\xc2-\xf4][\x80-\xbf]", after):
         return f'write encoding="UTF-8" on the first line, not {quote(encoding)}'
-    for expected_message, pattern_before, pattern_after, remedy in _SYNTAX_REMEDIES:
-        if expected_message in ("", message):
-            match = re.search(rb"(?s:%b)\Z" % pattern_before, before)
-            if match and re.match(pattern_after, after):
-                character = after.decode(errors="replace")[:1] or " "
-                description = f"{character!r} (U+{ord(character):04X})"
-                return remedy.format(line=line - match[0].count(b"\n"), description=description)
+    if remedy := _find_syntax_remedy(message, line, before, after):
+        return remedy
     if not elements:
         return _MESSAGE_REMEDIES.get(message, SCENE_REMEDY)
     innermost_tag = f"the <{shorten(elements[-1].tag)}> opened on line {elements[-1].line}"
@@ -128,26 +116,25 @@ def suggest_syntax_fix(
     return _MESSAGE_REMEDIES.get(message, f"close {innermost_tag}")
 
 
+def _find_syntax_remedy(message: str, line: int, before: bytes, after: bytes) -> str | None:
+    """Return the first suggested fix of `_SYNTAX_REMEDIES` that applies, or None."""
+    for expected_message, pattern_before, pattern_after, remedy in _SYNTAX_REMEDIES:
+        if expected_message not in ("", message):
+            continue
+        match = re.search(rb"(?s:%b)\Z" % pattern_before, before)
+        if match and re.match(pattern_after, after):
+            character = after.decode(errors="replace")[:1] or " "
+            description = f"{character!r} (U+{ord(character):04X})"
+            return remedy.format(line=line - match[0].count(b"\n"), description=description)
+    return None
+
+
 def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | None]:
-    """Suggest an allowed name in place of an unknown one.
+    """Suggest an allowed name in place of an unknown one, whatever the case of letters.
 
-    The case of letters is ignored.  To save time, only the first `_MAX_COMPARED` allowed names and
-    the beginnings of long names are compared.
-
-    Parameters
-    ----------
-    name : str
-        The unknown name, which may be misspelt.
-    allowed_names : iterable of str
-        The allowed names.
-
-    Returns
-    -------
-    remedy : str
-        The suggested fix, such as "did you mean 'center'?".  If no name is similar, the fix lists
-        up to `_MAX_LISTED` allowed names, or is "remove it" if there are none.
-    similar_name : str or None
-        The most similar allowed name, or None if none is similar.
+    To save time, only the first `_MAX_COMPARED` allowed names and the beginnings of long names are
+    compared.  Return a fix, such as "did you mean 'center'?", and the most similar name.  If none
+    is similar, the fix lists allowed names, and the name is None.
     """
     from difflib import get_close_matches  # only after an error: importing takes milliseconds
 
@@ -160,21 +147,9 @@ def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | No
 
 
 def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | None]:
-    """Suggest what to write in place of an unknown tag.
+    """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
-    Parameters
-    ----------
-    tag : str
-        The unknown tag, which may come from another scene format.
-    allowed_tags : collection of str
-        The tags that are allowed in this place.
-
-    Returns
-    -------
-    remedy : str
-        The suggested fix.
-    intended_name : str or None
-        The tag or text that was probably meant, such as "center"; None if this is unclear.
+    Return the fix, and the tag or text that was probably meant: None if this is unclear.
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if not replacement:
@@ -184,19 +159,18 @@ def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | Non
     return suggest_name(tag, allowed_tags)
 
 
+def explain_invalid_numbers(words: Iterable[str]) -> Iterator[str]:
+    """Explain why words are not valid numbers: equal words once, and commas once for all words."""
+    is_comma_explained = False
+    for word in dict.fromkeys(words):
+        is_about_comma = word.isascii() and "," in word
+        if not (is_about_comma and is_comma_explained):
+            yield explain_invalid_number(word)
+        is_comma_explained |= is_about_comma
+
+
 def explain_invalid_number(word: str) -> str:
-    """Explain why a word in a scene file is not a valid number, and suggest a fix.
-
-    Parameters
-    ----------
-    word : str
-        A word that is not a decimal number, or a decimal number that float64 would round to 0.
-
-    Returns
-    -------
-    message : str
-        The reason and the suggested fix, separated by ";".
-    """
+    """Explain why a word is not a valid number, or is too small for one, and suggest a fix."""
     for character in word:
         if not character.isascii():
             category = "Pd" if character == "\N{MINUS SIGN}" else unicodedata.category(character)

@@ -12,6 +12,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, Field, fields
 from itertools import repeat
+from typing import Annotated as Shaped
 from typing import Any, cast
 
 import numpy as np
@@ -23,26 +24,17 @@ from tracer.scene.schema import NumberValidator, construct_unchecked
 # Characters of decimal numbers.  float() accepts more: 1_0, nan, infinity.
 _is_decimal = re.compile(r"[-+.0-9eE\s]*", re.ASCII).fullmatch
 
-# Match strings with numbers that float() may have rounded to 0, and words that denote 0 exactly.
+# Matches in strings with numbers that float() may have rounded to 0.
 _may_underflow = re.compile(r"[eE]-|[0-9.]{300}").search
+# Words that denote 0 exactly.
 _is_zero = re.compile(r"[-+]?[0.]+([eE].*)?").fullmatch
 
 
 def parse_numbers(text: str, number_count: int) -> list[float]:
-    """Parse decimal numbers that are separated by white space.
+    """Parse `number_count` decimal numbers that are separated by white space.
 
-    Parameters
-    ----------
-    text : str
-        The text.
-    number_count : int
-        Required number of numbers, at least 1.
-
-    Returns
-    -------
-    numbers : list of float
-        The numbers.  The list is empty if the text does not consist of exactly
-        `number_count` decimal numbers, or if float64 would round a nonzero number to 0.
+    Return no numbers if the text is anything else, or if float64 would round a number other
+    than 0 to 0.
     """
     words = text.split()
     try:
@@ -56,153 +48,96 @@ def parse_numbers(text: str, number_count: int) -> list[float]:
 
 
 class Column:
-    """The numbers of one field of a dataclass for many objects: a column of a table.
+    """The rows of a numeric field, each of which is read from an element inside the object's."""
 
-    Each row belongs to one object, and is read from one XML element inside the object's element.
-
-    Parameters
-    ----------
-    field : dataclasses.Field
-        The field, which must consist of numbers.
-
-    Attributes
-    ----------
-    validator : NumberValidator
-        Validator of the field, which defines how many numbers a row has.
-    tags : tuple of str
-        Tags that the elements may have; nearly all fields have only one tag.
-    default : object
-        Value of the field if the element is absent; `dataclasses.MISSING` if the element is
-        required.
-    default_row : list of float
-        The numbers of an absent element: those of the default, or NaN if there are none.
-    numbers : array of double
-        The numbers of all rows, one row after the other; NaN for unknown and invalid numbers.
-    lines : array of int
-        For each row, the line of the element in the file; 0 if the element is absent.
-    tag_indices : array of signed char
-        For each row, the index of the element's tag in `tags`.
-    """
+    validator: NumberValidator
+    tags: tuple[str, ...]  # that the elements may have; nearly all fields have only one
+    default: Any  # value if the element is absent; `dataclasses.MISSING` if it is required
+    default_row: list[float]  # the numbers of the default; NaN if there is none
+    numbers: array[float]  # row after row; NaN for unknown and invalid numbers
+    lines: array[int]  # for each row, the line of the element; 0 if it is absent
+    tag_indices: array[int]  # for each row, the index of the element's tag in `tags`
 
     def __init__(self, field: Field[Any]) -> None:
-        self.validator, self.tags = field.metadata["validator"], field.metadata["tags"]
-        self.default: Any = field.default
+        self.validator = field.metadata["validator"]
+        self.tags = field.metadata["tags"]
+        self.default = field.default
         default_numbers: Any = np.nan if self.default in (MISSING, None) else self.default
         self.default_row = np.broadcast_to(default_numbers, self.validator.number_count).tolist()
-        self.numbers, self.lines, self.tag_indices = array("d"), array("i"), array("b")
+        self.numbers = array("d")
+        self.lines = array("i")
+        self.tag_indices = array("b")
 
     def append(self, numbers: list[float], line: int, tag: str) -> None:
-        """Append a row with the numbers that an XML element gives for the next object.
+        """Append the numbers, the line and the tag of an element.
 
-        Parameters
-        ----------
-        numbers : list of float
-            The numbers in the element, or `default_row` if there is no element.
-        line : int
-            Line of the element in the file, or 0 if there is no element.
-        tag : str
-            Tag of the element, or any allowed tag if there is no element.
+        If the element is absent, they are `default_row`, 0 and any tag.
         """
         self.numbers.fromlist(numbers)  # takes half the time of extend()
         self.lines.append(line)
         self.tag_indices.append(self.tags.index(tag))
 
-    def to_array(self) -> Floats:
-        """Copy the numbers of all n objects into a float array with one row per object."""
+    def to_array(self) -> Shaped[Floats, "n count"]:
         return np.reshape(self.numbers, (-1, self.validator.number_count))
 
     def get_values(self) -> Iterable[Any]:
-        """Return the field's values for all objects, as the dataclass stores them.
-
-        Returns
-        -------
-        values : iterable
-            Floats if the field consists of one number, otherwise tuples of floats.  If no object in
-            the file gives a value, every value is the field's default.
-        """
+        """Return the field's values as the dataclass stores them: floats, or tuples of floats."""
         if not any(self.lines):
-            return repeat(self.default, len(self.lines))  # the rows share one tuple
+            # No element is present.  (Its default may be None.)  The rows share one tuple.
+            return repeat(self.default, len(self.lines))
         components = self.to_array().T.tolist()
         return zip(*components, strict=True) if len(components) > 1 else components[0]
 
 
 class Table:
-    """A table of the objects of one dataclass in a scene file, with one row for each object.
+    """The objects of one dataclass in a scene file, one in each row."""
 
-    Parameters
-    ----------
-    dataclass : subclass of Validated
-        The class of the objects.  The metadata of its fields contain tags and validators.
-
-    Attributes
-    ----------
-    field_of_tag : dict of str to str
-        For each XML tag that may occur inside an object's element, the name of the dataclass field
-        that it defines.
-    columns : dict of str to Column
-        The column of each field that consists of numbers, by the field's name.
-    lines : array of int
-        For each row, the line of the object in the file.
-    object_indices : array of int
-        In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
-    shader_indices, shader_lines : array of int
-        In a table of surfaces: for each row, the index of the surface's shader, and the line of the
-        surface's element <shader>.  Both are 0 if the surface has no <shader>.
-    """
+    dataclass: type[schema.Validated]  # the metadata of its fields contain tags and validators
+    field_of_tag: dict[str, str]  # names of all fields, by the tags that define them in a file
+    columns: dict[str, Column]  # those of all numeric fields, by the field's name
+    lines: array[int]  # for each row, the line of the object
+    # In a table of shaders or surfaces: for each row, the index among all shaders or surfaces.
+    object_indices: array[int]
+    # In a table of surfaces: for each row, the index of the surface's shader, and the line of the
+    # surface's element <shader>.  Both are 0 if the surface has no <shader>.
+    shader_indices: array[int]
+    shader_lines: array[int]
 
     def __init__(self, dataclass: type[schema.Validated]) -> None:
         self.dataclass = dataclass
-        self.field_of_tag, self.columns = dict[str, str](), dict[str, Column]()
+        self.field_of_tag = {}
+        self.columns = {}
         for field in fields(cast(Any, dataclass)):
             self.field_of_tag |= dict.fromkeys(field.metadata.get("tags", ()), field.name)
             if isinstance(field.metadata.get("validator"), NumberValidator):
                 self.columns[field.name] = Column(field)
-        self.lines, self.object_indices = array("i"), array("i")
-        self.shader_indices, self.shader_lines = array("i"), array("i")
+        self.lines = array("i")
+        self.object_indices = array("i")
+        self.shader_indices = array("i")
+        self.shader_lines = array("i")
 
-    def to_arrays(self) -> dict[str, Floats]:
-        """Copy all numbers into float arrays: one array per field, one row per object.
-
-        Returns
-        -------
-        arrays : dict of str to (n, number_count) float array
-            For each field name, the values of this field in n objects.
-        """
+    def to_arrays(self) -> dict[str, Shaped[Floats, "n count"]]:
+        """Copy the rows of all numeric fields into arrays."""
         return {name: column.to_array() for name, column in self.columns.items()}
 
     def find_errors(self) -> Iterator[tuple[int, str, str]]:
-        """Find the invalid and contradictory numbers of all objects in the table.
+        """Find invalid and contradictory numbers, and yield the line, the tag and the message.
 
-        Values that contain NaN are skipped: their errors were reported while the file was read.
-
-        Yields
-        ------
-        line : int
-            Line of the invalid number in the file.
-        tag : str
-            Tag of the element that contains the number.
-        message : str
-            What is wrong.  It names XML elements, not dataclass fields.
+        The message names XML elements, not dataclass fields.  Values that contain NaN are skipped:
+        their errors were reported while the file was read.
         """
         field_arrays = self.to_arrays()
-        for row_index, name, message in schema.find_errors(self.dataclass, field_arrays):
+        for row, name, message in schema.find_errors(self.dataclass, field_arrays):
+            if np.isnan(field_arrays[name][row]).any():
+                continue
             column = self.columns[name]
-            if not np.isnan(field_arrays[name][row_index]).any():
-                line = column.lines[row_index] or self.lines[row_index]
-                # For example, view_dir becomes viewDir.
-                message = re.sub("_([a-z])", lambda match: match[1].upper(), message)
-                yield line, column.tags[column.tag_indices[row_index]], message
+            line = column.lines[row] or self.lines[row]
+            # For example, view_dir becomes viewDir.
+            message = re.sub("_([a-z])", lambda match: match[1].upper(), message)
+            yield line, column.tags[column.tag_indices[row]], message
 
     def make_objects(self) -> Iterator[Any]:
-        """Create an instance of the dataclass from each row of the table, without validation.
-
-        Call this only if all rows are valid.
-
-        Yields
-        ------
-        instance : object
-            The instance created from the next row.
-        """
+        """Yield an instance of the dataclass for each row; all rows must be valid."""
         field_values = {name: column.get_values() for name, column in self.columns.items()}
         if any(field.name == "line" for field in fields(cast(Any, self.dataclass))):
             field_values["line"] = self.lines

@@ -1,0 +1,99 @@
+"""Collect the errors in a scene file, with a suggested fix for each."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+
+from tracer.messages import quote, shorten
+from tracer.scene.elements import Element, FatalError
+from tracer.scene.hints import suggest_name, suggest_tag
+
+MAX_ERRORS = 1_000
+"""Maximum number of errors that are reported for a file."""
+
+SCENE_TAGS = "camera", "image", "light", "shader", "surface"
+"""Tags of the children of the root."""
+
+
+class ErrorCollector:
+    """The errors found so far in a scene file, and methods that add errors in elements."""
+
+    # Line and message of each error so far; line 0 if the error concerns the whole file.
+    errors: list[tuple[int, str]]
+
+    def __init__(self) -> None:
+        self.errors = []
+
+    def report_at(self, line: int, tag: str, message: str) -> None:
+        """Record an error in an element, at a line of the file.
+
+        FatalError is raised if there are already `MAX_ERRORS` errors.
+        """
+        if len(self.errors) == MAX_ERRORS:
+            last_line = max(line for line, _ in self.errors)
+            raise FatalError(last_line, f"{MAX_ERRORS} errors so far; fix these first")
+        self.errors.append((line, f"{shorten(tag)}: {message}"))
+
+    def report(self, element: Element, message: str) -> None:
+        """Record an error at the line where an element begins."""
+        self.report_at(element.line, element.tag, message)
+
+    def report_invalid_type(self, element: Element, types: Iterable[str], *attributes: str) -> None:
+        """Report that the type of a shader or surface is missing or unknown.
+
+        Unknown attributes are reported, too; allowed are `attributes` and "type".
+        """
+        intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
+        unknown_type = element.attrib.get("type")
+        if unknown_type is not None:
+            remedy, _ = suggest_name(unknown_type, types)
+            self.report(element, f"unknown type {quote(unknown_type)}; {remedy}")
+        elif "type" not in intended_names:
+            choices = " or ".join(f'type="{known_type}"' for known_type in types)
+            self.report(element, f"has no type; add {choices}")
+
+    def report_unknown_element(
+        self, element: Element, parent: Element, allowed_tags: Collection[str]
+    ) -> str | None:
+        """Report a child with an unknown tag, and return the tag that was probably meant, or None.
+
+        `allowed_tags` are those that children of the parent may have.
+        """
+        if element.tag in SCENE_TAGS:
+            remedy, intended_tag = f"close the {parent.tag} on line {parent.line} first", None
+        else:
+            remedy, intended_tag = suggest_tag(element.tag, allowed_tags)
+        parent_type = shorten(parent.attrib.get("type", parent.tag))
+        self.report(element, f"unknown in {parent_type}; {remedy}")
+        return intended_tag
+
+    def report_duplicate(self, element: Element, original: Element) -> None:
+        """Report an element that defines the same thing as an earlier one.
+
+        Their tags may differ: <intensity> and <color> have the same meaning.
+        """
+        subject = "" if original.tag == element.tag else f"{original.tag} is "
+        self.report(element, f"{subject}already given on line {original.line}; keep one of the two")
+
+    def report_unknown_attributes(
+        self, element: Element, allowed_names: Sequence[str] = (), child_tags: Collection[str] = ()
+    ) -> set[str | None]:
+        """Report all unknown attributes of an element.
+
+        An attribute may be a misplaced child, which may have one of the `child_tags`.  Return the
+        names that were probably meant; None for one that is unclear.
+        """
+        intended_names: set[str | None] = set()
+        for name, value in element.attrib.items():
+            if name in allowed_names:
+                continue
+            remedy, intended_name = suggest_tag(name, (*allowed_names, *child_tags))
+            if intended_name == "shader":
+                remedy = f'write <shader ref="{shorten(value)}"/> in it'
+            elif intended_name in child_tags:
+                remedy = f"write <{intended_name}>{shorten(value)}</{intended_name}> in it"
+            elif intended_name is None:
+                remedy, _ = suggest_name(name, allowed_names)
+            intended_names.add(intended_name)
+            self.report(element, f"unknown attribute {quote(name)}; {remedy}")
+        return intended_names
