@@ -23,6 +23,7 @@ from itertools import product
 from pathlib import Path
 from statistics import geometric_mean
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,9 +43,20 @@ from reference.measured.workloads import build_field_scene, copy_with_picture_si
 from tracer import Scene, load_scene, render, save_scene
 from tracer.picture.parallel import count_processors
 
+# Scenes of which whole processes are timed, and which are rendered with --quick.
 _SELECTED_SCENES = ("one-sphere", "four-spheres", "sticks-perspective")
+
+# Titles of the last two columns of a table.
 _SPEEDUP_COLUMNS = ("speedup over exact", "speedup over stock")
-_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE = (320, 180), (1280, 720), (2560, 1440)
+
+# Width and height of small pictures in pixels.
+_SMALL_SIZE = (320, 180)
+
+# Width and height of frames.
+_MEDIUM_SIZE = (1280, 720)
+
+# Width and height of large pictures.
+_LARGE_SIZE = (2560, 1440)
 
 # A typical script that renders scenes with Mitsuba.  Its arguments are the variant, then pairs of a
 # scene file and a picture.
@@ -78,10 +90,7 @@ MIN_ROUNDS = 3
 
 
 def compute_speedup(timing: Timing, baseline_timing: Timing) -> float:
-    """Compute a task's speedup over a baseline: the ratio of their median times.
-
-    The speedup is above 1 if the task is faster than the baseline.
-    """
+    """Compute how many times as fast as a baseline a task is, by median times."""
     return baseline_timing.median / timing.median
 
 
@@ -96,65 +105,55 @@ def format_section(
 ) -> str:
     """Format a section of a Markdown page: a heading, a note and a table.
 
-    Parameters
-    ----------
-    title, note : str
-        The heading, and a paragraph that describes the table.
-    column_titles : sequence of str
-        Titles of the table's columns.
-    rows : sequence of sequences
-        The rows of the table.  Floats are formatted as ratios, other values by `str`.
-
-    Returns
-    -------
-    section : str
-        The Markdown text, without a final newline.
+    Floats are formatted as ratios, other cells by `str`.
     """
     table = [column_titles, ["---"] * len(column_titles)]
     table += ([format_ratio(x) if isinstance(x, float) else str(x) for x in row] for row in rows)
     return "\n".join([f"## {title}\n\n{note}\n", *(f"| {' | '.join(cells)} |" for cells in table)])
 
 
-def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> tuple[Timing, Timing]:
+class _PairTiming(NamedTuple):
+    """Times of two renderers that were timed alternately."""
+
+    tracer: Timing
+    mitsuba: Timing
+
+    @property
+    def speedup(self) -> float:
+        return compute_speedup(self.tracer, self.mitsuba)
+
+
+def _summarize_speedups(
+    size: tuple[int, int], speedups: Sequence[Sequence[float]], timing_column_count: int
+) -> list[object]:
+    """Make a table's row of geometric means over all scenes, without times."""
+    means = map(geometric_mean, zip(*speedups, strict=True))
+    return [f"geometric mean {size[0]}×{size[1]}", *[""] * timing_column_count, *means]
+
+
+def _time_tracer_and_mitsuba(scene: Scene, mitsuba_xml: str) -> _PairTiming:
     """Time the tracer and Mitsuba alternately, as they render a scene in this process.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    mitsuba_xml : str
-        The same scene in Mitsuba's XML format.  It is loaded before the clock starts.
-
-    Returns
-    -------
-    tracer_timing, mitsuba_timing : Timing
-        The time that each renderer takes for one picture.
+    Mitsuba's scene, which `mitsuba_xml` describes, is loaded before the clock starts.
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     loaded_scene = mi.load_string(mitsuba_xml)
     tasks: dict[str, Task] = {"tracer": partial(render, scene)}
     tasks["Mitsuba"] = lambda: np.array(mi.render(loaded_scene))
     timings = time_alternately(tasks, MIN_ROUNDS)
-    return timings["tracer"], timings["Mitsuba"]
+    return _PairTiming(tracer=timings["tracer"], mitsuba=timings["Mitsuba"])
 
 
 def benchmark_whole_process(quick: bool) -> str:
     """Time each renderer's whole command, from a scene file to a PNG file.
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to render only one scene, at a small size.
-
-    Returns
-    -------
-    section : str
-        A section of a Markdown page, with these times.
+    With `quick`, only one small scene is rendered.
     """
     variant, png_path = use_variant().variant, str(build_path("out.png"))
     tracer_command = [sys.executable, "-m", "tracer", "--quiet", "-o", png_path]
     mitsuba_script = [sys.executable, "-c", _MITSUBA_SCRIPT]
-    rows: list[tuple[object, ...]] = []
+    rows: list[Sequence[object]] = []
+    speedups: dict[tuple[int, int], list[list[float]]] = {}
     cases = [*product((_SMALL_SIZE, _LARGE_SIZE), _SELECTED_SCENES)]
     for size, scene_name in cases[:1] if quick else cases:
         scene = copy_with_picture_size(load_scene(SCENES / f"{scene_name}.xml"), *size)
@@ -174,49 +173,42 @@ def benchmark_whole_process(quick: bool) -> str:
         timings = time_alternately(tasks, MIN_ROUNDS, min_seconds=2.0)
         fastest_stock_timing = min(timings["Mitsuba stock"], timings["the same, scalar"])
         baselines = timings["Mitsuba exact"], fastest_stock_timing
-        speedups = [compute_speedup(timings["tracer"], baseline) for baseline in baselines]
-        rows.append((f"{scene_name} {size[0]}×{size[1]}", *timings.values(), *speedups))
+        scene_speedups = [compute_speedup(timings["tracer"], baseline) for baseline in baselines]
+        speedups.setdefault(size, []).append(scene_speedups)
+        rows.append((f"{scene_name} {size[0]}×{size[1]}", *timings.values(), *scene_speedups))
+    means = [_summarize_speedups(*item, len(commands)) for item in speedups.items()]
     return format_section(
         "Whole process: from XML to PNG",
-        f"Milliseconds, from the shell. Mitsuba's kernels for {variant} are cached. Its stock"
-        f" plugins are also timed in {SCALAR}, which needs no kernels; the speedup over stock is"
-        " relative to the faster of the two. `import numpy` starts OpenBLAS's threads; the tracer"
-        " imports NumPy without them.",
+        f"Milliseconds, from the shell. Mitsuba and POV-Ray use {count_processors()} processors,"
+        " and so does the tracer for large pictures. Mitsuba's kernels for"
+        f" {variant} are cached. Its stock plugins are also timed in {SCALAR}, which needs no"
+        " kernels; the speedup over stock is relative to the faster of the two. `import numpy`"
+        " starts OpenBLAS's threads; the tracer imports NumPy without them.",
         ("scene", *commands, *_SPEEDUP_COLUMNS),
-        rows,
+        [*means, *rows],
     )
 
 
 def benchmark_rendering(quick: bool) -> str:
     """Time the rendering of every scene in this process, without reading or writing files.
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to render only a few scenes, at a small size.
-
-    Returns
-    -------
-    section : str
-        A section of a Markdown page, with these times.
+    With `quick`, only a few small scenes are rendered.
     """
     variant = use_variant().variant
-    rows: list[tuple[object, ...]] = []
+    scenes = {path.stem: load_scene(path) for path in list_scene_files()}
+    scenes |= {f"field-{count}": build_field_scene(count) for count in (1000, 10_000)}
+    means: list[Sequence[object]] = []
+    rows: list[Sequence[object]] = []
     for size in (_SMALL_SIZE,) if quick else (_SMALL_SIZE, _MEDIUM_SIZE, _LARGE_SIZE):
-        speedups: list[tuple[float, float]] = []
-        scenes = {path.stem: load_scene(path) for path in list_scene_files()}
-        scenes |= {f"field-{count}": build_field_scene(count) for count in (1000, 10_000)}
+        speedups = []
         for name in _SELECTED_SCENES if quick else scenes:
             scene = copy_with_picture_size(scenes[name], *size)
-            exact_xml, stock_xml = convert(scene, "exact"), convert(scene, "stock", 1)
-            tracer_timing, exact_timing = _time_tracer_and_mitsuba(scene, exact_xml)
-            second_tracer_timing, stock_timing = _time_tracer_and_mitsuba(scene, stock_xml)
-            exact_speedup = compute_speedup(tracer_timing, exact_timing)
-            speedups.append((exact_speedup, compute_speedup(second_tracer_timing, stock_timing)))
-            cells = tracer_timing, exact_timing, stock_timing, *speedups[-1]
-            rows.append((f"{name} {size[0]}×{size[1]}", *cells))
-        mean_speedups = map(geometric_mean, zip(*speedups, strict=True))
-        rows.append((f"geometric mean {size[0]}×{size[1]}", "", "", "", *mean_speedups))
+            exact = _time_tracer_and_mitsuba(scene, convert(scene, "exact"))
+            stock = _time_tracer_and_mitsuba(scene, convert(scene, "stock", 1))
+            speedups.append((exact.speedup, stock.speedup))
+            times = exact.tracer, exact.mitsuba, stock.mitsuba
+            rows.append((f"{name} {size[0]}×{size[1]}", *times, *speedups[-1]))
+        means.append(_summarize_speedups(size, speedups, 3))
     return format_section(
         "Rendering alone",
         "Milliseconds for one sample per pixel. The renderers are timed alternately, with pauses of"
@@ -225,22 +217,14 @@ def benchmark_rendering(quick: bool) -> str:
         " Exact: the same picture, by this project's plugins. Stock: a similar picture by Mitsuba's"
         " built-in plugins, with one light per sample, against a second timing of the tracer.",
         ("scene", "tracer", "Mitsuba exact", "Mitsuba stock", *_SPEEDUP_COLUMNS),
-        rows,
+        [*means, *rows],
     )
 
 
 def benchmark_objects(quick: bool) -> str:
-    """Time the loading and rendering of scenes with up to 100,000 objects.
+    """Time the loading and rendering of scenes with many objects.
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to use only 10 and 100 objects.
-
-    Returns
-    -------
-    section : str
-        A section of a Markdown page, with these times.
+    There are up to 100,000 objects, or 100 with `quick`.
     """
     use_variant()  # the fastest that works here
     rows: list[tuple[object, ...]] = []
@@ -261,7 +245,8 @@ def benchmark_objects(quick: bool) -> str:
         "Milliseconds for small objects above a floor, under two lights, 640×360, one sample per"
         " pixel. Loading turns XML text into a scene that is ready to render; `xml.etree` only"
         " parses the text. In Mitsuba, each object is a separate shape, and kernels are compiled"
-        " before the first picture. Mitsuba is timed once.",
+        " before the first picture. Mitsuba is timed once. The tracer uses one process, Mitsuba"
+        f" {count_processors()} processors.",
         ("objects", "xml.etree", "tracer: loading", "rendering",
          "Mitsuba: loading", "first picture", "next picture"),
         rows,
@@ -269,18 +254,9 @@ def benchmark_objects(quick: bool) -> str:
 
 
 def _time_mitsuba_stages(mitsuba_xml: str) -> list[Timing]:
-    """Time how long Mitsuba takes to load a scene and to render it twice.
+    """Time how long Mitsuba takes to load a scene, and to render it twice.
 
-    Parameters
-    ----------
-    mitsuba_xml : str
-        The scene in Mitsuba's XML format.
-
-    Returns
-    -------
-    timings : list of Timing
-        The times for loading, for the first rendering (including the compilation of kernels), and
-        for the second rendering.
+    The first rendering includes the compilation of kernels.
     """
     timestamps = [perf_counter()]
     scene = mi.load_string(mitsuba_xml)
@@ -294,29 +270,17 @@ def _time_mitsuba_stages(mitsuba_xml: str) -> list[Timing]:
 def prepare_animation_commands(
     frame_count: int, size: tuple[int, int]
 ) -> dict[str, list[list[str]]]:
-    """Write an animation's frames as scene files, and return the commands that render them.
+    """Write an animation's frames as scene files, and return commands that render them.
 
-    The files are written to the build folder, in each renderer's format.  From frame to frame, the
-    eye moves away from the scene.
-
-    Parameters
-    ----------
-    frame_count : int
-        Number of frames.
-    size : (int, int)
-        Width and height of each frame in pixels.
-
-    Returns
-    -------
-    commands : dict of str to list of commands
-        Maps the name of each renderer to its commands, which run one after another.  POV-Ray, if
-        it is installed, has one command per frame; each other renderer has a single command.  A
-        command is a list of a program and its arguments.
+    The files are in the build folder, in each renderer's format.  From frame to frame, the eye
+    moves away from the scene.  Each renderer has a single command for all frames, except POV-Ray,
+    which has one for each frame and is missing if it is not installed.
     """
     scene = copy_with_picture_size(load_scene(SCENES / "sticks-perspective.xml"), *size)
     camera, eye = scene.camera, np.array(scene.camera.view_point)
-    scene_files, povray_commands = list[str](), list[list[str]]()
-    mitsuba_paths = {"exact": list[str](), "stock": list[str]()}
+    scene_files: list[str] = []
+    povray_commands: list[list[str]] = []
+    mitsuba_paths: dict[str, list[str]] = {"exact": [], "stock": []}
     for frame_index in range(frame_count):
         frame_eye = eye * (1 + frame_index / frame_count)
         frame_scene = replace(scene, camera=replace(camera, view_point=frame_eye))
@@ -347,18 +311,7 @@ def prepare_animation_commands(
 
 
 def benchmark_frames(quick: bool) -> str:
-    """Time each renderer's commands for rendering the frames of an animation.
-
-    Parameters
-    ----------
-    quick : bool
-        Whether to render only a few small frames.
-
-    Returns
-    -------
-    section : str
-        A section of a Markdown page, with these times.
-    """
+    """Time each renderer's commands for rendering an animation; with `quick`, few small frames."""
     frame_count, size = (4, _SMALL_SIZE) if quick else (40, _MEDIUM_SIZE)
     renderer_commands = prepare_animation_commands(frame_count, size)
     tasks = {name: partial(run_commands, commands) for name, commands in renderer_commands.items()}

@@ -18,8 +18,9 @@ if __name__ == "__main__":
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import product
-from typing import Any
+from itertools import accumulate, product
+from typing import Annotated as Shaped
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,10 +41,42 @@ from tracer.command.progress import track
 
 _TRACER, _CERTIFIED_TRACER, _POVRAY = "this tracer", "this tracer, certified", "POV-Ray adaptive"
 _GRID, _ALL_PAIRS, _MITSUBA = "uniform grid", "float32, all pairs", "Mitsuba multijitter"
-_METHODS = (_TRACER, _GRID, _ALL_PAIRS, _POVRAY, _CERTIFIED_TRACER, _MITSUBA)
 
-# Thresholds and depths of POV-Ray's adaptive supersampling, from coarse to fine.
-_POVRAY_SETTINGS = ((0.3, 2), (0.1, 3), (0.03, 4), (0.03, 5), (0.03, 6), (0.01, 7))
+# What the legend says about each method, in the order of the curves' styles.
+_LABELS = {
+    _TRACER: "this tracer",
+    _GRID: "uniform grid: this tracer with n × n samples\nin every pixel, not antialiasing",
+    _ALL_PAIRS: "float32, all pairs: plain NumPy that tests\nevery ray against every object",
+    _POVRAY: "POV-Ray, adaptive antialiasing; all processors",
+    _CERTIFIED_TRACER: "this tracer, certified (python -m reference.certify)",
+    _MITSUBA: f"Mitsuba ({LLVM}), flavour exact, multijitter\nsampler; all processors",
+}
+
+
+# Options of POV-Ray's adaptive antialiasing at each level: a pixel is divided where neighbouring
+# samples differ by more than the threshold A, at most R times.  The first schedule is the faster
+# one on most scenes.  On four-spheres, its error stays at 8.5e-4 to 9.4e-4 with all A from 0.03 to
+# 0.003, and only the second schedule goes below.  The chart shows the better of both.
+_POVRAY_SCHEDULES = (
+    {
+        0: "+A0.3 +R2",
+        1: "+A0.1 +R3",
+        2: "+A0.03 +R4",
+        3: "+A0.03 +R5",
+        4: "+A0.01 +R6",
+        5: "+A0.01 +R7",
+    },
+    {2: "+A0.001 +R5", 3: "+A0.001 +R6"},
+)
+
+# Name of the picture that POV-Ray writes into the build folder.
+_POVRAY_PICTURE = "povray.ppm"
+
+# Number of levels: 1, 4, 16, ... samples per pixel.
+_LEVEL_COUNT = 6
+
+# Number of levels with the option --quick.
+_QUICK_LEVEL_COUNT = 3
 
 # Permitted error of the certified picture with which all others are compared.
 _REFERENCE_ERROR = 1 / 16384
@@ -61,25 +94,34 @@ _EIGHT_BIT_ERROR = 1e-3
 # Style of the numbers of samples in the chart, next to the points of this tracer.
 _LABEL_STYLE: Any = {"textcoords": "offset points", "fontsize": 6.5, "ha": "right", "va": "top"}
 
+
+# Height of a row of panels in inches.
+_ROW_HEIGHT = 2.5
+
+# Height of the title and the note above the panels in inches.
+_HEADER_HEIGHT = 1.45
+
+# Height of the last labels and of the origin, below the panels, in inches.
+_FOOTER_HEIGHT = 0.7
+
 # Titles of the table's columns.  For the certified tracer, `samples` is the reciprocal of the
-# permitted error.  `seconds`, `low` and `high` are the median, the minimum and the maximum.
+# permitted error; for POV-Ray, it is the options.  `seconds`, `low` and `high` are the median, the
+# minimum and the maximum.
 _COLUMNS = ("scene", "method", "samples", "rmse", "seconds", "low", "high")
 
 
-def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Floats:
+class _Point(NamedTuple):
+    """A point of a curve."""
+
+    samples: str  # see `_COLUMNS`
+    error: float
+    seconds: float
+
+
+def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Shaped[Floats, "height width 3"]:
     """Render a scene as simple NumPy tracers do: test every ray against every object, in float32.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    samples_per_side : int
-        Number of samples along each side of a pixel.
-
-    Returns
-    -------
-    image : (height, width, 3) float array
-        Mean linear RGB radiance of the samples in each pixel.
+    Each pixel has a grid of `samples_per_side`^2 samples.
     """
     offsets = ((np.arange(samples_per_side) + 0.5) / samples_per_side - 0.5).tolist()
     render_at_offset = partial(plain.render, scene, arithmetic="float32")
@@ -88,21 +130,10 @@ def _render_by_brute_force(scene: Scene, samples_per_side: int) -> Floats:
 
 
 def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
-    """Make the functions to be timed, for all rendering methods except POV-Ray.
+    """Make the functions to be timed, by method and factor, for all methods except POV-Ray.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    level : int
-        Level of sampling.  Each level has 4 times the samples of the one before.
-
-    Returns
-    -------
-    tasks : dict of (str, int) to callable
-        Functions that return an image (height, width, 3), by method and factor.  An image has
-        factor * 4**level samples per pixel; the certified tracer instead permits an error of
-        1 / (factor * 4**level).
+    Each function returns an image with factor * 4**level samples per pixel.  The certified tracer
+    instead permits an error of 1 / (factor * 4**level).
     """
     gc.collect()  # Mitsuba's kernels depend on all live objects, so keep only one scene loaded
     mitsuba_xml = convert(scene, "exact", 4**level).replace('"stratified"', '"multijitter"')
@@ -118,100 +149,118 @@ def _make_rendering_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Cal
     }
 
 
+def _make_povray_tasks(scene: Scene, level: int) -> dict[tuple[str, int], Callable[[], Any]]:
+    """Make functions that run POV-Ray, by method and index of the schedule.
+
+    They return the time that POV-Ray reports, which does not include its start.
+    """
+    tasks: dict[tuple[str, int], Callable[[], Any]] = {}
+    for index, schedule in enumerate(_POVRAY_SCHEDULES if povray.is_installed() else ()):
+        if level in schedule:
+            options = "+AM2", *schedule[level].split(), "-J"
+            picture_path = build_path(_POVRAY_PICTURE)
+            command = povray.prepare_linear_command(scene, picture_path, *options)
+            tasks[_POVRAY, index] = partial(povray.render_and_time, command)
+    return tasks
+
+
 def measure_scene(name: str, scene: Scene, *, quick: bool) -> Iterator[tuple[object, ...]]:
-    """Time all rendering methods on one scene, and measure their errors.
+    """Time all rendering methods on one scene, and yield the rows of the table (`_COLUMNS`).
 
-    Parameters
-    ----------
-    name : str
-        Name of the scene in the table.
-    scene : Scene
-        The scene.
-    quick : bool
-        Whether to measure fewer points, against a less accurate reference picture.
-
-    Yields
-    ------
-    row : tuple
-        A row of the table: the scene, the method, the number of samples per pixel, the root mean
-        square error, and the median, minimum and maximum of the time in seconds.
+    With `quick`, there are fewer points, and the reference picture is less accurate.
     """
     permitted_error = _REFERENCE_ERROR * (16 if quick else 1)
     reference_image = certify(scene, permitted_error).image
     # Errors smaller than the error of a coarser reference are too uncertain to be shown.
     less_accurate_image = certify(scene, 4 * permitted_error).image
     min_error = compute_rms_error(less_accurate_image, reference_image)
-    povray_picture = build_path("povray.ppm")
-    finished_tasks: set[tuple[str, int]] = set() if povray.is_installed() else {(_POVRAY, 1)}
-    for level, (threshold, depth) in enumerate(_POVRAY_SETTINGS[: 3 if quick else None]):
-        tasks = _make_rendering_tasks(scene, level)
-        quality_options = ("+AM2", f"+A{threshold}", f"+R{depth}", "-J")
-        command = povray.prepare_linear_command(scene, povray_picture, *quality_options)
-        # The time that POV-Ray reports does not include its start.
-        tasks[_POVRAY, 1] = partial(povray.render_and_time, command)
+    finished_tasks: set[tuple[str, int]] = set()
+    for level in range(_QUICK_LEVEL_COUNT if quick else _LEVEL_COUNT):
+        tasks = _make_rendering_tasks(scene, level) | _make_povray_tasks(scene, level)
         tasks = {key: task for key, task in tasks.items() if key not in finished_tasks}
         for (method, factor), timing in time_alternately(tasks, _MIN_ROUNDS).items():
-            result = tasks[method, factor]()
-            image = povray.read_linear_picture(povray_picture) if method == _POVRAY else result
-            error = compute_rms_error(image, reference_image)
+            result, samples = tasks[method, factor](), str(factor * 4**level)
+            if method == _POVRAY:
+                result = povray.read_linear_picture(build_path(_POVRAY_PICTURE))
+                samples = _POVRAY_SCHEDULES[factor][level]
+            error = compute_rms_error(result, reference_image)
             if error > min_error:
-                yield (name, method, factor * 4**level, error, *timing)
+                yield (name, method, samples, error, *timing)
             if timing.median > _MAX_SECONDS or error <= min_error:
                 finished_tasks.add((method, factor))
         tasks.clear()  # delete Mitsuba's scene before the next one is loaded
 
 
 def _draw_chart(rows: Sequence[Sequence[str]]) -> Any:
-    """Draw a panel for each scene, in two columns, and a legend after the last panel.
-
-    Parameters
-    ----------
-    rows : sequence of sequences of str
-        The rows of the table: scene, method, samples per pixel, error, and the median, minimum and
-        maximum time in seconds.
-
-    Returns
-    -------
-    figure : Figure
-        The chart.
-    """
-    figure, axes_grid = plt.subplots(3, 2, figsize=(CHART_WIDTH, 8.2), sharex=True, sharey=True)
+    """Draw a panel for each scene in the table, in two columns, and then the legend."""
+    titles = list(dict.fromkeys(row[0] for row in rows))
+    row_count = len(titles) // 2 + 1
+    height = _HEADER_HEIGHT + row_count * _ROW_HEIGHT + _FOOTER_HEIGHT
+    figure, axes_grid = plt.subplots(
+        row_count, 2, figsize=(CHART_WIDTH, height), sharex=True, sharey=True
+    )
     panels = axes_grid.ravel()
-    for axes, title in zip(panels, dict.fromkeys(row[0] for row in rows), strict=False):
-        for method in _METHODS:
-            points = [tuple(map(float, row[2:5])) for row in rows if row[:2] == [title, method]]
-            # If points have the same error, only the one with the most samples is drawn.
-            curve = {error: (seconds, samples) for samples, error, seconds in sorted(points)}
-            axes.loglog([seconds for seconds, _ in curve.values()], curve.keys(), label=method)
-            for error, (seconds, samples) in curve.items():
-                # Label only 1, 4, 16, ... samples, because 9 often give the same picture as 16.
-                if method == _TRACER and int(samples).bit_count() == 1:
-                    axes.annotate(f"{samples:g}", (seconds, error), (-5, -3), **_LABEL_STYLE)
-        rounding_label = "error of rounding to 8 bits"
-        axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
-        axes.set(title=title, xlabel="time", ylabel="RMSE")
-        axes.minorticks_off()
-        axes.tick_params(labelbottom=True)
+    for axes, title in zip(panels, titles, strict=False):
+        _draw_panel(axes, title, [row[1:] for row in rows if row[0] == title])
     panels[0].xaxis.set_major_formatter(lambda x, _: f"{x:g} s" if x >= 1 else f"{1e3 * x:g} ms")
-    panels[-1].axis("off")
-    panels[-1].legend(*panels[0].get_legend_handles_labels(), loc="center", fontsize=10)
-    figure.subplots_adjust(0.08, 0.09, 0.98, 0.84, hspace=0.5, wspace=0.16)
+    for axes in panels[len(titles) :]:
+        axes.axis("off")
+    handles, labels = panels[0].get_legend_handles_labels()
+    legend_style: Any = {"loc": "center", "fontsize": 8.5, "labelspacing": 0.7}
+    panels[-1].legend(handles, labels, title="On one processor, unless stated", **legend_style)
+    figure.subplots_adjust(
+        left=0.08,
+        right=0.98,
+        bottom=_FOOTER_HEIGHT / height,
+        top=1 - _HEADER_HEIGHT / height,
+        hspace=0.5,
+        wspace=0.16,
+    )
     return figure
 
 
-def _load_scenes(quick: bool) -> dict[str, Scene]:
-    """Load the scenes to measure, in the order of the chart's panels.
+def _draw_panel(axes: Any, title: str, rows: Sequence[Sequence[str]]) -> None:
+    """Draw the curve of each method from rows of method, samples, error and times."""
+    for method, label in _LABELS.items():
+        curve = _find_curve(rows, method)
+        axes.loglog(
+            [point.seconds for point in curve], [point.error for point in curve], label=label
+        )
+        for point in curve if method == _TRACER else ():
+            # Label only 1, 4, 16, ... samples, because 9 often give the same picture as 16.
+            if int(point.samples).bit_count() == 1:
+                place = point.seconds, point.error
+                axes.annotate(point.samples, place, (-5, -3), **_LABEL_STYLE)
+    rounding_label = "error of rounding to 8 bits"
+    axes.axhline(_EIGHT_BIT_ERROR, color="#d0a080", lw=5, alpha=0.4, label=rounding_label)
+    axes.set(title=title, xlabel="time", ylabel="RMSE")
+    axes.minorticks_off()
+    axes.tick_params(labelbottom=True)
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to load only one scene.
 
-    Returns
-    -------
-    scenes : dict of str to Scene
-        The scenes, by the titles of their panels.
+def _find_curve(rows: Sequence[Sequence[str]], method: str) -> list[_Point]:
+    """Find the points of a method's curve, from few samples to many.
+
+    If points have the same error, only the one with the most samples is kept.  POV-Ray's points are
+    those at which no other setting is both faster and more accurate.
     """
+    points = [
+        _Point(samples=row[1], error=float(row[2]), seconds=float(row[3]))
+        for row in rows
+        if row[0] == method
+    ]
+    if method == _POVRAY:
+        by_time = sorted(points, key=lambda point: point.seconds)
+        best_errors = accumulate((point.error for point in by_time), min, initial=np.inf)
+        return [
+            point for point, best in zip(by_time, best_errors, strict=False) if point.error < best
+        ]
+    by_samples = sorted(points, key=lambda point: int(point.samples))
+    return list({point.error: point for point in by_samples}.values())
+
+
+def _load_scenes(quick: bool) -> dict[str, Scene]:
+    """Load the scenes to measure, by the titles of their panels; with `quick`, only one."""
     sticks = load_scene(SCENES / "sticks-perspective.xml")
     panels = [
         ("one-sphere", load_scene(SCENES / "one-sphere.xml"), 300, 300),
@@ -227,18 +276,7 @@ def _load_scenes(quick: bool) -> dict[str, Scene]:
 
 
 def _measure_all_scenes(quick: bool) -> Iterator[tuple[object, ...]]:
-    """Measure the times and errors of all methods on all scenes.
-
-    Parameters
-    ----------
-    quick : bool
-        Whether to measure fewer points, on one scene only.
-
-    Yields
-    ------
-    row : tuple
-        A row of the table: scene, method, samples per pixel, error and times; see `measure_scene`.
-    """
+    """Yield the rows of all scenes; raise ImportError if Mitsuba's LLVM variant does not work."""
     use_variant(LLVM)
     mi.set_log_level(mi.LogLevel.Error)
     scenes = _load_scenes(quick)
@@ -252,8 +290,9 @@ def main() -> None:
         "Time of rendering alone, and root mean square error of the linear radiance compared with a"
         " certified picture.  Each point is\na picture with 1, 4, 16, ... samples per pixel; this"
         " tracer also has points with 9, 36, ... samples.  Its curve has steps, because it\ndivides"
-        " pixels into quarters.  POV-Ray uses decreasing thresholds, and the certified tracer"
-        " permits errors of 1/8, 1/32, ... in every pixel."
+        " pixels into quarters.  POV-Ray uses thresholds from 0.3 to 0.001; only its best settings"
+        " are shown.  The certified tracer\npermits errors of 1/8, 1/32, ... in every pixel."
+        "  Mitsuba and POV-Ray use all processors, the others one."
     )
     title = "Time against error: lower left is better"
     run_chart_command("speed_accuracy", _COLUMNS, _measure_all_scenes, _draw_chart, title, note)

@@ -20,7 +20,8 @@ __all__ = ["CHART_WIDTH", "plt", "run_chart_command"]
 CHART_WIDTH = 9.0
 """Width of a chart in inches: two panels side by side."""
 
-# Positions of text in inches from the left edge, and from the nearer of the upper and lower edges.
+# Positions of texts in inches: of all from the left edge, of the title and the note from the upper
+# edge, and of the origin from the lower edge.
 _TEXT_LEFT, _TITLE_TOP, _NOTE_TOP, _ORIGIN_BOTTOM = 0.2, 0.15, 0.45, 0.08
 
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
@@ -49,23 +50,21 @@ def run_chart_command(
     title: str,
     note: str,
 ) -> None:
-    """Run a chart command: take measurements, store them in a CSV file, and draw the chart.
+    """Measure a table, store it as NAME.csv, and draw it as NAME.svg: `python -m reference.NAME`.
 
-    The command is `python -m reference.NAME`.  With the option `--quick`, it measures fewer points
-    and writes to the build folder.  With `--redraw`, it draws the stored table without measuring.
+    With the option `--quick`, it measures fewer points and writes to the build folder.  With
+    `--redraw`, it draws the stored table without measuring.
 
     Parameters
     ----------
-    name : str
-        Name of the module, NAME above.  The table is written to NAME.csv, the chart to NAME.svg.
-    columns : sequence of str
-        Titles of the table's columns.
-    measure : callable
-        Function that yields the rows of the table.  Its argument is True to measure fewer points.
-    draw : callable
-        Function that draws the chart from the rows of the CSV file, and returns it as a Figure.
-    title, note : str
-        The chart's title, and a note below the title.
+    name
+        Name of the module, NAME above.
+    measure
+        Yields the rows of the table.  Its argument is True to measure fewer points.
+    draw
+        Draws the chart from the rows of the CSV file, and returns it as a Figure.
+    note
+        Lines of text below the title.
     """
     command_parser = make_parser(f"reference.{name}", quick_help="fewer points")
     redraw_help = "draw the stored table again, without measuring"

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from scene_files import NAMES
 
-from converters.rendering import Rendering, render_with_mitsuba
+from converters.rendering import Rendering, render_with_mitsuba, write_exr
 from converters.variant import SCALAR, use_variant
 from reference import check, regenerate
 from reference.command import REFERENCE_FOLDER, SCENES
@@ -69,6 +70,34 @@ def test_regenerate_renders_the_stored_pictures(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == names
     stored = json.loads((REFERENCE_FOLDER / "mitsuba/manifest.json").read_text())
     assert json.loads((tmp_path / "manifest.json").read_text()).keys() == stored.keys()
+
+
+def test_regenerate_replaces_only_what_differs_by_more_than_rounding(tmp_path, monkeypatch):
+    monkeypatch.setattr(regenerate, "REFERENCE_FOLDER", tmp_path)
+    monkeypatch.setattr(regenerate, "MITSUBA_FOLDER", tmp_path)
+    monkeypatch.setattr(regenerate, "list_scene_files", lambda: [SCENES / "one-box.xml"])
+    monkeypatch.setattr(regenerate, "_SAMPLES_PER_PIXEL", 1)
+    monkeypatch.setattr(sys, "argv", ["regenerate"])
+    regenerate.main()
+    sheet, picture, manifest = (
+        tmp_path / name for name in ("sheet.png", "one-box.exr", "manifest.json")
+    )
+    then, codes = read_stored_picture("one-box"), np.array(Image.open(sheet))
+    for code_mask, radiance_step, pixel_share, is_kept in (
+        (1, 0.9e-4, 1.0, True),
+        (1, 1.0, 0.01, True),
+        (2, 1.1e-4, 1.0, False),
+        (2, 1.0, 0.02, False),
+    ):
+        Image.fromarray(codes ^ code_mask).save(sheet)
+        changed = then.copy()
+        changed.reshape(-1, 3)[: int(pixel_share * then.size / 3)] += radiance_step
+        write_exr(picture, changed)
+        manifest.write_text(manifest.read_text().replace('"machine"', '"other"'))
+        before = [path.read_bytes() for path in (sheet, picture, manifest)]
+        regenerate.main()
+        for path, content in zip((sheet, picture, manifest), before, strict=True):
+            assert (path.read_bytes() == content) == is_kept, path.name
 
 
 def test_mitsuba_converges_to_the_smooth_picture():

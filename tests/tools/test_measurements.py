@@ -13,6 +13,7 @@ from reference import benchmark, command, speed_accuracy
 from reference.judges.certificate import certify
 from reference.judges.sampling import compute_rms_error
 from reference.measured import measurements
+from reference.measured.charts import plt
 from reference.measured.measurements import Task, Timing
 from tracer import render
 
@@ -53,7 +54,10 @@ SECONDS |= {"Mitsuba": 0.3, "Mitsuba exact": 0.3, "Mitsuba stock": 0.2, "the sam
 @pytest.mark.parametrize(
     ("section", "ratios"),
     [
-        (benchmark.benchmark_whole_process, {"one-sphere 320×180": ["3.0×", "2.0×"]}),
+        (
+            benchmark.benchmark_whole_process,
+            {name: ["3.0×", "2.0×"] for name in ("geometric mean 320×180", "one-sphere 320×180")},
+        ),
         (benchmark.benchmark_rendering, {"geometric mean 320×180": ["3.0×", "3.0×"]}),
         (benchmark.benchmark_frames, {"tracer, 2 processes": ["2.0×"], "Mitsuba exact": ["1.3×"]}),
     ],
@@ -93,6 +97,36 @@ def test_costs_of_a_million_frames(monkeypatch, tmp_path, capsys):
     assert name == "tracer, 1 process"
     assert float(hours) == pytest.approx(float(milliseconds) / 3.6, abs=0.7)
     assert float(dollars.removeprefix("$")) == pytest.approx(float(hours) * 0.05, abs=0.03)
+
+
+def make_row(scene: str, method: str, samples: str, error: float, seconds: float) -> list[str]:
+    return [scene, method, samples, *map(str, (error, seconds, seconds, seconds))]
+
+
+@pytest.mark.parametrize("scene_count", [1, 2, 5])
+def test_the_chart_has_a_panel_for_each_scene_and_a_legend(scene_count):
+    rows = [make_row(f"scene {k}", "this tracer", "1", 1e-2, 1e-2) for k in range(scene_count)]
+    figure = speed_accuracy._draw_chart(rows)
+    plt.close(figure)
+    visible = [axes for axes in figure.axes if axes.axison]
+    assert [axes.get_title("left") for axes in visible] == [
+        f"scene {k}" for k in range(scene_count)
+    ]
+    assert all(len(line.get_xdata()) == 1 for line in (axes.lines[0] for axes in visible))
+    assert figure.axes[-1].get_legend()
+    assert not figure.axes[-1].axison
+
+
+def test_curves_are_sorted_and_show_the_best_settings_of_povray():
+    errors = {"16": 1e-3, "4": 1e-3, "1": 1e-1}
+    rows = [make_row("room", "this tracer", n, error, 1.0)[1:] for n, error in errors.items()]
+    curve = speed_accuracy._find_curve(rows, "this tracer")
+    assert [point.samples for point in curve] == ["1", "16"]
+    # "b" is slower than "a" and has a larger error.
+    settings = {"d": (1e-4, 9.0), "b": (3e-3, 2.0), "a": (2e-3, 1.0), "c": (1e-3, 3.0)}
+    rows += [make_row("room", "POV-Ray adaptive", s, *point)[1:] for s, point in settings.items()]
+    curve = speed_accuracy._find_curve(rows, "POV-Ray adaptive")
+    assert [point.samples for point in curve] == ["a", "c", "d"]
 
 
 @pytest.mark.slow
