@@ -9,109 +9,233 @@
 - `#n`: as `n`, or 1, for arrays that are broadcast together;
 - `...`: any number of dimensions.
 
-In a tuple of arrays, such as `Shaped[Triple, "n"]`, all arrays have this shape.  A method also
-knows the names in the fields of its class.  Fields are checked when an object is created, and
-results of generators item by item: a name that occurs only there may have another size in each
-item.  All other types are left to mypy.
+In a container, `Shaped[Triple, "n"]` or `Shaped[list[Floats], "n"]` states one shape of all arrays;
+`list[Shaped[Floats, "n"]]` may have another `n` in each item.  A method also knows the names in the
+fields of its class.  Fields are checked when an object is created, and again whenever one of its
+methods is called.  Results of generators are checked item by item: a name that occurs only there
+may have another size in each item.  All other types are left to mypy.
+
+Not checked are functions and classes inside functions, lambdas, functions that a module stores in a
+table while it is imported, items of iterators that are arguments, arguments of callables, and all
+code in processes that are not forked.  An alias must not contain `Shaped`: annotations are searched
+for this word.
+
+All data of a call are local to it, so several threads may call a function at the same time.
 """
 
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator
-from functools import cache, cached_property, wraps
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from functools import cache, cached_property, lru_cache, wraps
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from types import FunctionType, ModuleType, UnionType
-from typing import Annotated, Any, TypeAlias, Union, get_args, get_origin, get_type_hints
+from types import CodeType, FunctionType, ModuleType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    TypeAlias,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
+# The size of each name in a call.
 Sizes: TypeAlias = dict[str, int]
+# Tests a value, and adds new names to the sizes.
 Test: TypeAlias = Callable[[Any, Sizes], bool]
 
+# Values with one of these types cannot be checked without using them up, or calling them.
+_OPAQUE = {Callable, Generator, Iterable, Iterator}
 
-class ShapeError(TypeError):
-    """An array whose shape or type contradicts its annotation."""
+
+class ShapeError(AssertionError):
+    """An array whose shape or type contradicts its annotation.
+
+    It is no TypeError or ValueError, which the checked code may catch.
+    """
+
+
+class _Dimension(NamedTuple):
+    may_be_one: bool
+    name: str
+    increment: int
+    formula: CodeType | None  # in place of the name
+
+
+def _parse_dimension(text: str) -> _Dimension:
+    formula = text.removeprefix("#")
+    name, _, increment = formula.partition("+")
+    is_name = name.isidentifier() and (increment.isdigit() or formula == name)
+    code = None if is_name else compile(formula, text, "eval")
+    return _Dimension(text[0] == "#", name, int(increment or 0) if is_name else 0, code)
 
 
 def compile_shape(text: str) -> Callable[[tuple[int, ...], Sizes], bool]:
     """Return a function that compares a shape with a text, and adds new names to the sizes."""
     parts = text.split()
-    fixed = [part for part in parts if part != "..."]
-    start = parts.index("...") if len(fixed) < len(parts) else None
+    start = parts.index("...") if "..." in parts else None
+    dimensions = [_parse_dimension(part) for part in parts if part != "..."]
+    count = len(dimensions)
 
     def has_shape(shape: tuple[int, ...], sizes: Sizes) -> bool:
-        if start is not None:
-            shape = shape[:start] + shape[len(shape) - (len(fixed) - start) :]
-        if len(shape) != len(fixed):
+        if start is not None and len(shape) > count:
+            shape = shape[:start] + shape[len(shape) - (count - start) :]
+        if len(shape) != count:
             return False
-        for size, part in zip(shape, fixed, strict=True):
-            if part[0] == "#" and size == 1:
+        new_sizes: Sizes = {}
+        for size, (may_be_one, name, increment, formula) in zip(shape, dimensions, strict=True):
+            if may_be_one and size == 1:
                 continue
-            part = part.removeprefix("#")
-            name, _, increment = part.partition("+")
-            if name.isidentifier():
-                expected = sizes.setdefault(name, size - int(increment or 0)) + int(increment or 0)
+            if formula is not None:
+                expected = eval(formula, {}, sizes | new_sizes)
+            elif name in sizes:
+                expected = sizes[name] + increment
             else:
-                expected = eval(part, {}, sizes)
-            if size != expected:
+                expected = new_sizes.setdefault(name, size - increment) + increment
+            if size != expected or size < increment:
                 return False
+        sizes.update(new_sizes)
         return True
 
     return has_shape
 
 
 def compile_hint(hint: Any, text: str | None = None) -> Test | None:
-    """Return a test of the arrays in a value by its type hint; None if there is nothing to test."""
+    """Return a test of the arrays in a value by its type hint; None if there is nothing to test.
+
+    Raises
+    ------
+    TypeError
+        If the hint states a shape where none can be checked.
+    """
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return compile_hint(arguments[0], arguments[1])
-    if origin is np.ndarray and text is not None:
-        (scalar,) = get_args(arguments[1]) or (np.generic,)
-        scalar, has_shape = get_origin(scalar) or scalar, compile_shape(text)
-        scalar = np.generic if scalar is Any else scalar
-
-        def test_array(value: Any, sizes: Sizes) -> bool:
-            # NumPy returns scalars for arrays without dimensions.
-            is_array = isinstance(value, np.ndarray | np.generic)
-            return (
-                is_array and issubclass(value.dtype.type, scalar) and has_shape(value.shape, sizes)
-            )
-
-        return test_array
-    tests = [compile_hint(argument, text) for argument in arguments]
-    if origin is None or not any(tests):
+        test = compile_hint(arguments[0], arguments[1])
+        if test is None:
+            raise TypeError(f"{hint} has a shape, but no array")
+        return test
+    if origin is np.ndarray:
+        return None if text is None else _compile_array(arguments[1], text)
+    if origin in _OPAQUE:
+        return None
+    tests = [compile_hint(argument, text) for argument in arguments if argument is not Ellipsis]
+    if not any(tests):
         return None
     if origin in (Union, UnionType):
-        types = tuple(
-            get_origin(a) or a for a, test in zip(arguments, tests, strict=True) if not test
-        )
-
-        def test_union(value: Any, sizes: Sizes) -> bool:
-            return isinstance(value, types) or any(test and test(value, sizes) for test in tests)
-
-        return test_union
+        return _compile_union(arguments, tests)
     if origin is tuple and Ellipsis not in arguments:
+        return _compile_tuple(tests)
+    is_one_shape = text is not None
+    if origin in (list, tuple, Sequence):
+        return _compile_items(tests[0], is_one_shape, lambda value: value)
+    if origin in (dict, Mapping):
+        return _compile_items(tests[1], is_one_shape, lambda value: value.values())
+    raise TypeError(f"{hint}: arrays in {origin} cannot be checked")
 
-        def test_tuple(value: Any, sizes: Sizes) -> bool:
-            pairs = zip(value, tests, strict=True)
-            return all(test is None or test(item, sizes) for item, test in pairs)
 
-        return test_tuple
-    if origin in (list, tuple):
-        return lambda value, sizes: all(tests[0](item, dict(sizes)) for item in value)  # type: ignore[misc]
-    return None
+def _compile_array(dtype: Any, text: str) -> Test:
+    """Compile the hint of an array, whose dtype is np.dtype[SCALAR]."""
+    (scalar,) = get_args(dtype) or (np.generic,)
+    if scalar is Any:
+        scalars: tuple[type, ...] = (np.generic,)
+    elif get_origin(scalar) in (Union, UnionType):
+        scalars = get_args(scalar)
+    else:
+        scalars = (get_origin(scalar) or scalar,)
+    has_shape = compile_shape(text)
+
+    def test_array(value: Any, sizes: Sizes) -> bool:
+        # NumPy returns scalars for arrays without dimensions.
+        is_array = isinstance(value, np.ndarray | np.generic)
+        return is_array and issubclass(value.dtype.type, scalars) and has_shape(value.shape, sizes)
+
+    return test_array
+
+
+def _compile_union(hints: Sequence[Any], shape_tests: Sequence[Test | None]) -> Test:
+    """Compile a union of hints, of which at least one has a test."""
+    pairs = list(zip(hints, shape_tests, strict=True))
+    tests = [test or _compile_type(hint) for hint, test in pairs]
+    # The usual case, for speed.
+    is_optional = any(hint is type(None) for hint in hints)
+
+    def test_union(value: Any, sizes: Sizes) -> bool:
+        if value is None:
+            return is_optional
+        for test in tests:
+            trial_sizes = dict(sizes)
+            if test(value, trial_sizes):
+                sizes.update(trial_sizes)
+                return True
+        return False
+
+    return test_union
+
+
+def _compile_type(hint: Any) -> Test:
+    """Compile a hint without shapes, to tell it from the other hints of a union.
+
+    What is not a class, such as Any or a type variable, accepts every value.
+    """
+    origin, arguments = get_origin(hint) or hint, get_args(hint)
+    if origin is tuple and arguments and Ellipsis not in arguments:
+        return _compile_tuple([_compile_type(argument) for argument in arguments])
+    if origin is float:
+        origin = (int, float)  # as for mypy
+    elif not isinstance(origin, type) or getattr(origin, "_is_protocol", False):
+        return lambda value, sizes: True
+    return lambda value, sizes: isinstance(value, origin)
+
+
+def _compile_tuple(tests: Sequence[Test | None]) -> Test:
+    def test_tuple(value: Any, sizes: Sizes) -> bool:
+        if not isinstance(value, tuple) or len(value) != len(tests):
+            return False
+        pairs = zip(value, tests, strict=True)
+        return all(test is None or test(item, sizes) for item, test in pairs)
+
+    return test_tuple
+
+
+def _compile_items(
+    test: Test | None, is_one_shape: bool, list_items: Callable[[Any], Iterable[Any]]
+) -> Test:
+    assert test
+
+    def test_items(value: Any, sizes: Sizes) -> bool:
+        return all(test(x, sizes if is_one_shape else dict(sizes)) for x in list_items(value))
+
+    return test_items
 
 
 @cache
 def compile_fields(owner: type) -> dict[str, Test | None]:
-    """Return the tests of the fields of a class; None for sizes, which are ints."""
-    if "Shaped" not in str(inspect.get_annotations(owner)):
+    """Return the tests of the fields of a class and its bases; None for sizes, which are ints."""
+    if not any("Shaped" in str(inspect.get_annotations(base)) for base in owner.__mro__):
         return {}
     hints = get_type_hints(owner, include_extras=True)
     tests = {name: compile_hint(hint) for name, hint in hints.items()}
     return {name: test for name, test in tests.items() if test or hints[name] is int}
+
+
+@cache
+def compile_function(function: Callable[..., Any]) -> dict[str, Test]:
+    """Return the tests of the arguments and of the result of a function, by names.
+
+    The test of "return" is that of the items if the function returns an iterator.
+    """
+    tests = {}
+    for name, hint in get_type_hints(function, include_extras=True).items():
+        is_iterator = name == "return" and get_origin(hint) in _OPAQUE - {Callable}
+        test = compile_hint(get_args(hint)[0] if is_iterator else hint)
+        if test:
+            tests[name] = test
+    return tests
 
 
 def describe(value: Any) -> str:
@@ -121,51 +245,71 @@ def describe(value: Any) -> str:
     return f"{value.dtype}{list(value.shape)}" if hasattr(value, "dtype") else repr(value)[:50]
 
 
-def check(value: Any, test: Test | None, sizes: Sizes, what: str) -> None:
-    """Raise `ShapeError` if a value does not pass its test."""
-    if test and not test(value, sizes):
-        raise ShapeError(f"{what} is {describe(value)}, against its annotation, with {sizes}")
+def check(value: Any, test: Test, sizes: Sizes, place: str, hint: Any) -> None:
+    """Raise `ShapeError` if a value does not pass its test.
+
+    `place` and `hint` are for the message: where the value is, and its annotation.
+    """
+    try:
+        is_passed = test(value, sizes)
+    except NameError as error:
+        raise ShapeError(f"{place}: {hint}: {error}") from error
+    if not is_passed:
+        raise ShapeError(f"{place} is {describe(value)}, but should be {hint} with {sizes}")
 
 
-def check_fields(instance: object, owner: type) -> Sizes:
-    """Check the fields of an object, and return the sizes of the names in them."""
-    sizes: Sizes = {}
-    for name, test in compile_fields(owner).items():
-        value = getattr(instance, name)
-        if test is None:
-            sizes[name] = value
-        check(value, test, sizes, f"{owner.__qualname__}.{name}")
+def check_fields(instance: object, owner: type, *, is_complete: bool = True) -> Sizes:
+    """Check the fields of an object, and return the sizes of the names in them.
+
+    Fields may be missing if the object is not complete: `__init__` may call methods.
+    """
+    tests, sizes = compile_fields(owner), Sizes()
+    for name, test in tests.items():
+        if test is None and hasattr(instance, name):
+            sizes[name] = getattr(instance, name)
+    for name, test in tests.items():
+        if test and (is_complete or hasattr(instance, name)):
+            place = f"{owner.__qualname__}.{name}"
+            hint = next(h[name] for h in map(inspect.get_annotations, owner.__mro__) if name in h)
+            check(getattr(instance, name), test, sizes, place, hint)
     return sizes
 
 
 def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..., Any]:
-    """Make a function check its arguments and results."""
-    if "Shaped" not in str(function.__annotations__.values()):
-        return function
-    names, where = list(inspect.signature(function).parameters), function.__qualname__
-    tests: dict[str, Test | None] = {}
-    is_generator = inspect.isgeneratorfunction(function)
+    """Make a function check its arguments and results.
 
-    def check_items(items: Iterator[Any], sizes: Sizes) -> Iterator[Any]:
+    The names in the fields of a class, `owner`, are known if the first argument is an instance.
+    """
+    hints = function.__annotations__
+    if "Shaped" not in str(hints.values()):
+        return function
+    place = function.__qualname__
+    is_generator = inspect.isgeneratorfunction(function)
+    parameters = inspect.signature(function).parameters.values()
+    names = [each.name for each in parameters if each.kind <= each.POSITIONAL_OR_KEYWORD]
+    rest = next((each.name for each in parameters if each.kind == each.VAR_POSITIONAL), "")
+
+    def check_items(items: Iterator[Any], test: Test, sizes: Sizes) -> Iterator[Any]:
         for item in items:
-            check(item, tests["return"], dict(sizes), f"{where}: item")
+            check(item, test, dict(sizes), f"{place}: item", hints["return"])
             yield item
 
     @wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        if not tests:
-            for name, hint in get_type_hints(function, include_extras=True).items():
-                is_item = is_generator and name == "return"
-                tests[name] = compile_hint(get_args(hint)[0] if is_item else hint)
-        sizes = check_fields(args[0], owner) if owner else {}
-        for name, value in [*zip(names, args, strict=False), *kwargs.items()]:
-            if isinstance(value, int):
-                sizes[name] = value
-            check(value, tests.get(name), sizes, f"{where}: {name}")
+        tests = compile_function(function)
+        sizes = check_fields(args[0], owner, is_complete=False) if owner else {}
+        values = [*zip(names, args, strict=False), *kwargs.items()]
+        values += [(rest, value) for value in args[len(names) :]]
+        sizes |= {name: value for name, value in values if isinstance(value, int)}
+        for name, value in values:
+            if name in tests:
+                check(value, tests[name], sizes, f"{place}: {name}", hints[name])
         result = function(*args, **kwargs)
-        if is_generator:
-            return check_items(result, sizes)
-        check(result, tests.get("return"), sizes, f"{where}: result")
+        if "return" not in tests:
+            return result
+        if is_generator or isinstance(result, Iterator):
+            return check_items(result, tests["return"], sizes)
+        check(result, tests["return"], sizes, f"{place}: result", hints["return"])
         return result
 
     return checked
@@ -177,10 +321,10 @@ def wrap_class(owner: Any) -> None:
         if isinstance(member, FunctionType):
             # Fields do not exist before __init__.
             setattr(owner, name, wrap(member, None if name == "__init__" else owner))
-        elif isinstance(member, classmethod):
-            setattr(owner, name, classmethod(wrap(member.__func__)))
-        elif isinstance(member, property):
-            setattr(owner, name, property(wrap(member.fget, owner)))  # type: ignore[arg-type]
+        elif isinstance(member, classmethod | staticmethod):
+            setattr(owner, name, type(member)(wrap(member.__func__)))
+        elif isinstance(member, property) and member.fget:
+            setattr(owner, name, member.getter(wrap(member.fget, owner)))
         elif isinstance(member, cached_property):
             member.func = wrap(member.func, owner)
     if not compile_fields(owner):
@@ -201,15 +345,24 @@ def wrap_class(owner: Any) -> None:
         owner.__init__ = checked_create
 
 
+def wrap_module(module: ModuleType) -> None:
+    """Make the functions and classes of a module check their shapes."""
+    for name, value in list(vars(module).items()):
+        if getattr(value, "__module__", None) != module.__name__:
+            continue
+        if isinstance(value, FunctionType):
+            setattr(module, name, wrap(value))
+        elif isinstance(value, type):
+            wrap_class(value)
+        elif hasattr(value, "cache_parameters"):
+            checked = wrap(value.__wrapped__)
+            setattr(module, name, lru_cache(**value.cache_parameters())(checked))
+
+
 class _Loader(SourceFileLoader):
     def exec_module(self, module: ModuleType) -> None:
         super().exec_module(module)
-        for name, value in list(vars(module).items()):
-            if getattr(value, "__module__", None) == module.__name__:
-                if isinstance(value, FunctionType):
-                    setattr(module, name, wrap(value))
-                elif isinstance(value, type):
-                    wrap_class(value)
+        wrap_module(module)
 
 
 class _Finder(MetaPathFinder):
