@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -29,9 +30,14 @@ _MAX_ASPECT = 1.05
 # Maximum number of (light, surface) pairs for which lights inside surfaces are searched for.
 _MAX_PAIRS = BATCH_SIZE
 
-# In a part of a picture with more than this many pixels, one in `_ROW_STEP` rows is examined for
-# clipping.  Examining all of them took 8 % of the time of a picture of one sphere.
-_MIN_ESTIMATED_PIXELS, _ROW_STEP = 4096, 16
+# Maximum number of pixels in a part of a picture of which all rows are examined for clipping.  This
+# took 8 % of the time of a whole picture of one sphere.
+_MAX_EXAMINED_PIXELS = 4096
+# In larger parts, one in this many rows is examined.
+_ROW_STEP = 16
+
+# Maximum number of lines that a warning lists.
+_MAX_LISTED_LINES = 9
 
 
 class SceneWarning(UserWarning):
@@ -44,77 +50,51 @@ class SceneWarning(UserWarning):
 class Exposure(NamedTuple):
     """Counts of lit and clipped pixels in a picture, or in a part of it.
 
-    Attributes
-    ----------
-    pixel_count : int
-        Number of pixels.
-    lit_count : int
-        Number of pixels that are not black.  It is 0 only if all pixels are black.
-    clipped_count : int
-        Number of pixels with a component larger than 1, which a PNG file cannot represent.
-
-    Notes
-    -----
-    In parts of a picture that have more than `_MIN_ESTIMATED_PIXELS` pixels, the numbers of lit and
-    clipped pixels are estimates from one in `_ROW_STEP` rows.
+    In large parts, the counts of lit and clipped pixels are estimates (see `_ROW_STEP`).
     """
 
     pixel_count: int = 0
-    lit_count: int = 0
-    clipped_count: int = 0
+    lit_count: int = 0  # not black; 0 only if all pixels are black
+    clipped_count: int = 0  # with a component larger than 1, which a PNG file cannot represent
 
     @classmethod
-    def from_radiance(cls, radiance: Floats) -> Exposure:
-        """Count the pixels of a tile: all, lit (not black) and clipped (brighter than 1).
-
-        In a large tile, the counts of lit and clipped pixels are estimates.  The count of lit
-        pixels is 0 only if all pixels are black.
-
-        Parameters
-        ----------
-        radiance : (rows, columns, 3) float array
-            Linear RGB radiance of the pixels.
-
-        Returns
-        -------
-        exposure : Exposure
-            The counts.
-        """
+    def from_radiance(cls, radiance: Shaped[Floats, "rows columns 3"]) -> Exposure:
         pixel_count = radiance[..., 0].size
-        row_step = _ROW_STEP if pixel_count > _MIN_ESTIMATED_PIXELS else 1
+        row_step = _ROW_STEP if pixel_count > _MAX_EXAMINED_PIXELS else 1
         red, green, blue = np.moveaxis(radiance[::row_step], 2, 0)
         max_component = np.maximum(np.maximum(red, green), blue)
         weight = pixel_count / max_component.size  # pixels that each examined pixel represents
-        lit_count = round(weight * np.count_nonzero(max_component)) or int(radiance.any())
-        return cls(pixel_count, lit_count, round(weight * np.count_nonzero(max_component > 1)))
+        return cls(
+            pixel_count=pixel_count,
+            lit_count=round(weight * np.count_nonzero(max_component)) or int(radiance.any()),
+            clipped_count=round(weight * np.count_nonzero(max_component > 1)),
+        )
 
 
 def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) -> Iterator[str]:
     """Yield a warning for each property of a scene or its picture that looks like a mistake.
 
+    A warning is one line: what looks wrong, where, and a suggested fix.  Of each cause, only the
+    first case is reported.
+
     Parameters
     ----------
-    scene : Scene
-        The scene.
-    prepared_scene : PreparedScene
+    prepared_scene
         The same scene, prepared for its camera.
-    exposure : Exposure
-        Counts of lit (not black) and clipped (brighter than 1) pixels in the whole picture.
-
-    Yields
-    ------
-    warning : str
-        One line of text: what looks wrong, where, and a suggested fix.
+    exposure
+        Counts in the whole picture.
     """
-    range_warnings = [*islice(_check_color_ranges(scene), 1)]
-    yield from range_warnings
+    range_warning = _check_color_ranges(scene)
+    if range_warning:
+        yield range_warning
     yield from _check_shaders(scene.surfaces)
     yield from _check_aspect(scene)
-    yield from _check_lights(scene, prepared_scene)
+    yield from _check_dark_lights(scene)
+    yield from _check_enclosed_lights(scene, prepared_scene)
     if not exposure.lit_count:
         reason, remedy = _explain_black_picture(scene, prepared_scene)
         yield f"{reason}: the picture is black; {remedy}"
-    elif not range_warnings and 2 * exposure.clipped_count > exposure.lit_count:
+    elif not range_warning and 2 * exposure.clipped_count > exposure.lit_count:
         intensities = [max(light.intensity) for light in scene.lights]
         brightest_light = _format_light_name(scene, intensities.index(max(intensities)))
         percentage = f"{100 * exposure.clipped_count / exposure.lit_count:.0f} %"
@@ -124,34 +104,24 @@ def lint_scene(scene: Scene, prepared_scene: PreparedScene, exposure: Exposure) 
         )
 
 
-def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
-    """Yield warnings about lights that have no effect, at most one for each cause.
-
-    The causes are an intensity of 0, and a surface that encloses the light but not the eye.  The
-    second cause is checked only if there are at most `_MAX_PAIRS` pairs of a light and a surface.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    prepared_scene : PreparedScene
-        The same scene, prepared for its camera.
-
-    Yields
-    ------
-    warning : str
-        One line of text: which light has no effect, why, and a suggested fix.
-    """
+def _check_dark_lights(scene: Scene) -> Iterator[str]:
+    """Yield a warning about the first light of intensity 0."""
     dark_indices = (index for index, light in enumerate(scene.lights) if not any(light.intensity))
     for light_index in islice(dark_indices, 1):
         name = _format_light_name(scene, light_index)
         yield f"{name} has intensity 0 0 0: it has no effect; increase the intensity, or remove it"
+
+
+def _check_enclosed_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
+    """Yield a warning about the first light inside a surface that does not contain the eye, too.
+
+    A light that is inside by less than the tolerance counts as on the surface.
+    """
     if not 0 < len(scene.lights) * len(scene.surfaces) <= _MAX_PAIRS:
         return
     x, y, z = np.array([light.position for light in scene.lights]).T[:, :, None]
     is_enclosed = np.concatenate(
         [
-            # A light that is inside by less than the tolerance counts as on the surface.
             shape.measure_distance(shape.objects.list_indices(), (x, y, z))
             < -LIGHT_TOLERANCE * shape.coordinate_bound
             for shape in prepared_scene.shapes
@@ -167,22 +137,7 @@ def _check_lights(scene: Scene, prepared_scene: PreparedScene) -> Iterator[str]:
 
 @np.errstate(all="ignore")
 def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple[str, str]:
-    """Find out why the picture of a scene is black, and suggest a fix.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    prepared_scene : PreparedScene
-        The same scene, prepared for its camera.
-
-    Returns
-    -------
-    reason : str
-        Why the picture is black.
-    remedy : str
-        A suggested fix.
-    """
+    """Find the reason why the picture of a scene is black, and a suggested fix."""
     if not scene.lights:
         return "the scene has no light", "add <light>"
     visible_index = _find_visible_objects(prepared_scene)
@@ -208,18 +163,10 @@ def _explain_black_picture(scene: Scene, prepared_scene: PreparedScene) -> tuple
     return "no light reaches anything in view", remedy
 
 
-def _find_visible_objects(scene: PreparedScene) -> Ints:
+def _find_visible_objects(scene: PreparedScene) -> Shaped[Ints, "n"]:
     """Find the objects that are visible through the centre of at least one pixel.
 
-    Parameters
-    ----------
-    scene : PreparedScene
-        The scene, prepared for its camera.
-
-    Returns
-    -------
-    visible_index : (k,) int array
-        Indices of the objects, in ascending order.
+    Their indices are in ascending order.
     """
     rows, columns = scene.window
     index_batches = [np.zeros(0, dtype=np.intp)]
@@ -238,19 +185,10 @@ def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
 
     An exponent has no effect if the specular colour is 0.  Shaders that do not come from a file are
     skipped.
-
-    Parameters
-    ----------
-    surfaces : Surfaces
-        The surfaces and shaders of the scene.
-
-    Yields
-    ------
-    warning : str
-        One line of text: what looks wrong, on which lines of the file, and a suggested fix.
     """
     used_shader_indices = set(surfaces.shader_index.tolist())
-    unused_lines, matte_lines = list[int](), list[int]()
+    unused_lines: list[int] = []
+    matte_lines: list[int] = []  # of shaders with an exponent, but without highlights
     for index, shader in enumerate(surfaces.shaders):
         if shader.line is None:
             continue
@@ -259,20 +197,22 @@ def _check_shaders(surfaces: Surfaces) -> Iterator[str]:
         elif isinstance(shader, Phong) and shader.exponent != 1 and not any(shader.specular):
             matte_lines.append(shader.line)
     if unused_lines:
-        names, remedy = _name_shaders(unused_lines), 'write <shader ref="..."/> with the name in a'
-        yield f"no surface refers to the {names}; {remedy} surface, or remove the definition"
+        names = _name_shaders(unused_lines)
+        remedy = 'write <shader ref="..."/> with the name in a surface, or remove the definition'
+        yield f"no surface refers to the {names}; {remedy}"
     if matte_lines:
-        names, reason = _name_shaders(matte_lines), "because specularColor is 0 0 0"
+        names = _name_shaders(matte_lines)
+        reason = "because specularColor is 0 0 0"
         yield f"exponent has no effect in the {names}, {reason}; add <specularColor>"
 
 
 def _name_shaders(lines: list[int]) -> str:
-    """Return a name such as "shader on line 3" or "shaders on lines 3, 7".
-
-    At most nine line numbers are listed.
-    """
-    listed_lines = ", ".join(map(str, lines[:9])) + ", ..." * (len(lines) > 9)
-    return f"shader on line {lines[0]}" if len(lines) == 1 else f"shaders on lines {listed_lines}"
+    """Return a name such as "shader on line 3" or "shaders on lines 3, 7"."""
+    if len(lines) == 1:
+        return f"shader on line {lines[0]}"
+    listed_lines = [str(line) for line in lines[:_MAX_LISTED_LINES]]
+    ellipsis = ["..."] * (len(lines) > _MAX_LISTED_LINES)
+    return f"shaders on lines {', '.join(listed_lines + ellipsis)}"
 
 
 def _check_aspect(scene: Scene) -> Iterator[str]:
@@ -280,8 +220,8 @@ def _check_aspect(scene: Scene) -> Iterator[str]:
 
     The warning suggests a `viewWidth` and a number of columns; either would make the pixels square.
     """
-    width, height, camera = scene.width, scene.height, scene.camera
-    view_width, view_height = camera.view_width, camera.view_height
+    width, height = scene.width, scene.height
+    view_width, view_height = scene.camera.view_width, scene.camera.view_height
     if not 1 / _MAX_ASPECT <= view_width * height / (view_height * width) <= _MAX_ASPECT:
         window_size = f"{format_number(view_width)} x {format_number(view_height)}"
         problem = f"a window of {window_size} is stretched over {width} x {height} pixels"
@@ -291,54 +231,48 @@ def _check_aspect(scene: Scene) -> Iterator[str]:
 
 
 def name_element(kind: str, index: int, line: int | None) -> str:
-    """Return a name for a light or a surface, such as "light 0 (line 12)".
-
-    The name consists of the kind, the index in the scene and, if it is known, the line of the file.
-    """
+    """Return a name for a light or a surface, such as "light 0 (line 12)"; its line may be None."""
     return f"{kind} {index}" if line is None else f"{kind} {index} (line {line})"
 
 
 def _format_light_name(scene: Scene, index: int) -> str:
-    """Return the name of ``scene.lights[index]``, such as "light 0 (line 12)"."""
     return name_element("light", index, scene.lights[index].line)
 
 
-def _format_surface_name(scene: Scene, object_indices: Ints) -> str:
-    """Return the name, for messages, of whichever given surface comes first in the scene file.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    object_indices : (n,) int array
-        Indices of one or more surfaces in the prepared scene, where they are called objects.
-    """
+def _format_surface_name(scene: Scene, object_indices: Shaped[Ints, "n"]) -> str:
+    """Return the name of whichever of these objects comes first in the scene file."""
     surface_index = scene.surfaces.file_index[object_indices].min().item()
     return name_element("surface", surface_index, scene.surfaces[surface_index].line)
 
 
-def _check_color_ranges(scene: Scene) -> Iterator[str]:
-    """Yield a warning for each colour that seems to be on a scale of 0 to 255 instead of 0 to 1.
+def _check_color_ranges(scene: Scene) -> str | None:
+    """Return a warning if a colour seems to be on a scale of 0 to 255 instead of 0 to 1.
 
-    That is the case if all components are integers up to 255, and one is at least `_MIN_PEAK`.
-    The warning names the light, or the first surface with the colour, and suggests a new colour.
+    That is the case if all components are integers up to 255, and one is at least `_MIN_PEAK`.  The
+    warning names the light, or the first surface with the colour, and suggests a new colour.
     """
+    for tag, color, kind, index in _list_colors(scene):
+        if max(color) >= _MIN_PEAK and all(value == int(value) <= 255 for value in color):
+            element = scene.lights[index] if kind == "light" else scene.surfaces[index]
+            name = name_element(kind, index, element.line)
+            old_color = " ".join(map(format_number, color))
+            new_color = " ".join(f"{value / 255:.3g}" for value in color)
+            return f"{tag} {old_color} of {name} looks like 0 to 255; for 0 to 1, write {new_color}"
+    return None
+
+
+def _list_colors(scene: Scene) -> Iterator[tuple[str, VectorLike, str, int]]:
+    """Yield the tag of each colour, the colour, and the kind and index of its light or surface.
+
+    The surface is the first in the file that uses the shader.
+    """
+    for index, light in enumerate(scene.lights):
+        yield "intensity", light.intensity, "light", index
     surfaces = scene.surfaces
-    colors: list[tuple[str, VectorLike, str, int]] = [
-        ("intensity", light.intensity, "light", index) for index, light in enumerate(scene.lights)
-    ]
-    # A shader's colours are reported for the first surface in the file that uses the shader.
     shader_index_of_surface = surfaces.shader_index[surfaces.array_index]
     _, first_indices = np.unique(shader_index_of_surface, return_index=True)
     for surface_index in first_indices.tolist():
         shader = surfaces.shaders[shader_index_of_surface[surface_index]]
-        colors.append(("diffuseColor", shader.diffuse, "surface", surface_index))
+        yield "diffuseColor", shader.diffuse, "surface", surface_index
         if isinstance(shader, Phong):
-            colors.append(("specularColor", shader.specular, "surface", surface_index))
-    for tag, color, kind, index in colors:
-        if max(color) >= _MIN_PEAK and all(value == int(value) <= 255 for value in color):
-            element = scene.lights[index] if kind == "light" else surfaces[index]
-            name = name_element(kind, index, element.line)
-            old_color = " ".join(map(format_number, color))
-            new_color = " ".join(f"{value / 255:.3g}" for value in color)
-            yield f"{tag} {old_color} of {name} looks like 0 to 255; for 0 to 1, write {new_color}"
+            yield "specularColor", shader.specular, "surface", surface_index
