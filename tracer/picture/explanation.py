@@ -2,6 +2,9 @@
 
 The numbers come from the functions that render pictures.  A single ray is traced, and its hit is
 shaded twice: by all lights together, as in a picture, and by each light alone.
+
+In the text of an explanation, n is the normal of the hit, l the direction to a light, and h the
+half vector; kd and ks are the diffuse and specular colours of the surface.
 """
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated as Shaped
 from typing import Any
 
 import numpy as np
@@ -143,22 +147,10 @@ class Explanation:
         return "\n".join(self._format_lines())
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """Show the explanation as text in IPython and notebooks, which call this method.
-
-        Parameters
-        ----------
-        printer : IPython.lib.pretty.PrettyPrinter
-            The printer to write the text to.
-        cycle : bool
-            Ignored, because an explanation does not contain itself.
-        """
+        """Show the explanation as text in IPython and notebooks, which call this method."""
         printer.text(str(self))
 
     def _format_lines(self) -> Iterator[str]:
-        """Yield the explanation as lines of text, without line breaks.
-
-        In the text, kd and ks are the diffuse and specular colours of the surface.
-        """
         yield f"pixel     {self.x},{self.y}"
         yield f"ray       from {_format_vector(self.eye)} towards {_format_vector(self.direction)}"
         yield f"surface   {self.surface or 'none: the ray meets nothing'}"
@@ -174,29 +166,12 @@ class Explanation:
         yield f"codes     {' '.join(map(str, self.codes))}"
 
     def _format_light_lines(self, light_index: int, light: LightPart) -> Iterator[str]:
-        """Yield the explanation of one light as lines of text, without line breaks.
-
-        In the text, n is the normal, l the direction to the light and h the half vector; kd and ks
-        are the diffuse and specular colours of the surface.
-
-        Parameters
-        ----------
-        light_index : int
-            Index of the light in the scene.
-        light : LightPart
-            The contribution of the light to the pixel.
-
-        Yields
-        ------
-        line : str
-            The first line contains the cosines n.l and n.h, and the surfaces that block the light.
-            If the light is not blocked, two lines show how its diffuse and its specular radiance
-            are computed.
-        """
+        """Yield the cosines and occluders of a light; then, unless it is blocked, its two terms."""
         other_names = [str(ref) for ref in light.occluders if ref != self.surface]
         blockers = other_names or ["the surface itself"] * len(light.occluders)
         outcome = f"blocked by {', '.join(blockers)}" if blockers else "reaches the point"
-        n_dot_l, n_dot_h = f"{light.n_dot_l:.9g}", f"{light.n_dot_h:.9g}"
+        n_dot_l = f"{light.n_dot_l:.9g}"
+        n_dot_h = f"{light.n_dot_h:.9g}"
         light_name = name_element("light", light_index, light.line)
         yield f"{light_name}: n.l = {n_dot_l}, n.h = {n_dot_h}, {outcome}"
         if not light.occluders:
@@ -207,16 +182,12 @@ class Explanation:
 
 
 def _to_vector(values: ArrayLike) -> Vector:
-    """Convert an array-like of three numbers to a tuple of three floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return x, y, z
 
 
 def _format_vector(vector: Vector) -> str:
-    """Format a vector as text such as "0 1.5 -2", with up to nine digits for each component.
-
-    Negative zero is written as 0.
-    """
+    """Format a vector with up to nine digits for each component, and negative zero as 0."""
     return " ".join(f"{component + 0.0:.9g}" for component in vector)
 
 
@@ -249,8 +220,8 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
     if not (0 <= x < width and 0 <= y < height):
         raise ValueError(f"pixel {x},{y} is outside the picture of {width} x {height} pixels")
     prepared_scene = PreparedScene(scene)
-    frame, rows, columns = prepared_scene.frame, slice(y, y + 1), slice(x, x + 1)
-    samples = PIXEL_CENTERS.place_in_pixels(rows, columns)
+    frame = prepared_scene.frame
+    samples = PIXEL_CENTERS.place_in_pixels(slice(y, y + 1), slice(x, x + 1))
     hits = find_nearest_hits(prepared_scene, samples)
     radiance = shade(hits, prepared_scene.light_batches).compute_radiance()[:, 0]
     scene_hit = FirstHits.from_hits(hits)
@@ -280,23 +251,9 @@ def explain(scene: Scene, x: int, y: int) -> Explanation:
 
 
 def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: int) -> LightPart:
-    """Compute the contribution of one light to the colour of a pixel that shows a surface.
+    """Compute the contribution of one light to a pixel that shows a surface.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    hit : Hits
-        The point where the pixel's ray meets the surface, in camera axes.
-    scene_hit : FirstHits
-        The same point in scene axes.
-    light_index : int
-        Index of the light in the scene.
-
-    Returns
-    -------
-    contribution : LightPart
-        The radiance that the light adds, and the numbers from which it is computed.
+    `hit` is the hit of the pixel's ray in camera axes, and `scene_hit` the same in scene axes.
     """
     light = scene.lights[light_index]
     prepared_light = hit.scene.prepare_lights(slice(light_index, light_index + 1))
@@ -306,7 +263,8 @@ def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: i
     diffuse, specular = np.zeros((2, 3))
     for channel, *terms in shade(hit, [prepared_light]).compute_channels():
         diffuse[channel], specular[channel] = (term.item() for term in terms)
-    point, normal = scene_hit.point[0], scene_hit.normal[0]
+    point = scene_hit.point[0]
+    normal = scene_hit.normal[0]
     to_light = normalize(np.subtract(light.position, point))
     half_vector = normalize(to_light + normalize(hit.scene.frame.eye - point))
     surface_indices = scene.surfaces.file_index[occluder_index].tolist()
@@ -321,23 +279,8 @@ def _explain_light(scene: Scene, hit: Hits, scene_hit: FirstHits, light_index: i
     )
 
 
-def _find_occluders(hit: Hits, light: Lights) -> Ints:
-    """Find all objects that block the segment from a hit to a light.
-
-    The object that is hit is not tested.
-
-    Parameters
-    ----------
-    hit : Hits
-        A single hit: a point where a ray meets an object.
-    light : Lights
-        A single light.
-
-    Returns
-    -------
-    occluder_index : (k,) int array
-        Indices of the blocking objects; empty if no object blocks the segment.
-    """
+def _find_occluders(hit: Hits, light: Lights) -> Shaped[Ints, "n"]:
+    """Find all objects that block the segment from one hit to one light, except that of the hit."""
     occluder_indices = []
     for shape in hit.scene.shapes:
         object_index = np.setdiff1d(shape.objects.list_indices(), hit.hit_object)
