@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, find, map_xyz, mark_run_starts, scale, take
+from tracer.arrays import Floats, Ints, Triple, dot, find, map_xyz, scale, take
 from tracer.geometry.camera import CameraFrame
 from tracer.trace.hits import Hits
 
@@ -116,18 +116,12 @@ class Lines(NamedTuple):
         """
         return Lines._make(field[line_index] for field in self)
 
-    def sort_and_deduplicate(self) -> Lines:
-        """Sort the lines by cell and then by coefficients, and remove duplicates.
+    def sort(self) -> Lines:
+        """Sort the lines by cell, and then by coefficients.
 
         The result does not depend on the order in which the lines were found.
-
-        Returns
-        -------
-        lines : Lines
-            The sorted lines without duplicates.
         """
-        sorted_lines = self.take(np.lexsort((self.c, self.b, self.a, self.cell_index)))
-        return sorted_lines.take(find(mark_run_starts(*sorted_lines)))
+        return self.take(np.lexsort((self.c, self.b, self.a, self.cell_index)))
 
     def limit_per_cell(self, max_lines: int) -> Lines:
         """Keep at most `max_lines` lines of each cell.

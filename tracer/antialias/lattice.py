@@ -5,8 +5,10 @@ edge changes a whole row of samples, so the error is large.  In a rotated lattic
 a row or a column.  Yet all pixels can have the same lattice, so the samples of a picture lie in
 rows.
 
-The lattices are rank-1 lattices (see `Lattice`), chosen so that a quarter turn maps each lattice
-onto itself.  So the mean of a smooth function is as accurate as that of an upright grid.
+In a *rank-1 lattice*, each row contains one point, which lies a fixed number of columns to the
+right of the point in the row above, modulo the number of rows.  The lattices are chosen so that a
+quarter turn maps each lattice onto itself.  So the mean of a smooth function is as accurate as that
+of an upright grid.
 
 Dammertz and Keller, Image synthesis by rank-1 lattices, Monte Carlo and Quasi-Monte Carlo Methods
 2006, 2008.
@@ -14,6 +16,7 @@ Dammertz and Keller, Image synthesis by rank-1 lattices, Monte Carlo and Quasi-M
 
 from __future__ import annotations
 
+from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,7 +26,7 @@ from tracer.arrays import Floats, Ints
 from tracer.trace.samples import Rows
 
 # Points x + iy in a cell (a pixel or a square part of a pixel), relative to its centre, in units of
-# the cell's width.
+# the cell's width: x and y are between -1/2 and 1/2, and the y-axis points down.
 Points2D: TypeAlias = NDArray[np.complex128]
 
 # For each number of points in a rank-1 lattice: the number of columns from the point of each row to
@@ -40,38 +43,20 @@ _POINTS_PER_GRID_POINT = 2.5
 class Lattice(NamedTuple):
     """Sample points of a pixel: an upright grid, or copies of a rank-1 lattice.
 
-    In a rank-1 lattice, each row contains one point, which lies a fixed number of columns to the
-    right of the point in the row above, modulo the number of rows.
-
-    Attributes
-    ----------
-    column_count : int
-        Number of points in each row of a pixel.
-    row_count : int
-        Number of rows of points in a pixel.  An upright grid has equal numbers of rows and columns.
-        A rank-1 lattice of m points (5, 13, 25 or 65) has one column and m rows.  If it is repeated
-        k times in both directions, it has k columns and k m rows.
+    An upright grid has equal numbers of rows and columns.  A rank-1 lattice of m points (5, 13, 25
+    or 65) has one column and m rows.  If it is repeated k times in both directions, it has k
+    columns and k m rows.
     """
 
-    column_count: int
-    row_count: int
+    column_count: int  # number of points in each row of a pixel
+    row_count: int  # number of rows of points in a pixel
 
     @classmethod
     def choose(cls, grid_side: int, min_ratio: float = _POINTS_PER_GRID_POINT) -> Lattice:
-        """Choose the smallest rotated lattice that can replace an upright grid of samples.
+        """Choose the smallest lattice with at least `min_ratio` points per point of a grid.
 
-        Parameters
-        ----------
-        grid_side : int
-            Number of points along each side of the grid; at least 1.
-        min_ratio : float
-            Minimum ratio of lattice points to grid points; at most 5.  With the default, the
-            lattice is usually more accurate than the grid.
-
-        Returns
-        -------
-        lattice : Lattice
-            A rank-1 lattice of 13, 25 or 65 points, or copies of a rank-1 lattice of 5 points.
+        The grid has `grid_side` points along each side of the pixel; `min_ratio` is at most 5.  The
+        lattice has 13, 25 or 65 points, or consists of copies of a lattice of 5 points.
         """
         repeated_lattices = (cls(columns, 5 * columns) for columns in range(1, grid_side + 1))
         candidates = [*(cls(1, count) for count in (13, 25, 65)), *repeated_lattices]
@@ -86,52 +71,31 @@ class Lattice(NamedTuple):
     def place_in_pixels(self, pixel_rows: slice, pixel_columns: slice) -> Rows:
         """Place the lattice in every pixel of a rectangle of the picture.
 
-        Every second row of pixels contains the mirror image of the lattice.
-
-        Parameters
-        ----------
-        pixel_rows, pixel_columns : slice
-            Rows and columns of the rectangle's pixels.  Both slices have a start and a stop.
-
-        Returns
-        -------
-        samples : Rows
-            All lattice points, row by row across the whole width of the rectangle.
+        Both slices have a start and a stop.  Every second row of pixels contains the mirror image
+        of the lattice.
         """
         # Rows and columns of lattice points, numbered from the upper left corner of the picture.
         column_count, row_count = self
         row = np.arange(row_count * pixel_rows.start, row_count * pixel_rows.stop)
         column = np.arange(column_count * pixel_columns.start, column_count * pixel_columns.stop)
-        y, x = (row + 0.5) / row_count, (column + 0.5) / column_count
-        return Rows(y, x, self._compute_row_shift(row) / column_count, (column_count, row_count))
+        return Rows(
+            y=(row + 0.5) / row_count,
+            x=(column + 0.5) / column_count,
+            shift=self._compute_row_shift(row) / column_count,
+            per_pixel=(column_count, row_count),
+        )
 
-    def list_points(self) -> Points2D:
-        """List the lattice points of a single pixel, row by row.
-
-        Returns
-        -------
-        points : (size,) complex array
-            Points x + iy relative to the centre of the pixel, with x and y between -1/2 and 1/2.
-            The y-axis points down.
-        """
+    def list_points(self) -> Shaped[Points2D, "n"]:
+        """List the lattice points of a single pixel, row by row."""
         x, y = self.place_in_pixels(slice(0, 1), slice(0, 1)).get_positions(np.arange(self.size))
         return np.asarray(x - 0.5 + 1j * (y - 0.5))
 
-    def average(self, radiance: Floats, width: int) -> Floats:
-        """Average the radiance of the samples in each pixel of a rectangle.
+    def average(
+        self, radiance: Shaped[Floats, "3 samples"], width: int
+    ) -> Shaped[Floats, "height width 3"]:
+        """Average the radiance of the samples in each pixel of a rectangle, `width` pixels wide.
 
-        Parameters
-        ----------
-        radiance : (3, n) float array
-            Linear RGB radiance of all samples: one row of samples after another, each as wide as
-            the rectangle.
-        width : int
-            Number of pixels in each row of the rectangle.
-
-        Returns
-        -------
-        mean : (height, width, 3) float array
-            Mean radiance of each pixel.
+        The samples are in the order of `place_in_pixels`.
         """
         sample_radiance = radiance.reshape(3, -1, self.row_count, width, self.column_count)
         # Add row by row.  NumPy's order of summation along an axis depends on the width, so the
@@ -141,19 +105,11 @@ class Lattice(NamedTuple):
             row_sum += sample_radiance[:, :, sample_row]
         return np.moveaxis(row_sum.sum(axis=3) / self.size, 0, 2)
 
-    def _compute_row_shift(self, sample_row: Ints) -> Floats:
-        """Compute how far each row of sample points is shifted sideways from an upright grid.
+    def _compute_row_shift(self, sample_row: Shaped[Ints, "rows"]) -> Shaped[Floats, "rows"]:
+        """Compute how far to the right rows of sample points are shifted from an upright grid.
 
-        Parameters
-        ----------
-        sample_row : (n,) int array
-            Rows of sample points, numbered from the top of the picture.
-
-        Returns
-        -------
-        shift : (n,) float array
-            Shift of each row to the right, between -1/2 and 1/2 of the distance between the columns
-            of the grid.
+        The rows are numbered from the top of the picture.  The unit of the shift, which is between
+        -1/2 and 1/2, is the distance between the columns of the grid.
         """
         # The middle row of a rank-1 lattice is not shifted.
         point_count = self.row_count // self.column_count

@@ -1,13 +1,15 @@
 """Estimate the mean radiance of smooth cells from the samples at their centres.
 
-No edge crosses a smooth cell (a pixel, or a square part of a pixel).  Its mean radiance is the
+No edge crosses a *smooth* cell (a pixel, or a square part of a pixel).  Its mean radiance is the
 radiance at its centre plus a correction for the curvature of the radiance.  Differences between the
 samples of neighbouring cells give the correction, and an estimate of the remaining error.  Only
-samples with the same id are compared.
+samples with the same *id* are compared: they hit the same face of the same object, under the same
+lights.
 """
 
 from __future__ import annotations
 
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -16,73 +18,31 @@ from tracer.arrays import Floats, Ints
 
 
 class CenterSamples(NamedTuple):
-    """The samples through the centres of n cells (pixels, or square parts of pixels).
+    """The samples through the centres of n cells."""
 
-    Attributes
-    ----------
-    radiance : (3, n) float array
-        Linear RGB radiance of each sample.
-    id : (n,) int array
-        Id of each sample.  Two samples have the same id if they hit the same face of the same
-        object, and the same lights are visible from both hits.  The id of the background is -1.
-    """
+    radiance: Shaped[Floats, "3 n"]  # linear RGB
+    id: Shaped[Ints, "n"]  # -1 for the background
 
-    radiance: Floats
-    id: Ints
-
-    def take(self, sample_index: Ints) -> CenterSamples:
-        """Select samples by index.
-
-        Parameters
-        ----------
-        sample_index : (k,) int array
-            Indices of the samples to select.
-
-        Returns
-        -------
-        selected_samples : CenterSamples
-            The k selected samples, in the order of `sample_index`.
-        """
-        return CenterSamples(self.radiance[:, sample_index], self.id[sample_index])
+    def take(self, sample_index: Shaped[Ints, "k"]) -> CenterSamples:
+        return CenterSamples(radiance=self.radiance[:, sample_index], id=self.id[sample_index])
 
 
 class SmoothMeans(NamedTuple):
-    """Mean radiance of n cells (pixels, or square parts of pixels), valid if no edge crosses them.
+    """Mean radiance of n cells, valid for those that no edge crosses."""
 
-    Attributes
-    ----------
-    radiance : (3, n) float array
-        Estimated mean linear RGB radiance of each cell.
-    error : (n,) float array
-        Estimated error of `radiance`, in the colour channel where it is largest; NaN if too few
-        neighbouring samples hit the same face under the same lights.
-    """
-
-    radiance: Floats
-    error: Floats
+    radiance: Shaped[Floats, "3 n"]  # linear RGB
+    # Estimated error of `radiance` in the channel where it is largest; NaN if too few neighbouring
+    # samples have the same id.
+    error: Shaped[Floats, "n"]
 
 
 def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMeans:
-    """Estimate the mean radiance of pixels without edges from samples at their centres.
+    """Estimate the mean radiance of pixels in a rectangle, `width` pixels wide, row by row.
 
     Over a pixel, the mean of a smooth function is about the value at the centre plus 1/24 of the
-    sum of the second derivatives along x and y.  These derivatives are approximated by differences
-    between neighbouring pixels with the same id.  Samples with the same id hit the same face of the
-    same object, under the same lights.
-
-    Parameters
-    ----------
-    pixel_samples : CenterSamples
-        Radiance and id of the samples at the centres of a rectangle of pixels, row by row.
-    width : int
-        Number of pixels in each row of the rectangle.
-
-    Returns
-    -------
-    means : SmoothMeans
-        Estimated mean radiance of each pixel (`radiance`), and its estimated error (`error`).  The
-        error is NaN if neither neighbour in the row, or neither neighbour in the column, has the
-        same id.  The results at the border of the rectangle are meaningless.
+    sum of the second derivatives along x and y.  Differences between neighbouring pixels
+    approximate these derivatives.  The error is NaN if neither neighbour in the row, or neither
+    neighbour in the column, has the same id.  Results at the border are meaningless.
     """
     radiance, pixel_id = pixel_samples
     correction, error = np.zeros(radiance.shape), np.zeros(pixel_id.size)
@@ -97,36 +57,27 @@ def estimate_pixel_means(pixel_samples: CenterSamples, width: int) -> SmoothMean
         axis_error = np.where(matches_previous | matches_next, max_correction, np.nan)
         error[inner_pixels] = np.maximum(error[inner_pixels], axis_error)
         correction[:, inner_pixels] += axis_correction * (matches_previous & matches_next)
-    return SmoothMeans(radiance + correction, error)
+    return SmoothMeans(radiance=radiance + correction, error=error)
 
 
 def estimate_quarter_means(
-    cell_samples: CenterSamples, error: Floats, quarter_samples: CenterSamples, tolerance: float
+    cell_samples: CenterSamples,
+    error: Shaped[Floats, "cells"],
+    quarter_samples: CenterSamples,
+    tolerance: float,
 ) -> SmoothMeans:
-    """Estimate the mean radiance of the quarters of m cells.
+    """Estimate the mean radiance of the quarters of cells: four of each cell, cell by cell.
 
-    A cell is a pixel or a square part of a pixel.  The method is Richardson extrapolation: subtract
-    the sample of the cell from the mean of the four quarter samples, and add a third of the
-    difference to each quarter sample.  This is done only if all five samples have the same id: they
-    hit the same face of the same object, under the same lights.
+    This is Richardson extrapolation: subtract the sample of the cell from the mean of the four
+    quarter samples, and add a third of the difference to each quarter sample.  It is done only if
+    all five samples have the same id.
 
     Parameters
     ----------
-    cell_samples : CenterSamples
-        Radiance and id of the samples at the centres of m cells.
-    error : (m,) float array
-        Estimated error of each cell's mean radiance, if no edge crosses the cell; NaN if unknown.
-    quarter_samples : CenterSamples
-        Radiance and id of the samples at the centres of the 4 m quarters: the four of the first
-        cell, then the four of the second cell, and so on.
-    tolerance : float
+    error
+        Estimated error of each cell's mean radiance, as in `SmoothMeans`.
+    tolerance
         Maximum error of the mean radiance of a cell.
-
-    Returns
-    -------
-    means : SmoothMeans
-        Estimated mean radiance of each quarter (`radiance`), valid if no edge crosses the quarter,
-        and its estimated error (`error`), NaN if unknown.
     """
     cell_id, quarter_id = cell_samples.id.repeat(4), quarter_samples.id
     mean_of_quarters = quarter_samples.radiance.reshape(3, -1, 4).mean(axis=2)
@@ -140,5 +91,7 @@ def estimate_quarter_means(
     # Ignore a small error of the cell if the quarter shows a different surface.
     hits_other_surface = (quarter_id != cell_id) & (quarter_id >= 0)
     inherited_error[hits_other_surface & (inherited_error <= tolerance)] = np.nan
-    radiance = quarter_samples.radiance + correction.repeat(4, axis=1)
-    return SmoothMeans(radiance, np.fmax(inherited_error, quarter_error))
+    return SmoothMeans(
+        radiance=quarter_samples.radiance + correction.repeat(4, axis=1),
+        error=np.fmax(inherited_error, quarter_error),
+    )
