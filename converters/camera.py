@@ -7,6 +7,7 @@ camera.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated as Shaped
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,47 +17,30 @@ from tracer import Camera, Scene, Surfaces, first_hits
 
 Floats: TypeAlias = NDArray[np.float64]
 
-# Numbers of rays along each side of the picture: the next one is tried if fewer than
-# _MIN_VISIBLE_POINTS rays hit a surface.
+# Numbers of rays along each side of the picture.  The next one is tried if too few hit a surface.
 _RAYS_PER_SIDE = 12, 48, 192
+
+# Number of hits from which on no finer grid is tried.
 _MIN_VISIBLE_POINTS = 12
 
 
 class Window(NamedTuple):
-    """The window of a camera: the rectangle in space that the picture fills.
+    """The *window* of a camera: the rectangle in space that the picture fills."""
 
-    Attributes
-    ----------
-    eye : (3,) float array
-        Position of the eye.
-    axes : (3, 3) float array
-        Unit vectors in rows: right and down, along the window's edges, and forward, perpendicular
-        to the window.
-    offset : (3,) float array
-        Vector from the eye to the window's centre, in components along the axes.
-    width, height : float
-        Size of the window.
-    """
-
-    eye: Floats
-    axes: Floats
-    offset: Floats
+    eye: Shaped[Floats, "3"]
+    # Unit vectors in rows: right and down along the edges of the window, and forward, from the eye
+    # towards the window and perpendicular to it.
+    axes: Shaped[Floats, "3 3"]
+    offset: Shaped[Floats, "3"]  # from the eye to the window's centre, in components along `axes`
     width: float
     height: float
 
-    def compute_vectors_from_eye(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Compute the vectors from the eye to points in the window.
+    def compute_vectors_from_eye(
+        self, x: Shaped[Floats | float, "..."], y: Shaped[Floats | float, "..."]
+    ) -> Shaped[Floats, "... 3"]:
+        """Compute the vectors, in scene axes, from the eye to points in the window.
 
-        Parameters
-        ----------
-        x, y : float or (...) float array
-            Positions in the window, from (0, 0) in the upper left corner to (1, 1) in the lower
-            right corner.
-
-        Returns
-        -------
-        vectors : (..., 3) float array
-            The vectors, in the coordinate system of the scene.
+        `x` and `y` run from (0, 0) in the upper left corner to (1, 1) in the lower right corner.
         """
         right, down, forward = self.axes
         offset_right = self.offset[0] + (np.asarray(x)[..., None] - 0.5) * self.width
@@ -66,20 +50,10 @@ class Window(NamedTuple):
 
 
 def compute_window(camera: Camera) -> Window:
-    """Compute the window of a camera: the rectangle in space that the picture fills.
+    """Compute the window of a camera.
 
-    The formulas are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
-
-    Parameters
-    ----------
-    camera : Camera
-        The camera.  The window is perpendicular to `proj_normal`, or to `view_dir` if `proj_normal`
-        is None.
-
-    Returns
-    -------
-    window : Window
-        The position of the eye, and the axes, offset and size of the window.
+    It is perpendicular to `proj_normal`, or to `view_dir` if `proj_normal` is None.  The formulas
+    are those of Shirley, Fundamentals of Computer Graphics, 2nd ed., 10.2.
     """
     view_direction = _normalize(camera.view_dir)
     normal = _normalize(camera.view_dir if camera.proj_normal is None else camera.proj_normal)
@@ -87,62 +61,40 @@ def compute_window(camera: Camera) -> Window:
     right = _normalize(np.cross(forward, _normalize(camera.view_up)))
     axes = np.array([right, np.cross(forward, right), forward])
     offset = axes @ view_direction * camera.proj_distance
-    return Window(np.array(camera.view_point), axes, offset, camera.view_width, camera.view_height)
+    return Window(
+        eye=np.array(camera.view_point),
+        axes=axes,
+        offset=offset,
+        width=camera.view_width,
+        height=camera.view_height,
+    )
 
 
-def _normalize(vector: Sequence[float] | Floats) -> Floats:
-    """Scale a vector to length 1, without overflow or underflow.
-
-    Parameters
-    ----------
-    vector : sequence of three floats, or (3,) float array
-        Any vector except the zero vector.
-
-    Returns
-    -------
-    unit_vector : (3,) float array
-        The unit vector with the same direction.
-    """
+def _normalize(vector: Sequence[float] | Shaped[Floats, "3"]) -> Shaped[Floats, "3"]:
+    """Scale a vector, not the zero vector, to length 1, without overflow or underflow."""
     scaled_vector = np.asarray(vector) / np.abs(vector).max()  # no square overflows or underflows
     unit_vector: Floats = scaled_vector / np.linalg.norm(scaled_vector)
     return unit_vector
 
 
-def compute_bounding_box(surfaces: Surfaces) -> Floats:
-    """Compute the axis-aligned bounding box of all surfaces of a scene.
+def compute_bounding_box(surfaces: Surfaces) -> Shaped[Floats, "2 3"]:
+    """Compute the minimum (row 0) and maximum coordinates (row 1) of all surfaces.
 
-    Parameters
-    ----------
-    surfaces : Surfaces
-        The surfaces: spheres and boxes.
-
-    Returns
-    -------
-    corners : (2, 3) float array
-        The minimum coordinates in the first row, and the maximum coordinates in the second.  If
-        there are no surfaces, all coordinates are 0.
+    They are 0 if there are no surfaces.
     """
+    if not len(surfaces):
+        return np.zeros((2, 3))
     radii = surfaces.radius[:, None]
     min_points = np.concatenate([surfaces.center - radii, surfaces.min_pt])
     max_points = np.concatenate([surfaces.center + radii, surfaces.max_pt])
-    return np.array([min_points.min(0), max_points.max(0)]) if len(surfaces) else np.zeros((2, 3))
+    return np.array([min_points.min(axis=0), max_points.max(axis=0)])
 
 
-def sample_visible_points(scene: Scene) -> Floats:
+def sample_visible_points(scene: Scene) -> Shaped[Floats, "n 3"]:
     """Find points on the visible surfaces of a scene, by tracing a regular grid of rays.
 
-    If fewer than 12 rays (`_MIN_VISIBLE_POINTS`) hit a surface, a finer grid is tried.  At most
-    three grids are tried.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its camera.
-
-    Returns
-    -------
-    points : (n, 3) float array
-        The points where rays of the last grid hit surfaces.  If all rays miss, n is 0.
+    The grid is the first in `_RAYS_PER_SIDE` of which enough rays hit a surface, or the last one,
+    of which perhaps no ray does.
     """
     for rays_per_side in _RAYS_PER_SIDE:
         y, x = (np.indices((rays_per_side, rays_per_side)).reshape(2, -1) + 0.5) / rays_per_side

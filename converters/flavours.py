@@ -33,7 +33,7 @@ from tracer import Phong, PointLight, Scene, Shader, Surfaces
 DEFAULT_SAMPLES = {"stock": 64, "exact": 1}
 """Default number of samples per pixel of each flavour."""
 
-# Computations may overflow: writing an infinite number raises an error.
+# NumPy does not warn of overflows: an infinite number raises `ConversionError` when it is written.
 _IGNORE_OVERFLOW = np.errstate(all="ignore")
 
 # Size, in Mitsuba's units, to which scenes are scaled: float32 is most accurate near the origin.
@@ -42,15 +42,21 @@ _SCENE_SIZE = 10.0
 # Maximum error of a hit in the exact flavour, in roundings (2^-24) of the scene's largest length.
 _TOLERANCE_ROUNDINGS = 32
 
-# A scene for Mitsuba's built-in plugins keeps its coordinates if the size of its visible part is
-# between the first two numbers, and the distance of this part from the origin is at most the third
-# number times its size.
-_MIN_KEPT_SIZE, _MAX_KEPT_SIZE, _MAX_KEPT_DISTANCE = 0.1, 1e6, 10.0
+# A stock scene keeps its coordinates if the size of its visible part, the longest edge of its
+# bounding box, is in this range, in the scene's unit of length, ...
+_MIN_KEPT_SIZE = 0.1
+_MAX_KEPT_SIZE = 1e6
+# ... and the centre of this part is at most this many times the size from the origin.
+_MAX_KEPT_DISTANCE = 10.0
 
-# Maximum radius of a sphere in a stock scene.  Hits on it have an error of 1e-7 of the radius, and
-# Mitsuba starts shadow rays 1e-4 above the surface.  The scene is scaled down for larger spheres,
-# but at most by _MIN_SHRINK_FACTOR, so that shadow rays do not start above its small objects.
-_MAX_RADIUS, _MIN_SHRINK_FACTOR = 300.0, 1e-4
+# Maximum radius of a sphere in a stock scene, in Mitsuba's units.  Hits on it have an error of 1e-7
+# of the radius, and Mitsuba starts shadow rays 1e-4 above the surface.  The scene is scaled down
+# for larger spheres.
+_MAX_RADIUS = 300.0
+
+# The scene is scaled down at most by this factor, so that shadow rays do not start above its small
+# objects.
+_MIN_SHRINK_FACTOR = 1e-4
 
 # Half the thickness of a flat box, relative to the largest coordinate in the scene.
 _MIN_HALF_THICKNESS = 1e-6
@@ -87,6 +93,8 @@ def convert(scene: Scene, flavour: str, samples: int | None = None) -> str:
     ------
     ConversionError
         If the scene contains numbers that Mitsuba cannot represent, or needs more than 2^28 pixels.
+    KeyError
+        If there is no such flavour.
     """
     sample_count = DEFAULT_SAMPLES[flavour] if samples is None else samples
     return str({"stock": convert_to_stock, "exact": convert_to_exact}[flavour](scene, sample_count))
@@ -122,8 +130,9 @@ def choose_normalization(scene: Scene) -> Normalization:
     visible_points = sample_visible_points(scene)
     points = visible_points if len(visible_points) else compute_bounding_box(scene.surfaces)
     min_corner, max_corner = points.min(axis=0), points.max(axis=0)
-    size, center = float((max_corner - min_corner).max()), (min_corner + max_corner) / 2
-    return Normalization(center, _SCENE_SIZE / size if size > 0 else 1.0)
+    size = float((max_corner - min_corner).max())
+    center = (min_corner + max_corner) / 2
+    return Normalization(center=center, scale=_SCENE_SIZE / size if size > 0 else 1.0)
 
 
 def _choose_stock_normalization(scene: Scene) -> Normalization:
@@ -136,7 +145,7 @@ def _choose_stock_normalization(scene: Scene) -> Normalization:
     visible_size = _SCENE_SIZE / normalization.scale
     is_near_origin = np.abs(normalization.center).max() <= _MAX_KEPT_DISTANCE * visible_size
     if is_near_origin and _MIN_KEPT_SIZE <= visible_size <= _MAX_KEPT_SIZE:
-        normalization = Normalization(np.zeros(3), 1.0)
+        normalization = Normalization(center=np.zeros(3), scale=1.0)
     largest_radius = normalization.scale * float(scene.surfaces.radius.max(initial=0))
     if largest_radius > _MAX_RADIUS:
         shrink_factor = max(_MAX_RADIUS / largest_radius, _MIN_SHRINK_FACTOR)
@@ -168,10 +177,10 @@ def _convert_surfaces(
         make_plugin("shape", "sphere", make_vector("point", "center", center), radius=radius)
         for center, radius in zip(normalization(surfaces.center).tolist(), radii, strict=True)
     ]
+    # Mitsuba's cube extends from -1 to 1, so it is scaled by half the size of the box.
     half_sizes = (surfaces.max_pt - surfaces.min_pt) * (normalization.scale / 2)
     largest_coordinate = np.abs(normalization(compute_bounding_box(surfaces))).max()
     half_sizes[half_sizes == 0] = _MIN_HALF_THICKNESS * largest_coordinate
-    # Scale and move Mitsuba's cube, which extends from -1 to 1 along each axis.
     centers = (normalization(surfaces.min_pt) + normalization(surfaces.max_pt)) / 2
     for half_size, center in zip(half_sizes.tolist(), centers.tolist(), strict=True):
         to_world = Element("transform", name="to_world")
@@ -180,6 +189,7 @@ def _convert_surfaces(
         shapes.append(make_plugin("shape", "cube", to_world))
     for shape, shader_index in zip(shapes, surfaces.shader_index.tolist(), strict=True):
         shape.append(Element("ref", id=bsdf_names[shader_index]))
+    # So far all spheres come before all boxes; `array_index` is in the order of the scene file.
     return [shapes[index] for index in surfaces.array_index.tolist()]
 
 
@@ -238,7 +248,8 @@ def _make_exact_sensor(scene: Scene, normalization: Normalization, samples: int)
     Its rays start on a box around the scene, because float32 is accurate there.
     """
     window = compute_window(scene.camera)
-    corner_vector, (right, down, _) = window.compute_vectors_from_eye(0, 0), window.axes
+    corner_vector = window.compute_vectors_from_eye(0, 0)
+    right, down, _ = window.axes
     min_corner, max_corner = normalization(compute_bounding_box(scene.surfaces))
     margin = 1e-3 * _SCENE_SIZE  # so that no ray starts on a surface
     return make_plugin(
@@ -264,7 +275,7 @@ def make_pixels_square(scene: Scene) -> Scene:
     """
     camera = scene.camera
     row_count = scene.width * camera.view_height / camera.view_width
-    if not scene.width * row_count <= _MAX_PIXELS:
+    if not scene.width * row_count <= _MAX_PIXELS:  # also if it is NaN
         raise ConversionError(
             f"Mitsuba's pixels are square, but {scene.width} x {row_count:.3g} are too many;"
             " make viewWidth larger or viewHeight smaller"
@@ -303,7 +314,8 @@ def convert_to_stock(scene: Scene, samples: int = 64) -> Document:
     The pixels become square, the lights fall off with distance, and the highlights have a different
     shape.  The number of samples may be rounded up, so that all lights get the same number.
     """
-    normalization, square_scene = _choose_stock_normalization(scene), make_pixels_square(scene)
+    normalization = _choose_stock_normalization(scene)
+    square_scene = make_pixels_square(scene)
     divisor = choose_reflectance_divisor(scene.surfaces)
     bsdf_names, shader_of_name = _name_bsdfs(scene.surfaces)
     visible_points = sample_visible_points(scene)
@@ -350,6 +362,8 @@ def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int)
     right, down, forward = window.axes
     # Mitsuba's camera looks along +z, with +x to the left and +y up.
     to_world = np.column_stack([-right, -down, forward, normalization(window.eye)])
+    # Of the window's centre from the eye; the field of view is twice the angle to the edge of a
+    # window whose centre is straight ahead.
     offset_right, offset_down, distance = window.offset
     fov = degrees(2 * atan(window.width / 2 / distance))
     if not 0 < np.float32(fov) <= _MAX_FOV:
@@ -358,6 +372,7 @@ def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int)
             f" {_MAX_FOV}; choose a viewWidth closer to projDistance"
         )
     farthest_offset = np.abs(compute_bounding_box(scene.surfaces) - window.eye).max(axis=0)
+    # It is 0 if the only surface is a point at the eye, but Mitsuba needs a positive distance.
     far_distance = normalization.scale * float(np.linalg.norm(farthest_offset)) or 1.0
     return make_plugin(
         "sensor",
@@ -372,6 +387,7 @@ def _make_stock_sensor(scene: Scene, normalization: Normalization, samples: int)
         principal_point_offset_y=round(float(offset_down / window.height), 12),
         # Objects between the eye and the window are visible, too.
         near_clip=_NEAR_DISTANCE * far_distance,
+        # Twice the distance, so that rounding never clips the farthest surface.
         far_clip=2 * far_distance,
     )
 
@@ -390,7 +406,8 @@ def _convert_light(
     """
     position = normalization(np.array(light.position))
     squared_distances = ((normalization(visible_points) - position) ** 2).sum(axis=1)
-    # Divide by the largest square to avoid overflow.  The minimum of 1e-12 avoids division by 0.
+    # Divide by the largest square to avoid overflow, unless all are 0.  The minimum of 1e-12 avoids
+    # division by 0.
     largest_square = float(squared_distances.max()) or 1.0
     falloff = 1 / np.maximum(squared_distances / largest_square, 1e-12)
     best_squared_distance = largest_square * float(falloff.sum() / (falloff * falloff).sum())

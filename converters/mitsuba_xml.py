@@ -1,7 +1,7 @@
 """Build Mitsuba scene files as trees of XML elements.
 
-Mitsuba computes with float32.  A number beyond the range of float32 would become infinite, so it
-raises an error.
+Mitsuba computes with float32.  A number beyond the range of float32 would become infinite, so all
+functions raise `ConversionError` for it.
 """
 
 from __future__ import annotations
@@ -26,21 +26,13 @@ class ConversionError(ValueError):
 class Document:
     """A converted scene; its `str` is the content of the Mitsuba scene file.
 
-    Parameters
-    ----------
-    comment : str
-        Text about the conversion, which follows `FILE_START` at the beginning of the file.
-    elements : iterable of Element
-        The plugins of the scene: integrator, sensor, lights, BSDFs and shapes.
-
-    Attributes
-    ----------
-    root : Element
-        The root element of the file, which contains the plugins.
+    The file begins with `FILE_START` and the comment, a text about the conversion.  The elements
+    are plugins: integrator, sensor, lights, BSDFs and shapes.
     """
 
     def __init__(self, comment: str, elements: Iterable[Element]) -> None:
-        self.comment, self.root = comment, Element("scene", version="3.0.0")
+        self.comment = comment
+        self.root = Element("scene", version="3.0.0")
         self.root.extend(elements)
 
     def __str__(self) -> str:
@@ -48,22 +40,12 @@ class Document:
 
 
 def _format_element(element: Element[Any], line_start: str = "\n") -> str:
-    """Format an XML element and all its descendants as text.
+    """Format an XML element and all its descendants as lines, each preceded by its line break.
+
+    `line_start` is the line break and the indentation of the element.
 
     This is about twice as fast as ElementTree.  Attribute values are not escaped, because converted
     scenes contain no characters that need it.
-
-    Parameters
-    ----------
-    element : Element
-        The element, or a comment.
-    line_start : str
-        The line break and the indentation that precede the element.
-
-    Returns
-    -------
-    text : str
-        The lines of the element, each preceded by a line break.
     """
     if element.tag is Comment:
         return f"{line_start}<!--{element.text}-->"
@@ -82,61 +64,40 @@ def make_plugin(
     name: str | None = None,
     **parameters: bool | int | float | str,
 ) -> Element:
-    """Create the XML element for a Mitsuba plugin.
+    """Create the XML element for a Mitsuba plugin, with its parameters and then its children.
 
     Parameters
     ----------
-    tag : str
+    tag
         Kind of the plugin, such as "sensor" or "bsdf".
-    plugin_type : str
+    plugin_type
         Mitsuba's name for the type of the plugin, such as "perspective" or "diffuse".
-    *children : Element
-        Child elements: nested plugins, and parameters that consist of several numbers.
-    name : str, optional
+    *children
+        Nested plugins, and parameters that consist of several numbers.
+    name
         Name by which other plugins refer to this one.
-    **parameters : bool, int, float or str
+    **parameters
         Parameters with a single value.
-
-    Returns
-    -------
-    element : Element
-        The new element.  It contains an element for each parameter, and then the children.
-
-    Raises
-    ------
-    ConversionError
-        If a number is beyond the range of float32.
     """
-    element = Element(tag, {"type": plugin_type} | ({} if name is None else {"id": name}))
+    element = Element(tag, type=plugin_type)
+    if name is not None:
+        element.set("id", name)
     for parameter_name, value in parameters.items():
-        text = _format_number(parameter_name, value) if isinstance(value, float) else str(value)
-        text = text.lower() if isinstance(value, bool) else text
+        if isinstance(value, float):
+            text = _format_number(parameter_name, value)
+        elif isinstance(value, bool):
+            text = str(value).lower()
+        else:
+            text = str(value)
         SubElement(element, _PARAMETER_TAGS[type(value)], name=parameter_name, value=text)
     element.extend(children)
     return element
 
 
 def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Element:
-    """Create the XML element for a point or vector, with the attributes x, y and z.
+    """Create the XML element for three numbers: a point, a vector, a scaling or a translation.
 
-    Parameters
-    ----------
-    tag : str
-        Tag of the element, such as "point", "vector" or "translate".
-    name : str or None
-        Name of the plugin parameter that the vector sets; None for a part of a transform.
-    components : iterable of three floats
-        The components x, y and z.
-
-    Returns
-    -------
-    element : Element
-        The new element.
-
-    Raises
-    ------
-    ConversionError
-        If a component is beyond the range of float32.
+    `name` is the plugin parameter that they set; None for a part of a transform.
     """
     attributes = {} if name is None else {"name": name}
     x, y, z = [_format_number(name or tag, component) for component in components]
@@ -144,48 +105,12 @@ def make_vector(tag: str, name: str | None, components: Iterable[float]) -> Elem
 
 
 def make_color(name: str, color: Iterable[float]) -> Element:
-    """Create the XML element for a colour.
-
-    Parameters
-    ----------
-    name : str
-        Name of the plugin parameter that the colour sets.
-    color : iterable of three floats
-        Linear red, green and blue components.
-
-    Returns
-    -------
-    element : Element
-        The new element.
-
-    Raises
-    ------
-    ConversionError
-        If a number is beyond the range of float32.
-    """
+    """Create the XML element for a colour, in linear RGB, that sets a plugin parameter."""
     return Element("rgb", name=name, value=_format_numbers(name, color))
 
 
 def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element:
-    """Create the XML element for a transform that is given by a matrix.
-
-    Parameters
-    ----------
-    name : str
-        Name of the plugin parameter that the transform sets.
-    matrix_rows : iterable of four iterables of four floats
-        The rows of the matrix.
-
-    Returns
-    -------
-    element : Element
-        The new element.
-
-    Raises
-    ------
-    ConversionError
-        If a number is beyond the range of float32.
-    """
+    """Create the XML element for a transform by a 4 x 4 matrix, which sets a plugin parameter."""
     element = Element("transform", name=name)
     numbers = (number for row in matrix_rows for number in row)
     SubElement(element, "matrix", value=_format_numbers(name, numbers))
@@ -193,26 +118,11 @@ def make_transform(name: str, matrix_rows: Iterable[Iterable[float]]) -> Element
 
 
 def _format_number(parameter_name: str, value: float) -> str:
-    """Format a number as text, after checking that float32 can represent it.
+    """Format a number as the shortest text that denotes the same float64 number.
 
-    Parameters
-    ----------
-    parameter_name : str
-        Name of the plugin parameter, for the error message.
-    value : float
-        The number.
-
-    Returns
-    -------
-    text : str
-        The shortest text that denotes the same float64 number.
-
-    Raises
-    ------
-    ConversionError
-        If the number is NaN, or beyond the range of float32.
+    NaN, and numbers beyond the range of float32, raise `ConversionError` with the parameter's name.
     """
-    if not abs(value) <= _MAX_FLOAT32:
+    if not abs(value) <= _MAX_FLOAT32:  # also if it is NaN
         raise ConversionError(
             f"{parameter_name} would be {value:g}, but Mitsuba's numbers end at {_MAX_FLOAT32:.2g};"
             " keep the numbers of the scene closer to 1"
@@ -221,23 +131,4 @@ def _format_number(parameter_name: str, value: float) -> str:
 
 
 def _format_numbers(parameter_name: str, values: Iterable[float]) -> str:
-    """Format several numbers as one string, separated by spaces.
-
-    Parameters
-    ----------
-    parameter_name : str
-        Name of the plugin parameter, for the error message.
-    values : iterable of float
-        The numbers.
-
-    Returns
-    -------
-    text : str
-        For each number, the shortest text that denotes the same float64 number.
-
-    Raises
-    ------
-    ConversionError
-        If a number is NaN, or beyond the range of float32.
-    """
     return " ".join(_format_number(parameter_name, value) for value in values)

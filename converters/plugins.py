@@ -5,6 +5,8 @@ point light whose intensity does not decrease with distance; (3) the BSDF of the
 (Shirley, Fundamentals of Computer Graphics, 2nd ed., 9.1 and 9.2); and (4) an integrator that adds
 the light of every emitter for each sample.
 
+Mitsuba calls the methods of the plugins; some of the arguments that it passes are not used.
+
 Importing this module registers the plugins for the current variant, and for each variant that is
 set later.  If no variant is set, the fastest one that works on this machine is chosen.
 """
@@ -33,12 +35,9 @@ def _to_vector(vector: mi.ScalarVector3d) -> mi.Vector3d:
 class Window(mi.Sensor):
     """A Mitsuba sensor whose rays go from the eye through a rectangle, the window.
 
-    Parameters
-    ----------
-    props : mitsuba.Properties
-        The parameters of the plugin, which are vectors: `eye`, the position of the eye; `corner`,
-        from the eye to the upper left corner of the window; `right` and `down`, the edges of the
-        window; `low` and `high`, opposite corners of a box around the scene, on which rays start.
+    Its parameters are vectors: `eye`, the position of the eye; `corner`, from the eye to the upper
+    left corner of the window; `right` and `down`, the edges of the window; `low` and `high`,
+    opposite corners of a box around the scene, on which rays start.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -50,22 +49,9 @@ class Window(mi.Sensor):
     def sample_ray(self, time, wavelength, position, aperture, active=True):
         """Compute the ray from the eye through a point of the picture, in float64.
 
-        Mitsuba calls this method.  The ray starts where it enters the box around the scene.  If the
-        eye is inside the box, the ray starts at the eye.
-
-        Parameters
-        ----------
-        time, wavelength, aperture, active
-            Not used.
-        position : mitsuba.Point2f
-            The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
-
-        Returns
-        -------
-        ray : mitsuba.Ray3f
-            The ray, with a direction of unit length.
-        weight : mitsuba.Spectrum
-            Always 1.
+        `position` runs from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
+        The ray has a direction of unit length.  It starts where it enters the box around the scene,
+        or at the eye if the eye is inside the box.  Its weight is 1.
         """
         x, y = mi.Float64(position.x), mi.Float64(position.y)
         direction = dr.normalize(self.corner + x * self.right + y * self.down)
@@ -78,24 +64,7 @@ class Window(mi.Sensor):
         return ray, mi.Spectrum(1)
 
     def sample_ray_differential(self, time, wavelength, position, aperture, active=True):
-        """Compute the ray from the eye through a point of the picture, as a `RayDifferential3f`.
-
-        Mitsuba calls this method.  It returns the same ray as `sample_ray`, without differentials.
-
-        Parameters
-        ----------
-        time, wavelength, aperture, active
-            Not used.
-        position : mitsuba.Point2f
-            The point, from (0, 0) at the upper left to (1, 1) at the lower right of the picture.
-
-        Returns
-        -------
-        ray : mitsuba.RayDifferential3f
-            The ray, with a direction of unit length.
-        weight : mitsuba.Spectrum
-            Always 1.
-        """
+        """Return the ray of `sample_ray`, without differentials."""
         ray, weight = self.sample_ray(time, wavelength, position, aperture, active)
         return mi.RayDifferential3f(ray), weight
 
@@ -103,10 +72,7 @@ class Window(mi.Sensor):
 class UnattenuatedPoint(mi.Emitter):
     """A Mitsuba point light whose strength does not decrease with distance.
 
-    Parameters
-    ----------
-    props : mitsuba.Properties
-        The parameters of the plugin: the vectors `position` and `intensity` (linear RGB).
+    Its parameters are the vectors `position` and `intensity` (linear RGB).
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -116,25 +82,9 @@ class UnattenuatedPoint(mi.Emitter):
         self.intensity = mi.Color3f(_to_vector(props["intensity"]))
 
     def sample_direction(self, hit, sample, active=True):
-        """Compute the direction from a hit to the light, and the light's intensity.
+        """Compute the direction and the distance of the light from a hit, and its intensity.
 
-        Mitsuba calls this method.
-
-        Parameters
-        ----------
-        hit : mitsuba.Interaction3f
-            The point to be lit.  Only its position and time are used.
-        sample : mitsuba.Point2f
-            Not used, because there is only one direction.
-        active : mitsuba.Bool
-            Whether the result is needed.
-
-        Returns
-        -------
-        light_sample : mitsuba.DirectionSample3f
-            The position of the light, and its direction and distance from the hit.
-        intensity : mitsuba.Spectrum
-            The intensity of the light; 0 where `active` is False.
+        The intensity is 0 where `active` is False.
         """
         light_sample = mi.DirectionSample3f()
         light_sample.p = self.position
@@ -160,14 +110,9 @@ class BlinnPhong(mi.BSDF):
     """A two-sided Mitsuba BSDF for Blinn-Phong shading.
 
     The shading is kd n.l + ks (n.h)^exponent.  Here kd and ks are the diffuse and specular colours,
-    n is the normal, l the direction to the light, and h the half vector between the directions to
-    the light and to the eye.
-
-    Parameters
-    ----------
-    props : mitsuba.Properties
-        The parameters of the plugin: the linear RGB vectors `diffuse` and `specular`, and the
-        number `exponent`.
+    n is the normal, l the direction to the light, and h the half vector: the unit vector halfway
+    between l and the direction to the eye.  The parameters are the linear RGB vectors `diffuse` and
+    `specular`, and the number `exponent`.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -179,30 +124,11 @@ class BlinnPhong(mi.BSDF):
         self.m_components, self.m_flags = [flags], flags
 
     def eval(self, context, hit, to_light, active=True):
-        """Compute the Blinn-Phong shading of a point that is lit from a given direction.
+        """Compute the shading, which is the product of the BSDF and the cosine n.l.
 
-        Mitsuba calls this method, and expects the BSDF times the cosine n.l.  This product is
-        kd n.l + ks (n.h)^exponent.  Here kd and ks are the diffuse and specular colours, n is the
-        normal, l is the direction to the light, and h is the unit vector halfway between l and the
-        direction to the eye.
-
-        Parameters
-        ----------
-        context : mitsuba.BSDFContext
-            Not used.
-        hit : mitsuba.SurfaceInteraction3f
-            The point on the surface.  `hit.wi` is the direction to the eye, in a local frame whose
-            z axis is the normal.
-        to_light : mitsuba.Vector3f
-            Direction to the light, in the same frame.
-        active : mitsuba.Bool
-            Whether the result is needed.
-
-        Returns
-        -------
-        shading : mitsuba.Spectrum
-            The shading.  It is 0 where the light and the eye are on different sides of the surface,
-            and where `active` is False.
+        `to_light`, and `hit.wi` towards the eye, are in a local frame whose z axis is the normal.
+        The shading is 0 where they are on different sides of the surface, and where `active` is
+        False.
         """
         half_vector = dr.normalize(hit.wi + to_light)
         # Compute the cosine n.h from the sine: in float32, a cosine close to 1 would round to 1.
@@ -221,15 +147,8 @@ class EveryLight(mi.SamplingIntegrator):
     hit is therefore lit unless the shadow ray first meets a shape more than a tolerance above the
     plane.  No offset from the surface is needed: it would move the edges of shadows.
 
-    Parameters
-    ----------
-    props : mitsuba.Properties
-        The parameters of the plugin: the number `tolerance`, in the scene's unit of length.
-
-    Raises
-    ------
-    RuntimeError
-        If the current variant of Mitsuba is not an RGB variant.
+    Its parameter is the number `tolerance`, in the scene's unit of length.  It raises RuntimeError
+    if the current variant of Mitsuba is not an RGB variant.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -239,29 +158,9 @@ class EveryLight(mi.SamplingIntegrator):
         self.tolerance = props.get("tolerance", 1e-5)
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Compute the radiance along a ray from the eye: the sum of every emitter's direct light.
+        """Compute the radiance along a ray from the eye, and whether the ray hits a surface.
 
-        Mitsuba calls this method.
-
-        Parameters
-        ----------
-        scene : mitsuba.Scene
-            The scene.
-        sampler, medium
-            Not used.
-        ray : mitsuba.RayDifferential3f
-            The ray from the eye.
-        active : mitsuba.Bool
-            Whether the result is needed.
-
-        Returns
-        -------
-        radiance : mitsuba.Spectrum
-            The radiance; 0 if the ray hits no surface.
-        is_valid : mitsuba.Bool
-            Whether the ray hits a surface.
-        aovs : list
-            An empty list, because this integrator has no other outputs.
+        The radiance is 0 if it does not.  The third result lists other outputs: none.
         """
         hit = scene.ray_intersect(ray, active)
         is_hit = hit.is_valid()

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from math import isqrt
 from time import perf_counter
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
@@ -23,45 +24,28 @@ _MAX_SAMPLES = 2**32 - 1
 
 
 class Rendering(NamedTuple):
-    """A picture rendered by Mitsuba.
+    """A picture rendered by Mitsuba."""
 
-    Attributes
-    ----------
-    image : (h, w, 3) float array
-        Linear RGB radiance.
-    variant : str
-        Name of the Mitsuba variant.
-    seconds : float
-        Rendering time, which does not include loading the scene.
-    """
-
-    image: Floats
+    # Linear RGB radiance, and then the channels of an "aov" integrator, if the scene has one.
+    image: Shaped[Floats, "height width channels"]
     variant: str
-    seconds: float
+    seconds: float  # without loading the scene
 
 
 def render_with_mitsuba(
     scene: Scene, samples: int | None = None, variant: str | None = None, flavour: str = "exact"
-) -> Floats:
+) -> Shaped[Floats, "height width 3"]:
     """Render a scene with Mitsuba.
 
     Parameters
     ----------
-    scene : Scene
-        The scene to convert and render.
-    samples : int, optional
-        Number of samples per pixel.  By default, 1 for "exact" and 64 for "stock".
-    variant : str, optional
-        Name of the Mitsuba variant; by default, the fastest that works on this machine.
-    flavour : str
-        "exact" to reproduce the tracer's picture with this project's plugins, or "stock" to
-        approximate it with Mitsuba's built-in plugins, in square pixels.
-
-    Returns
-    -------
-    image : (h, w, 3) float array
-        Linear RGB radiance.  The size is given by the scene, but the height h may differ in the
-        flavour "stock".
+    samples
+        Samples per pixel; by default, `DEFAULT_SAMPLES` of the flavour.
+    variant
+        Mitsuba's variant; by default, the fastest that works on this machine.
+    flavour
+        "exact" or "stock" (see `converters.flavours`).  In the stock flavour, pixels are square, so
+        that the height may differ from that of the scene.
 
     Raises
     ------
@@ -70,6 +54,7 @@ def render_with_mitsuba(
     ValueError
         If the picture needs 2^32 samples or more, or the scene cannot be converted.
     """
+    # Mitsuba may round the number of samples up, at most to a square.
     samples_per_side = isqrt((samples or DEFAULT_SAMPLES[flavour]) - 1) + 1
     total_sample_count = scene.width * scene.height * samples_per_side**2
     if total_sample_count > _MAX_SAMPLES:
@@ -81,25 +66,9 @@ def render_with_mitsuba(
 
 
 def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[], Rendering]:
-    """Load a converted scene into Mitsuba, and return a function that renders it.
+    """Load the text of a converted scene, and return a function that renders it, also repeatedly.
 
-    Parameters
-    ----------
-    scene_xml : str
-        Content of a Mitsuba scene file, such as `convert` returns.
-    variant : str, optional
-        Name of the Mitsuba variant; by default, the fastest that works on this machine.
-
-    Returns
-    -------
-    render_scene : callable
-        A function that takes no arguments, renders the scene, and returns a `Rendering`.  It can
-        be called repeatedly.
-
-    Raises
-    ------
-    ImportError
-        If the variant does not work on this machine.
+    A variant that does not work on this machine raises ImportError.
     """
     chosen_variant = use_variant(variant).variant
     import converters.plugins  # noqa: F401 (registers this project's plugins)
@@ -111,25 +80,16 @@ def load_into_mitsuba(scene_xml: str, variant: str | None = None) -> Callable[[]
     def render_scene() -> Rendering:
         start_time = perf_counter()
         image = np.array(mi.render(scene), dtype=np.float64)
-        return Rendering(image, chosen_variant, perf_counter() - start_time)
+        seconds = perf_counter() - start_time
+        return Rendering(image=image, variant=chosen_variant, seconds=seconds)
 
     return render_scene
 
 
-def write_exr(path: str | os.PathLike[str], image: Floats) -> None:
+def write_exr(path: str | os.PathLike[str], image: Shaped[Floats, "height width 3"]) -> None:
     """Write a picture of linear radiance to an EXR file, in float32.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Path of the file.  An existing EXR file at this path is replaced.
-    image : (h, w, 3) float array
-        Linear RGB radiance.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written, or the path names an existing file of another format.
+    An existing EXR file is replaced; a file of another format raises OSError.
     """
     ensure_variant()
     stream = mi.MemoryStream()

@@ -91,17 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
     """Set Mitsuba's variant, and print its name and the reason for choosing it.
 
-    Parameters
-    ----------
-    variant : str or None
-        Name of the requested variant; None for the fastest that works on this machine.
-    exit_status : int
-        Exit status of the command if Mitsuba cannot run.
-
-    Raises
-    ------
-    Failure
-        If Mitsuba cannot run, or the requested variant does not work on this machine.
+    None stands for the fastest variant that works on this machine.  If Mitsuba or the variant does
+    not work, `Failure` is raised with the exit status.
     """
     try:
         import converters.rendering  # noqa: F401 (fails if Mitsuba is missing)
@@ -120,18 +111,9 @@ def set_up_mitsuba(variant: str | None, *, exit_status: int = FAILED) -> None:
 def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> Iterator[None]:
     """Convert errors that the converter or Mitsuba raises in a with block to a `Failure`.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Path of the scene file, for the message.
-    participle : str
-        Past participle for the message, for example "rendered" for "cannot be rendered".
-
-    Raises
-    ------
-    Failure
-        If the block raises OSError, MemoryError, ImportError, RuntimeError or ValueError.  The
-        converter's own `ConversionError` is a ValueError.
+    They are OSError, MemoryError, ImportError, RuntimeError and ValueError, of which the
+    converter's own `ConversionError` is one.  The message contains the path of the scene file, and
+    the participle, for example "rendered" for "cannot be rendered".
     """
     with errors_as_failure(path, participle, error_types=(ImportError, RuntimeError, ValueError)):
         try:
@@ -143,17 +125,8 @@ def mitsuba_errors_as_failure(path: str | os.PathLike[str], participle: str) -> 
 def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
     """Return the paths that are not converted scenes, and print a line for each one skipped.
 
-    Naming a converted scene is not an error, because *.xml also matches its file.
-
-    Parameters
-    ----------
-    paths : sequence of str
-        Paths from the command line.
-
-    Returns
-    -------
-    kept_paths : list of Path
-        A new list of the remaining paths.  Paths of files that cannot be read are kept.
+    Naming a converted scene is not an error, because *.xml also matches its file.  Paths of files
+    that cannot be read are kept: reading them later gives the message.
     """
     kept_paths = []
     for path in paths:
@@ -173,16 +146,8 @@ def skip_converted_scenes(paths: Sequence[str]) -> list[Path]:
 def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
     """Derive the paths of a PNG and an EXR file from one output path.
 
-    Parameters
-    ----------
-    output_path : str
-        The output path.  A suffix .png or .exr is replaced.  Any other suffix is kept, so that
-        room.v1 and room.v2 give different paths.
-
-    Returns
-    -------
-    png_path, exr_path : Path
-        The paths.  If `output_path` ends in .png or .exr, one of the two is `output_path` itself.
+    A suffix .png or .exr is replaced in one of them.  Any other suffix is kept, so that room.v1 and
+    room.v2 give different paths.
     """
     path = Path(output_path)
     if path.suffix.lower() == ".exr":
@@ -193,13 +158,7 @@ def _derive_picture_paths(output_path: str) -> tuple[Path, Path]:
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add arguments for scene files, an output path and a Mitsuba variant to a parser.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The command-line parser, to which SCENE.xml, -o and --variant are added.
-    """
+    """Add the arguments SCENE.xml, -o and --variant to a parser."""
     parser.add_argument("scenes", nargs="+", type=check_path, metavar="SCENE.xml")
     output_help = "the file to write, or a folder for the results of several scenes;"
     output_help += " a missing folder is created if PATH ends in /"
@@ -209,7 +168,6 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _make_parser() -> CommandParser:
-    """Create the command-line parser of `python -m converters.to_mitsuba`."""
     parser = CommandParser(__name__)
     add_scene_arguments(parser)
     parser.add_argument("--flavour", choices=("stock", "exact"), help="described above")
@@ -223,20 +181,8 @@ def _make_parser() -> CommandParser:
 def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
     """Convert a scene file to a Mitsuba scene file, and print a line with the path of the result.
 
-    Parameters
-    ----------
-    scene_path : Path
-        Path of the scene file.
-    output_path : Path
-        Path of the file to write.
-    options : argparse.Namespace
-        The parsed command line.  `flavour` is "stock" or "exact".  `samples` is the number of
-        samples per pixel; None stands for the default.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read or converted, or the result cannot be written.
+    The options are those of `_make_parser`, with a flavour.  What cannot be read, converted or
+    written raises `Failure`.
     """
     from converters.flavours import convert
     from tracer import load_scene
@@ -256,20 +202,8 @@ def _convert_file(scene_path: Path, output_path: Path, options: argparse.Namespa
 def _render_file(scene_path: Path, output_path: Path, options: argparse.Namespace) -> None:
     """Render a scene file with Mitsuba to a PNG and an EXR file, and print their paths.
 
-    Parameters
-    ----------
-    scene_path : Path
-        Path of the scene file.
-    output_path : Path
-        Path of the PNG or the EXR file.  The other file is written next to it.
-    options : argparse.Namespace
-        The parsed command line.  `flavour` is "stock" or "exact".  `samples` is the number of
-        samples per pixel, and `variant` is Mitsuba's variant; None stands for the default.
-
-    Raises
-    ------
-    Failure
-        If the scene cannot be read, converted or rendered, or a picture cannot be written.
+    `output_path` is the path of one of them; the other file is written next to it.  The options and
+    errors are as for `_convert_file`.
     """
     from converters.rendering import render_with_mitsuba, write_exr
     from tracer import load_scene, write_png

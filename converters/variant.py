@@ -56,37 +56,21 @@ if "alarm" in dir():  # not on Windows
 
 
 class VariantChoice(NamedTuple):
-    """A Mitsuba variant, and the reason for choosing it.
+    """A Mitsuba variant, and the reason for choosing it."""
 
-    Attributes
-    ----------
-    variant : str
-        Name of the variant, such as "scalar_rgb".
-    reason : str
-        The reason, as a clause for messages to users.
-    """
-
-    variant: str
-    reason: str
+    variant: str  # for example, "scalar_rgb"
+    reason: str  # a clause for messages to users
 
 
 def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> VariantChoice:
     """Find the fastest Mitsuba variant that works on this machine.
 
-    A child process tests the LLVM variant, because an unusable libLLVM may abort any process that
-    uses it.
-
     Parameters
     ----------
-    kernel : str
-        Python code that the child process executes; it must fail if LLVM is unusable.
-    timeout : float
+    kernel
+        Python code for the child process, which must fail if LLVM is unusable.
+    timeout
         Seconds after which the child process is stopped, and LLVM counts as unusable.
-
-    Returns
-    -------
-    choice : VariantChoice
-        The LLVM variant if the child process exits with status 0; otherwise the scalar variant.
     """
     setup = _CHILD_SETUP.format(seconds=ceil(timeout) + 1)
     command = [sys.executable, "-c", setup + kernel]
@@ -95,14 +79,16 @@ def find_fastest_variant(kernel: str = _KERNEL, timeout: float = 60) -> VariantC
     try:
         child = subprocess.run(command, env=env, capture_output=True, text=True, timeout=timeout)
     except subprocess.TimeoutExpired:
-        return VariantChoice(SCALAR, "the libLLVM found here hangs")
+        return VariantChoice(variant=SCALAR, reason="the libLLVM found here hangs")
     if child.returncode == 0:
-        return VariantChoice(LLVM, "libLLVM works")
+        return VariantChoice(variant=LLVM, reason="libLLVM works")
     if child.returncode < 0:
         signal_name = signal.Signals(-child.returncode).name
-        return VariantChoice(SCALAR, f"the libLLVM found here kills the process with {signal_name}")
+        return VariantChoice(
+            variant=SCALAR, reason=f"the libLLVM found here kills the process with {signal_name}"
+        )
     error_lines = child.stderr.strip().splitlines() or ["no message"]
-    return VariantChoice(SCALAR, f"no usable libLLVM: {error_lines[-1].strip()}")
+    return VariantChoice(variant=SCALAR, reason=f"no usable libLLVM: {error_lines[-1].strip()}")
 
 
 _find_fastest_once = cache(find_fastest_variant)
@@ -111,20 +97,8 @@ _find_fastest_once = cache(find_fastest_variant)
 def use_variant(variant: str | None = None) -> VariantChoice:
     """Set the variant that Mitsuba uses for the rest of this process.
 
-    Parameters
-    ----------
-    variant : str, optional
-        Name of the Mitsuba variant; by default, the fastest that works on this machine.
-
-    Returns
-    -------
-    choice : VariantChoice
-        The variant, and the reason for choosing it.
-
-    Raises
-    ------
-    ImportError
-        If the requested variant does not work on this machine, or is not an RGB variant.
+    None stands for the fastest that works on this machine.  A variant that does not work here, or
+    is not an RGB variant, raises ImportError.
     """
     choice = _find_fastest_once()
     if variant is not None and variant != choice.variant:
@@ -134,7 +108,7 @@ def use_variant(variant: str | None = None) -> VariantChoice:
             raise ImportError(f"{variant or repr(variant)} is not an RGB variant; {remedy}")
         if variant == LLVM:
             raise ImportError(f"{LLVM} does not work here: {choice.reason}")
-        choice = VariantChoice(variant, "requested")
+        choice = VariantChoice(variant=variant, reason="requested")
     mi.set_variant(choice.variant)
     return choice
 

@@ -318,6 +318,8 @@ def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..
 def wrap_class(owner: Any) -> None:
     """Make a class check its fields, and the arguments and results of its methods."""
     for name, member in list(vars(owner).items()):
+        if name == "__new__":
+            continue  # that of a NamedTuple has its fields as arguments
         if isinstance(member, FunctionType):
             # Fields do not exist before __init__.
             setattr(owner, name, wrap(member, None if name == "__init__" else owner))
