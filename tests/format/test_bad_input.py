@@ -42,7 +42,7 @@ def collect_messages(content: str | bytes) -> list[str]:
         names = {name: getattr(tracer, name) for name in tracer.__all__} | {"np": np}
         names["surfaces"] = lambda **arrays: tracer.Surfaces(**ARRAYS | arrays)
         names |= {"scene": tracer.Scene(width=4, height=3), "io": io}
-        with pytest.raises((TypeError, ValueError)) as caught:
+        with pytest.raises((AttributeError, TypeError, ValueError)) as caught:
             eval(content.removeprefix(">>> "), names)
         is_scene_error = isinstance(caught.value, tracer.SceneError)
         prefix = "" if is_scene_error else f"{type(caught.value).__name__}: "

@@ -12,49 +12,44 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, NoReturn, SupportsFloat, SupportsIndex, TypeAlias, overload
+from typing import Annotated as Shaped
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.arrays import Floats
+from tracer.arrays import Floats, Ints
 from tracer.scene import schema
 from tracer.scene.schema import FieldError, Validated, format_number, tag_field
 
 VectorLike: TypeAlias = Sequence[float] | NDArray[Any]
 """Three numbers.  Scenes accept any sequence or array, and store a tuple of float."""
 
-_ORIGIN, _WHITE, _BLACK = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-_MINUS_Z, _PLUS_Y = (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)
+_ORIGIN = (0.0, 0.0, 0.0)
+_MINUS_Z = (0.0, 0.0, -1.0)
+_PLUS_Y = (0.0, 1.0, 0.0)
+_WHITE = (1.0, 1.0, 1.0)
+_BLACK = (0.0, 0.0, 0.0)
 
 _PROJ_NORMAL = tag_field(schema.DIRECTION, "projNormal")
 # The tag is color in the specification, and intensity in the published scenes.
 _INTENSITY = tag_field(schema.COLOR, "intensity", "color")
 
-# Minimum sine of the angle between view_up and the window's normal, and minimum cosine of the angle
-# between view_dir and the normal.  For smaller values, too few digits of the camera's axes would be
-# correct.
-_MIN_SINE = _MIN_COSINE = 1e-10
+# Minimum sine of the angle between view_up and the window's normal.  For smaller values, too few
+# digits of the camera's axes would be correct.
+_MIN_SINE = 1e-10
+# Minimum cosine of the angle between view_dir and the normal, for the same reason.
+_MIN_COSINE = 1e-10
 
 
 @np.errstate(under="ignore")
-def normalize(vector: ArrayLike) -> Floats:
-    """Scale a vector to length 1, without overflow or underflow.
-
-    Parameters
-    ----------
-    vector : (3,) array_like
-        Any vector except the zero vector.
-
-    Returns
-    -------
-    unit_vector : (3,) float array
-        The unit vector with the same direction.
-    """
+def normalize(vector: ArrayLike) -> Shaped[Floats, "3"]:
+    """Scale a vector other than the zero vector to length 1, without overflow or underflow."""
     components = np.asarray(vector, dtype=np.float64)
     # Scale the vector so that the squares of its large components neither overflow nor underflow.
     # Scaling by a power of two is exact, so that pictures of scaled scenes stay bit-identical.
-    components = np.ldexp(components, -int(np.frexp(np.abs(components).max())[1]))
+    _, exponent = np.frexp(np.abs(components).max())
+    components = np.ldexp(components, -int(exponent))
     return components / np.sqrt(components @ components)
 
 
@@ -312,6 +307,14 @@ class Box(Validated):
 Kind: TypeAlias = type[Sphere] | type[Box]
 
 
+# Methods by which a list is changed.
+_LIST_METHODS = frozenset(
+    ("append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort")
+)
+# What to write in their place.
+_CHANGE_REMEDY = "make a new scene: dataclasses.replace(scene, surfaces=[*scene.surfaces, x])"
+
+
 class Surfaces(Sequence[Sphere | Box]):
     """All surfaces of a scene: a sequence of `Sphere` and `Box` that stores its numbers in arrays.
 
@@ -348,6 +351,10 @@ class Surfaces(Sequence[Sphere | Box]):
     # For each kind of surface, in the order of the arrays, its numbers: an array for each field.
     tables: dict[Kind, dict[str, Floats]]
     counts: dict[Kind, int]  # number of surfaces of each kind
+    shader_index: Shaped[Ints, "surfaces"]
+    file_index: Shaped[Ints, "surfaces"]
+    line: Shaped[NDArray[np.int32], "surfaces"]  # 0 if the surface is not from a file
+    shaders: tuple[Shader, ...]
 
     def __init__(
         self,
@@ -401,7 +408,7 @@ class Surfaces(Sequence[Sphere | Box]):
         self.file_index = schema.copy_integers(file_index, "file_index")
         self.line = schema.copy_integers(line, "line").astype(np.int32)
         validate_shaders = schema.require_list(Lambertian, Phong)
-        self.shaders: tuple[Shader, ...] = validate_shaders(shaders, "shaders")
+        self.shaders = validate_shaders(shaders, "shaders")
         # Numbers can be validated only if the lengths of the arrays match.
         schema.raise_if_any(self._find_array_errors())
         errors = sorted(self._find_number_errors(), key=lambda error: error[0])
@@ -409,30 +416,25 @@ class Surfaces(Sequence[Sphere | Box]):
         self.__setstate__(vars(self))
 
     @property
-    def center(self) -> Floats:
+    def center(self) -> Shaped[Floats, "spheres 3"]:
         return self.tables[Sphere]["center"]
 
     @property
-    def radius(self) -> Floats:
+    def radius(self) -> Shaped[Floats, "spheres"]:
         return self.tables[Sphere]["radius"]
 
     @property
-    def min_pt(self) -> Floats:
+    def min_pt(self) -> Shaped[Floats, "boxes 3"]:
         return self.tables[Box]["min_pt"]
 
     @property
-    def max_pt(self) -> Floats:
+    def max_pt(self) -> Shaped[Floats, "boxes 3"]:
         return self.tables[Box]["max_pt"]
 
     def _find_array_errors(self) -> Iterator[str]:
-        """Find arrays that have the wrong length or contain invalid indices.
-
-        Yields
-        ------
-        message : str
-            Name of an array, and what is wrong with it.
-        """
-        requirements = list[tuple[str, NDArray[Any], int, str]]()
+        """Yield a message for each array that has the wrong length or contains invalid indices."""
+        # Name, array, required length, and the reason for it.
+        requirements: list[tuple[str, NDArray[Any], int, str]] = []
         for columns in self.tables.values():
             (first_name, first_column), *others = columns.items()
             reason = f"the length of {first_name}"
@@ -442,24 +444,16 @@ class Surfaces(Sequence[Sphere | Box]):
         for name, array, required_length, reason in requirements:
             if len(array) != required_length:
                 yield f"{name}: must have length {required_length} ({reason}), not {len(array)}"
-        shader_index, shader_count = self.shader_index, len(self.shaders)
-        is_invalid = (shader_index < 0) | (shader_index >= shader_count)
-        for invalid_index in shader_index[is_invalid].tolist()[:1]:
+        shader_count = len(self.shaders)
+        is_invalid = (self.shader_index < 0) | (self.shader_index >= shader_count)
+        for invalid_index in self.shader_index[is_invalid].tolist()[:1]:
             yield f"shader_index: {invalid_index} is out of range for {shader_count} shaders"
         surface_count = len(self.file_index)
         if not np.array_equal(np.sort(self.file_index), np.arange(surface_count)):
             yield f"file_index: must be a permutation of 0 ... {surface_count - 1}"
 
     def _find_number_errors(self) -> Iterator[tuple[int, str]]:
-        """Find surfaces with invalid numbers.
-
-        Yields
-        ------
-        file_index : int
-            Position of the surface in the file, counted from 0.
-        message : str
-            Name of a field of the surface, and what is wrong with it.
-        """
+        """Yield the index in the file of each surface with an invalid number, and what is wrong."""
         first_index = 0
         for kind, columns in self.tables.items():
             # One row for each surface, also if the field is a single number.
@@ -501,7 +495,8 @@ class Surfaces(Sequence[Sphere | Box]):
         # Shaders are identified by id(), so surfaces that share a shader object still share it.
         shader_of_id = {id(surface.shader): surface.shader for surface in objects}
         index_of_id = {shader_id: index for index, shader_id in enumerate(shader_of_id)}
-        file_index, tables = list[int](), dict[Kind, dict[str, Any]]()
+        file_index: list[int] = []
+        tables: dict[Kind, dict[str, Any]] = {}
         kinds: tuple[Kind, ...] = Sphere, Box
         for kind in kinds:
             members = [index for index, surface in enumerate(objects) if isinstance(surface, kind)]
@@ -522,10 +517,10 @@ class Surfaces(Sequence[Sphere | Box]):
         return sum(self.counts.values())
 
     @cached_property
-    def array_index(self) -> NDArray[np.intp]:
+    def array_index(self) -> Shaped[Ints, "surfaces"]:
         """Index of each surface in arrays such as `shader_index`, in the order of the file.
 
-        In these arrays, all spheres come before all boxes.  The result is a read-only int array.
+        In these arrays, all spheres come before all boxes.  The result is read-only.
         """
         array_index = np.argsort(self.file_index)
         array_index.setflags(write=False)
@@ -545,29 +540,28 @@ class Surfaces(Sequence[Sphere | Box]):
         return iter(self[:])
 
     def _make_surface(self, index: int) -> Sphere | Box:
-        """Create the `Sphere` or `Box` object of one surface.
-
-        Parameters
-        ----------
-        index : int
-            Index of the surface in the arrays, where the spheres come before the boxes.
-
-        Returns
-        -------
-        surface : Sphere or Box
-            A new object with the surface's numbers, its shader, and its line in the file.
-        """
-        shader, line = self.shaders[self.shader_index[index]], self.line.item(index) or None
-        row, counts = index, iter(self.counts.items())
-        kind, count = next(counts)
-        while row >= count:
-            row -= count
-            kind, count = next(counts)
-        fields = {"shader": shader, "line": line}
+        """Create the `Sphere` or `Box` with an index in the arrays."""
+        row = index
+        for kind in self.counts:
+            if row < self.counts[kind]:
+                break
+            row -= self.counts[kind]
+        fields: dict[str, object] = {
+            "shader": self.shaders[self.shader_index[index]],
+            "line": self.line.item(index) or None,
+        }
         for name, column in self.tables[kind].items():
             value = column[row].tolist()  # of Python's numbers
             fields[name] = tuple(value) if column.ndim > 1 else value
         return schema.construct_unchecked(kind, **fields)
+
+    if not TYPE_CHECKING:  # type checkers know that these methods do not exist
+
+        def __getattr__(self, name: str) -> NoReturn:
+            """Tell a caller who wants to change the surfaces to make a new scene."""
+            if name in _LIST_METHODS:
+                raise AttributeError(f"Surfaces has no {name}; {_CHANGE_REMEDY}")
+            raise AttributeError(f"'Surfaces' object has no attribute {name!r}")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surfaces):
@@ -597,7 +591,8 @@ def _protect(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-_DEFAULT_CAMERA, _NO_SURFACES = Camera(), Surfaces()
+_DEFAULT_CAMERA = Camera()
+_NO_SURFACES = Surfaces()
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -637,11 +632,14 @@ class Scene(Validated):
         lights: Iterable[PointLight] = (),
         surfaces: Iterable[Sphere | Box] = _NO_SURFACES,
     ) -> None:
-        content = {"camera": camera, "lights": lights, "surfaces": surfaces}
-        for name, value in (content | {"width": width, "height": height}).items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "camera", camera)
+        object.__setattr__(self, "lights", lights)
+        object.__setattr__(self, "surfaces", surfaces)
+        object.__setattr__(self, "width", width)
+        object.__setattr__(self, "height", height)
         self.__post_init__()
-        if (count := self.width * self.height) > schema.MAX_PIXELS:
+        count = self.width * self.height
+        if count > schema.MAX_PIXELS:
             memory = f"the picture would take {count * 24 / 2**30:.3g} GiB of memory"
             message = f"{self.width} x {self.height} pixels are too many: {memory}"
             limit = f"at most {schema.MAX_PIXELS} are allowed"
