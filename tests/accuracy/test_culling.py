@@ -19,6 +19,7 @@ from probe import Vector, record_calls, scene_of
 from random_scenes import FEW_OBJECTS, random_scene, scenes
 from scene_files import HARD_SCENES, HardScene, hard_scenes
 
+from reference.judges import plain
 from reference.measured.workloads import crowd
 from tracer import Box, Camera, Lambertian, PointLight, Scene, Sphere, load_scene, render
 from tracer.antialias.lattice import PIXEL_CENTERS
@@ -360,3 +361,53 @@ def test_a_horizon_causes_no_more_shadow_tests(monkeypatch):
     sizes = record_calls(monkeypatch, Spheres, "occludes", lambda _, index, *others: index.size)
     render(scene, samples=4)
     assert 0 < sum(sizes) < 64 * 64
+
+
+def test_objects_that_differ_in_one_number_are_no_duplicates():
+    ball, box = Sphere(center=(1, 2, 3), radius=4), Box(min_pt=(1, 2, 3), max_pt=(4, 5, 6))
+    variants = [(ball, replace(ball, radius=4.5))]
+    for axis in range(3):
+        step = [0.5 * (axis == i) for i in range(3)]
+        for surface, field in ((ball, "center"), (box, "min_pt"), (box, "max_pt")):
+            moved_point = tuple(np.add(getattr(surface, field), step).tolist())
+            variants.append((surface, replace(surface, **{field: moved_point})))
+    for pair in variants:
+        for first, second in (pair, pair[::-1]):
+            for surfaces, expected in (((first, second), [0, 0]), ((first, first), [0, 1])):
+                scene = scene_of(*surfaces, camera=CAMERA, size=(2, 2), lights=(3, 5, 4))
+                assert PreparedScene(scene).is_duplicate.tolist() == expected, surfaces
+    # A box of which one face is hidden, and a box that is deeper: both are visible.
+    scene = scene_of(
+        Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 0), shader=Lambertian(diffuse=(1, 0, 0))),
+        Box(min_pt=(-1, -1, -1), max_pt=(1, 1, 1), shader=Lambertian(diffuse=(0, 1, 0))),
+        camera=Camera(view_point=(3, 3, 6), view_dir=(-3, -3, -6), view_width=0.5, view_height=0.5),
+        size=(20, 20),
+        lights=(3, 5, 9),
+    )
+    assert (render(scene)[..., 1] > 0).sum() > 100
+
+
+@pytest.mark.parametrize("degrees", [-80, -62, 62, 80])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_culling_with_a_window_turned_far_from_the_view_direction(degrees, axis):
+    angle = math.radians(degrees)
+    direction = [0.0, 0.0, -math.cos(angle)]
+    direction[axis] = math.sin(angle)
+    camera = Camera(
+        view_point=(0, 0, 5),
+        view_dir=tuple(direction),
+        proj_normal=(0, 0, 1),
+        proj_distance=3 / math.cos(angle),
+        view_width=2,
+        view_height=2,
+    )
+    # The picture's centre shows this point, at z = 0.
+    x, y, _ = np.multiply(direction, 5 / -direction[2]).tolist()
+    ball = Sphere(center=(x, y, 0), radius=0.4)
+    # Its sides are not in the plane of a row or column of samples.
+    box = Box(min_pt=(x + 0.013, y + 0.017, -1), max_pt=(x + 1, y + 1, 0.05))
+    scene = scene_of(ball, box, camera=camera, size=(45, 35), lights=(x + 1, y + 3, 5))
+    assert_unchanged(scene)
+    image = render(scene)
+    assert 50 < (image > 0).all(axis=2).sum() < 1000
+    np.testing.assert_allclose(image, plain.render(scene), rtol=0, atol=1e-9)
