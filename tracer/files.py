@@ -1,8 +1,12 @@
 """Write files so that an incomplete file never has the name of the result.
 
 A new file gets its name only when it is complete.  Until then it has no name at all, so that it
-vanishes when its process ends for any reason.  On systems without nameless files, it has a
-temporary name until then: it is a *part file*, which is removed if the process ends early.
+vanishes when its process ends for any reason.  Some systems and file systems have no nameless files
+(NFS, FAT and FUSE, for example).  There, and for a moment before a file replaces another, it has a
+temporary name: it is a *part file*, which is removed if the process ends early.
+
+A process that is killed cannot remove its part files.  If it is a worker, the command's main
+process does: see `share_folders`.
 """
 
 from __future__ import annotations
@@ -10,12 +14,28 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import IO
 
-_part_files: set[str] = set()
-"""Paths that the part files of this process have, or will have."""
+# Both by the id of the process to which they belong: a forked worker inherits those of its parent,
+# and must not remove them.
+_part_files = defaultdict[int, set[str]](set)  # paths that part files have, or will have
+_shared_folders = defaultdict[int, set[str]](set)
+
+_part_prefix = f".{os.urandom(8).hex()}-"
+
+
+def get_part_prefix() -> str:
+    """Return the beginning of the names of part files: other commands have other ones."""
+    return _part_prefix
+
+
+def set_part_prefix(prefix: str) -> None:
+    """Begin the names of part files as the main process does, in a worker that is no fork of it."""
+    global _part_prefix
+    _part_prefix = prefix
 
 
 @contextmanager
@@ -26,19 +46,15 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
     permissions of the old file.  After an error in the block, the new file is deleted, and the file
     at `path` is unchanged.  If `path` is a symbolic link, the target of the link is replaced.
 
+    The attribute `name` of the file is its temporary path or, on Linux, a file descriptor.
+
     Parameters
     ----------
-    path : str or path-like
-        Path of the file.  If a file already exists there, it must be writable, and it must be empty
-        or begin with `magic`.
-    magic : bytes
+    path
+        If a file already exists there, it must be writable, and it must be empty or begin with
+        `magic`.
+    magic
         The first bytes of every file of this kind.  If empty, a file of any kind is replaced.
-
-    Yields
-    ------
-    file : binary file
-        The new file, which is empty and open for writing.  The attribute `name` is the temporary
-        path of the file or, on Linux, a file descriptor.
 
     Raises
     ------
@@ -58,8 +74,9 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
                 raise FileExistsError(errno.EEXIST, "a file of another kind is there", target_path)
     folder = os.path.dirname(target_path)
     # The name is random, because a name derived from that of the file could be too long.
-    part_path = os.path.join(folder, f".{os.urandom(8).hex()}.part")
-    _part_files.add(part_path)
+    part_path = os.path.join(folder, f"{_part_prefix}{os.urandom(8).hex()}.part")
+    part_files = _part_files[os.getpid()]
+    part_files.add(part_path)
     try:
         with _create_temporary_file(folder, part_path) as file:
             yield file
@@ -76,40 +93,36 @@ def open_atomically(path: str | os.PathLike[str], magic: bytes) -> Iterator[IO[b
             os.unlink(part_path)
         raise
     finally:
-        _part_files.discard(part_path)
+        part_files.discard(part_path)
 
 
 def _create_temporary_file(folder: str, fallback_path: str) -> IO[bytes]:
-    """Create a temporary file, which has no name if the system supports unnamed files.
-
-    Parameters
-    ----------
-    folder : str
-        Folder that will contain the file when it is complete.
-    fallback_path : str
-        Path of the file if it must have a name.
-
-    Returns
-    -------
-    file : binary file
-        The new file, open for writing.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be created.
-    """
+    """Create a file without a name, or with the fallback path if the system has none of these."""
     if hasattr(os, "O_TMPFILE") and os.path.isdir("/proc/self/fd"):
         with suppress(OSError):  # some file systems do not support unnamed files
             return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
     return open(fallback_path, "xb")
 
 
-def remove_part_files() -> None:
-    """Delete the part files (incomplete files with temporary names) of this process.
+def share_folders(paths: Iterable[str]) -> None:
+    """Let `remove_part_files` remove the part files of workers, too, from the folders of results.
 
-    Call this only when the process is about to end.  A file that cannot be deleted is skipped.
+    The workers are processes that this process starts, and that write the results at these paths.
     """
-    for path in [*_part_files]:  # a copy, because another thread may change the set
+    _shared_folders[os.getpid()] |= {os.path.dirname(os.path.realpath(path)) for path in paths}
+
+
+def remove_part_files() -> None:
+    """Delete the part files of this process, and those of its workers (see `share_folders`).
+
+    Call this only when nothing is being written: before this process ends, or after its workers
+    have.  A file that cannot be deleted is skipped.
+    """
+    process_id = os.getpid()
+    paths = [*_part_files[process_id]]  # a copy, because another thread may change the set
+    for folder in _shared_folders[process_id]:
+        with suppress(OSError), os.scandir(folder) as entries:
+            paths += [entry.path for entry in entries if entry.name.startswith(_part_prefix)]
+    for path in paths:
         with suppress(OSError):
             os.unlink(path)

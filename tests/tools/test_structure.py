@@ -24,8 +24,8 @@ MAX_MODULE_LINES, MAX_FUNCTION_LINES = 300, 45
 MAX_DEPTH = 15
 
 # Packages and modules of the tracer, from the lowest layer to the highest.
-LAYERS = ["version", "arrays", "messages", "files", "scene", "geometry", "world", "trace"]
-LAYERS += ["antialias", "picture", "command", "__init__", "__main__"]
+LAYERS = ["version", "arrays", "messages", "children", "files", "scene", "geometry", "world"]
+LAYERS += ["trace", "antialias", "picture", "command", "__init__", "__main__"]
 
 # Types of tokens that do not make a line a line of code.
 NO_CODE = {COMMENT, DEDENT, ENDMARKER, INDENT, NEWLINE, NL}

@@ -28,7 +28,13 @@ from tracer.command.arguments import OUTPUT_REMEDY
 from tracer.command.failure import Failure, errors_as_failure
 from tracer.command.process import end_on_signals, print_line
 from tracer.command.progress import Progress
-from tracer.files import open_atomically
+from tracer.files import (
+    get_part_prefix,
+    open_atomically,
+    remove_part_files,
+    set_part_prefix,
+    share_folders,
+)
 from tracer.messages import make_printable
 from tracer.picture.linear import EXR_MAGIC, NPY_MAGIC, encode_raw, write_exr, write_npy
 from tracer.picture.lint import Exposure, lint_scene
@@ -122,11 +128,13 @@ class Batch:
     """
 
     def __init__(self, settings: Settings, max_processes: int) -> None:
-        self._settings, self._pool = settings, WorkerPool(max_processes - 1, end_on_signals)
+        initializer = partial(_init_worker, get_part_prefix())
+        self._settings, self._pool = settings, WorkerPool(max_processes - 1, initializer)
 
     def close(self) -> None:
-        """End the worker processes, if there are any."""
+        """End the worker processes, if there are any, and remove their part files."""
         self._pool.close()
+        remove_part_files()
 
     def render(self, jobs: Sequence[Job]) -> bool:
         """Render scenes, write their pictures, and print a line about each scene, in order.
@@ -151,6 +159,7 @@ class Batch:
         # Numbers of finished scenes, and of pixels in their pictures.
         self._finished_count = self._pixel_count = 0
         self._job_count, has_succeeded = len(jobs), True
+        self._unshared_paths = [job.output_path for job in jobs]  # see `share_folders`
         with Progress(len(jobs), "pictures", show=not self._settings.quiet) as self._progress:
             for job, report in zip(jobs, self._distribution.process(items), strict=True):
                 self._finished_count += 1
@@ -174,7 +183,7 @@ class Batch:
         try:
             render_job = _make_render_job(item, self._settings)
             if render_job.seconds * (self._job_count - self._finished_count) >= MIN_SHARED_SECONDS:
-                self._distribution.executor = self._pool
+                self._use_workers()
             if render_job.seconds >= item.min_shared_seconds:
                 rectangles = render_job.divide(is_shared=self._pool.worker_count > 0)
                 items = [_Tile(render_job, rectangle, encode) for rectangle in rectangles]
@@ -186,6 +195,12 @@ class Batch:
                 return _write_picture(item, self._settings, render_job, tracked_tiles, start_time)
         except Failure as failure:
             return Report(notices=(str(failure),))
+
+    def _use_workers(self) -> None:
+        """Start submitting items to the workers."""
+        share_folders(self._unshared_paths)
+        self._unshared_paths.clear()
+        self._distribution.executor = self._pool
 
     def _track(self, render_job: RenderJob, tiles: Iterator[EncodedTile]) -> Iterator[EncodedTile]:
         """Yield tiles of a picture; after each, show the progress, and keep the workers busy."""
@@ -204,6 +219,12 @@ class Batch:
         """
         note = f"{(self._pixel_count + rendered_pixel_count) / 1e6:.3g} million pixels"
         self._progress.update(self._finished_count + rendered_fraction, note)
+
+
+def _init_worker(part_prefix: str) -> None:
+    """Prepare a worker process to write pictures, and to end on signals."""
+    set_part_prefix(part_prefix)
+    end_on_signals()
 
 
 def _process_in_worker(settings: Settings, item: Job | _Tile) -> Report | EncodedTile | None:

@@ -14,6 +14,7 @@ from contextlib import nullcontext, suppress
 from importlib import import_module
 from typing import NoReturn, TextIO, TypeVar
 
+from tracer.children import terminate_children
 from tracer.command.failure import Failure
 from tracer.files import remove_part_files
 from tracer.messages import make_printable
@@ -171,8 +172,9 @@ def end_on_signals() -> None:
 
 
 def _handle_signal(_signal_number: int, _frame: object) -> NoReturn:
-    """Remove part files (incomplete output files), and exit with the status for an interrupt."""
+    """End the workers, remove part files, and exit with the status for an interrupt."""
     # Do not raise KeyboardInterrupt: it would be lost in a finalizer or after a fork, and NumPy or
     # a plugin might turn it into a different error.
+    terminate_children()
     remove_part_files()
     os._exit(INTERRUPTED)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
+from tracer.children import end_children
 from tracer.files import remove_part_files
 
 # Importing these takes longer than rendering a small picture, and only a pool needs them.
@@ -38,8 +39,9 @@ _ITEMS_PER_WORKER = 2
 # Maximum number of starts of a pool: it is started again if a worker has died.
 _MAX_STARTS = 4
 
-# Maximum time, in seconds, to wait for the end of a pool's threads.  Usually they end within
-# milliseconds, but if a worker has died while it sent a result, a thread waits for the rest.
+# Maximum time, in seconds, to wait for the end of a pool's workers, and then of its threads.
+# Usually both end within milliseconds, but a worker may be busy with a large array, and if one has
+# died while it sent a result, a thread waits for the rest.
 _MAX_END_SECONDS = 0.5
 
 
@@ -274,17 +276,14 @@ class WorkerPool:
         return ProcessPoolExecutor(self.worker_count, context, _init_worker, (self._initializer,))
 
     def close(self) -> None:
-        """Kill the workers, and wait up to `_MAX_END_SECONDS` for their executor to shut down.
+        """End the workers, by force after `_MAX_END_SECONDS`, and shut down their executor.
 
         Unfinished work is lost.  If there are no workers, nothing is done.  Work that is submitted
         later starts new workers.
         """
         if self._executor is None:
             return
-        import multiprocessing
-
-        for process in multiprocessing.active_children():
-            process.kill()
+        end_children(_MAX_END_SECONDS)
         shutdown_thread = threading.Thread(target=self._executor.shutdown, daemon=True)
         self._executor = None
         with suppress(RuntimeError):  # the system cannot start another thread
