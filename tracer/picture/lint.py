@@ -251,28 +251,31 @@ def _check_color_ranges(scene: Scene) -> str | None:
     That is the case if all components are integers up to 255, and one is at least `_MIN_PEAK`.  The
     warning names the light, or the first surface with the colour, and suggests a new colour.
     """
-    for tag, color, kind, index in _list_colors(scene):
-        if max(color) >= _MIN_PEAK and all(value == int(value) <= 255 for value in color):
-            element = scene.lights[index] if kind == "light" else scene.surfaces[index]
-            name = name_element(kind, index, element.line)
-            old_color = " ".join(map(format_number, color))
-            new_color = " ".join(f"{value / 255:.3g}" for value in color)
-            return f"{tag} {old_color} of {name} looks like 0 to 255; for 0 to 1, write {new_color}"
-    return None
-
-
-def _list_colors(scene: Scene) -> Iterator[tuple[str, VectorLike, str, int]]:
-    """Yield the tag of each colour, the colour, and the kind and index of its light or surface.
-
-    The surface is the first in the file that uses the shader.
-    """
-    for index, light in enumerate(scene.lights):
-        yield "intensity", light.intensity, "light", index
+    for light_index, light in enumerate(scene.lights):
+        if _is_up_to_255(light.intensity):
+            light_name = _format_light_name(scene, light_index)
+            return _format_range_warning("intensity", light.intensity, light_name)
     surfaces = scene.surfaces
     shader_index_of_surface = surfaces.shader_index[surfaces.array_index]
     _, first_indices = np.unique(shader_index_of_surface, return_index=True)
     for surface_index in first_indices.tolist():
         shader = surfaces.shaders[shader_index_of_surface[surface_index]]
-        yield "diffuseColor", shader.diffuse, "surface", surface_index
+        colors = {"diffuseColor": shader.diffuse}
         if isinstance(shader, Phong):
-            yield "specularColor", shader.specular, "surface", surface_index
+            colors["specularColor"] = shader.specular
+        for tag, color in colors.items():
+            if _is_up_to_255(color):
+                name = name_element("surface", surface_index, surfaces[surface_index].line)
+                return _format_range_warning(tag, color, name)
+    return None
+
+
+def _is_up_to_255(color: VectorLike) -> bool:
+    return max(color) >= _MIN_PEAK and all(value == int(value) <= 255 for value in color)
+
+
+def _format_range_warning(tag: str, color: VectorLike, owner_name: str) -> str:
+    old_color = " ".join(map(format_number, color))
+    new_color = " ".join(f"{value / 255:.3g}" for value in color)
+    problem = f"{tag} {old_color} of {owner_name} looks like 0 to 255"
+    return f"{problem}; for 0 to 1, write {new_color}"

@@ -31,7 +31,8 @@ def make_notebook_png(scene: Scene) -> bytes:
     about the line of the user's code that shows the scene.
     """
     shown_scene = _limit_size(scene)
-    job, exposure = RenderJob(shown_scene), Exposure()
+    job = RenderJob(shown_scene)
+    exposure = Exposure()
 
     def collect_tiles() -> Iterator[CompressedTile]:
         nonlocal exposure
@@ -66,9 +67,11 @@ def _find_user_level() -> int:
 
     Between that line and this module are functions of the notebook.  User code runs in `__main__`.
     """
-    level, frame = 1, sys._getframe(1)
+    level = 1
+    frame = sys._getframe(1)
     while frame.f_globals.get("__name__") != "__main__":
         if frame.f_back is None:
             return 2
-        level, frame = level + 1, frame.f_back
+        level += 1
+        frame = frame.f_back
     return level

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 
 from tracer.messages import quote, shorten
 from tracer.scene.elements import Element, FatalError
-from tracer.scene.hints import suggest_name, suggest_tag
+from tracer.scene.hints import Suggestion, suggest_name, suggest_tag
 
 MAX_ERRORS = 1_000
 """Maximum number of errors that are reported for a file."""
@@ -46,7 +46,7 @@ class ErrorCollector:
         intended_names = self.report_unknown_attributes(element, (*attributes, "type"))
         unknown_type = element.attrib.get("type")
         if unknown_type is not None:
-            remedy, _ = suggest_name(unknown_type, types)
+            remedy = suggest_name(unknown_type, types).remedy
             self.report(element, f"unknown type {quote(unknown_type)}; {remedy}")
         elif "type" not in intended_names:
             choices = " or ".join(f'type="{known_type}"' for known_type in types)
@@ -60,12 +60,13 @@ class ErrorCollector:
         `allowed_tags` are those that children of the parent may have.
         """
         if element.tag in SCENE_TAGS:
-            remedy, intended_tag = f"close the {parent.tag} on line {parent.line} first", None
+            remedy = f"close the {parent.tag} on line {parent.line} first"
+            suggestion = Suggestion(remedy=remedy, name=None)
         else:
-            remedy, intended_tag = suggest_tag(element.tag, allowed_tags)
+            suggestion = suggest_tag(element.tag, allowed_tags)
         parent_type = shorten(parent.attrib.get("type", parent.tag))
-        self.report(element, f"unknown in {parent_type}; {remedy}")
-        return intended_tag
+        self.report(element, f"unknown in {parent_type}; {suggestion.remedy}")
+        return suggestion.name
 
     def report_duplicate(self, element: Element, original: Element) -> None:
         """Report an element that defines the same thing as an earlier one.
@@ -93,7 +94,7 @@ class ErrorCollector:
             elif intended_name in child_tags:
                 remedy = f"write <{intended_name}>{shorten(value)}</{intended_name}> in it"
             elif intended_name is None:
-                remedy, _ = suggest_name(name, allowed_names)
+                remedy = suggest_name(name, allowed_names).remedy
             intended_names.add(intended_name)
             self.report(element, f"unknown attribute {quote(name)}; {remedy}")
         return intended_names

@@ -10,7 +10,7 @@ import re
 import unicodedata
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 from xml.parsers.expat import errors
 
 from tracer.messages import quote, shorten
@@ -129,33 +129,42 @@ def _find_syntax_remedy(message: str, line: int, before: bytes, after: bytes) ->
     return None
 
 
-def suggest_name(name: str, allowed_names: Iterable[str]) -> tuple[str, str | None]:
-    """Suggest an allowed name in place of an unknown one, whatever the case of letters.
+class Suggestion(NamedTuple):
+    """What to write in place of an unknown name."""
 
-    To save time, only the first `_MAX_COMPARED` allowed names and the beginnings of long names are
-    compared.  Return a fix, such as "did you mean 'center'?", and the most similar name.  If none
-    is similar, the fix lists allowed names, and the name is None.
+    remedy: str  # the suggested fix
+    name: str | None  # the name that was probably meant; None if this is unclear
+
+
+def suggest_name(name: str, allowed_names: Iterable[str]) -> Suggestion:
+    """Suggest the allowed name that is most similar to an unknown one; ignore the case of letters.
+
+    If none is similar, the fix lists some allowed names.  To save time, only the first
+    `_MAX_COMPARED` allowed names and the beginnings of long names are compared.
     """
     from difflib import get_close_matches  # only after an error: importing takes milliseconds
 
     name_of_key = {shorten(word).lower(): word for word in islice(allowed_names, _MAX_COMPARED)}
     for key in get_close_matches(shorten(name).lower(), name_of_key, n=1):
-        return f"did you mean {quote(name_of_key[key])}?", name_of_key[key]
+        similar_name = name_of_key[key]
+        return Suggestion(remedy=f"did you mean {quote(similar_name)}?", name=similar_name)
+    if not name_of_key:
+        return Suggestion(remedy="remove it", name=None)
     names = [shorten(word) for word in sorted(name_of_key.values())]
     ellipsis = ["..."] * (len(names) > _MAX_LISTED)
-    return f"known: {', '.join(names[:_MAX_LISTED] + ellipsis)}" if names else "remove it", None
+    return Suggestion(remedy=f"known: {', '.join(names[:_MAX_LISTED] + ellipsis)}", name=None)
 
 
-def suggest_tag(tag: str, allowed_tags: Collection[str]) -> tuple[str, str | None]:
+def suggest_tag(tag: str, allowed_tags: Collection[str]) -> Suggestion:
     """Suggest what to write in place of an unknown tag, which may come from another scene format.
 
-    Return the fix, and the tag or text that was probably meant: None if this is unclear.
+    Besides a tag, the suggested name may be other text.
     """
     for replacement in _REPLACEMENTS.get(tag.lower(), ()):
         if not replacement:
-            return "remove it", None
+            return Suggestion(remedy="remove it", name=None)
         if replacement.startswith("<") or replacement.split(",")[0] in allowed_tags:
-            return f"write {replacement}", replacement
+            return Suggestion(remedy=f"write {replacement}", name=replacement)
     return suggest_name(tag, allowed_tags)
 
 

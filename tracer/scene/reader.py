@@ -159,7 +159,7 @@ class _Reader(ErrorCollector):
             self.read_root(element)
         elif tag == "shader":
             self.read_shader(element)
-            if "name" not in element.attrib and not suggest_name("name", element.attrib)[1]:
+            if "name" not in element.attrib and not suggest_name("name", element.attrib).name:
                 self.report(element, 'has no name; add one, as in name="white"')
         elif tag == "light":
             self.add_row(self.lights, element)
@@ -367,7 +367,7 @@ class _Reader(ErrorCollector):
             if lookalike_line is not None:
                 return _LOOKALIKE_REMEDY.format(lookalike_line)
             can_search = line_of_name and len(remedies) < _MAX_SEARCHES
-            return suggest_name(name, line_of_name)[0] if can_search else "define it"
+            return suggest_name(name, line_of_name).remedy if can_search else "define it"
 
         name_of_index = {index: name for name, index in self.index_of_name.items()}
         for table in self.surface_tables.values():
