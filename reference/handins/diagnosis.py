@@ -20,7 +20,8 @@ import numpy as np
 from reference.handins import symptoms
 from reference.handins.formulas import Array
 from reference.handins.mistakes import PICTURE_FORMULAS
-from reference.handins.search import MAX_PIXELS, Cause, Finding, MistakeRenderer, Submission
+from reference.handins.renderer import MAX_PIXELS, Cause, MistakeRenderer
+from reference.handins.search import Finding, Submission
 from reference.pictures import Codes, Picture, compare_levels, to_columns
 from tracer import Scene, SurfaceRef, first_hits, render, to_codes
 

@@ -14,9 +14,10 @@ from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-Array: TypeAlias = Any
+Array: TypeAlias = NDArray[Any]
 Formulas: TypeAlias = dict[str, Callable[..., Any]]
 
 # Minimum t of a hit: a camera ray ignores surfaces that are closer to its origin.
@@ -38,7 +39,8 @@ def normalize(vectors: Array, axis: int = 0) -> Array:
     array
         Unit vectors, in an array of the same shape.
     """
-    return vectors / np.sqrt((vectors * vectors).sum(axis=axis, keepdims=True))
+    lengths: Array = np.sqrt((vectors * vectors).sum(axis=axis, keepdims=True))
+    return vectors / lengths
 
 
 def dot(vectors_a: Array, vectors_b: Array) -> Array:
@@ -53,7 +55,8 @@ def dot(vectors_a: Array, vectors_b: Array) -> Array:
     -------
     products : (..., n) array
     """
-    return (vectors_a * vectors_b).sum(axis=-2)
+    products: Array = (vectors_a * vectors_b).sum(axis=-2)
+    return products
 
 
 def select_vectors(surface_vectors: Array, surface_index: Array) -> Array:
@@ -353,7 +356,8 @@ def convert_to_grey(weights: tuple[float, float, float], channels: Array) -> Arr
         Three equal rows.
     """
     # Without the tiny addend, rounding could make the mean of equal integers slightly too small.
-    return np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
+    mean: Array = np.tensordot(weights, channels, 1) + 1e-9
+    return mean + 0 * channels
 
 
 def compute_median(is_selected: Array, values: Array, default: float) -> float:
@@ -440,7 +444,8 @@ def guess_hits(reference_picture: Array, x: Array, y: Array, submitted_codes: Ar
     is_surface : (n,) bool array
         False for background pixels.
     """
-    return interpolate_light(reference_picture, x, y).any(axis=0) | ~submitted_codes.any(axis=0)
+    is_bright: Array = interpolate_light(reference_picture, x, y).any(axis=0)
+    return is_bright | ~submitted_codes.any(axis=0)
 
 
 _OWN_FUNCTIONS: tuple[Callable[..., Any], ...] = (

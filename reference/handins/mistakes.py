@@ -15,12 +15,17 @@ from reference.handins.formulas import Formulas, compile_formula
 from tracer import Scene, SurfaceRef
 
 _PAGE = Path(__file__).with_name("mistakes.md")
-VARIANTS = ("shadow-own", "shadow-own-lobe")
+VARIANTS = ("shadow-own", "shadow-own-lobe", "normals-not-turned")
 """Other correct ways to write a tracer, with which some mistakes look different."""
 BACKGROUND: tuple[str, ...] = ("background",)
 """The cause (a tuple of keywords of mistakes) of a background that is not black."""
-OVEREXPOSURE_ONLY = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light")
-"""Mistakes that show only where the radiance exceeds 1, perhaps because of another mistake."""
+ALWAYS_PAIRED = ("wrapped", "black-overexposed", "normalised-per-pixel", "clipped-per-light",
+                 "light-none")  # fmt: skip
+"""Mistakes that are tried in all pairs, although alone they may give the picture of another.
+
+Most of them show only where the radiance exceeds 1, perhaps because of another mistake.  Without
+light, a picture is black as with a camera that sees nothing, but not if there is an ambient term.
+"""
 ROUNDINGS = ("levels-truncated", "levels-256", "levels-up")
 """Mistakes that change levels by one."""
 

@@ -15,49 +15,55 @@ the one that comes closest to explaining the picture is returned as a hint.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
-from itertools import chain, combinations, product
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from itertools import chain, product
+from typing import NamedTuple
 
 import numpy as np
 
 from reference.handins import mistakes
-from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
-from reference.handins.formulas import Array, Formulas, collect_parameters
+from reference.handins.formulas import Array
+from reference.handins.renderer import (
+    MAX_INTERSECTIONS,
+    MAX_PIXELS,
+    Cause,
+    MistakeRenderer,
+    choose_from_strata,
+    remove_variants,
+    shuffle_range,
+)
 from reference.pictures import JPEG_BLOCK, Codes, compare_levels, to_columns, to_picture
-from tracer import Scene
 
-# A cause is reported if it leaves at most this share of the wrong pixels unexplained, or at most
-# this number of pixels.
-_MAX_UNEXPLAINED_SHARE, _MAX_UNEXPLAINED = 0.03, 10
+# A cause is reported if it leaves at most this share of the wrong pixels unexplained.
+_MAX_UNEXPLAINED_SHARE = 0.03
+# This many unexplained pixels are allowed in any case.
+_MAX_UNEXPLAINED = 3
+# A cause must reproduce all other pixels within one level, but nearly all of them exactly: it is
+# reported if it leaves at most this share of those inexact that differ from the right picture.  In
+# pictures of other tracers, true causes left up to .02, and false ones .4 and more.
+_MAX_INEXACT_SHARE = 0.1
+# A hint leaves at most this share of the wrong pixels unexplained: of hints that left more than
+# 20 %, 13 of 75 were true.
+_MAX_HINT_SHARE = 0.1
 # One cause is far better than another if the other leaves this many times as many pixels
 # unexplained, or inexact.
 _LARGE_RATIO = 5
-# Number of pixels at which the pictures with different mistakes are compared with each other.
-_GROUPING_PIXELS = 2400
-# Maximum number of pixels in the first round, and of causes after it.  Each further round
-# has four times the pixels and a quarter of the causes, but no fewer than the last number.
-_FIRST_PIXELS, _MAX_CAUSE_COUNT, _FINAL_CAUSE_COUNT = 240, 256, 16
+# Differences in this many pixels are never large.
+_FEW_PIXELS = 10
+# Maximum number of causes after the first round.  Each further round has four times the pixels and
+# a quarter of the causes.
+_MAX_CAUSE_COUNT = 256
+# Minimum of this number: that of the causes after the last round.
+_FINAL_CAUSE_COUNT = 16
 # By chance, the right cause may leave this many more pixels of a round unexplained than the best.
+_CHANCE_MARGIN = 4
 # The search ends if the best cause leaves more than this share of the wrong pixels unexplained.
-_CHANCE_MARGIN, _HOPELESS_SHARE = 4, 0.75
-# Maximum number of pixels, and of pixels times surfaces, at which many causes are rendered.  A
-# random subset represents a larger picture.
-MAX_PIXELS, _MAX_INTERSECTIONS = 131_072, 2_000_000
-# Maximum number of items from which items are chosen; a random subset represents more.
-_MAX_CANDIDATES = 1_000_000
-# Number of intersections in one batch of pixels: their arrays stay in the CPU cache.
-_INTERSECTIONS_PER_BATCH = 25_000
-# In scenes with more surfaces, mistakes that concern a single surface are not tried in pairs.
-_MAX_PAIRED_SURFACES = 40
+_HOPELESS_SHARE = 0.75
 # After lossy compression, differences of more levels count as this many.
 _MAX_DIFFERENCE = 32
 # The picture of a pair with a camera mistake must show at least this many surfaces, if the scene
 # has them.
 _MIN_SHOWN_SURFACES = 3
-
-Cause: TypeAlias = tuple[str, ...]
 
 
 class Finding(NamedTuple):
@@ -82,257 +88,6 @@ class Finding(NamedTuple):
     causes: tuple[Cause, ...]
     unexplained_count: int
     hint: Cause = ()
-
-
-def choose_from_strata(strata: Array, max_count: int) -> Array:
-    """Choose items at random, about the same number from each stratum.
-
-    Parameters
-    ----------
-    strata : (n,) int array
-        The stratum of each of the n items.
-    max_count : int
-        Maximum number of items to choose, at most `_MAX_CANDIDATES`.
-
-    Returns
-    -------
-    item_index : (k,) int array
-        Indices of the chosen items; k is the smaller of n and `max_count`.
-    """
-    candidate_index = shuffle_range(len(strata))[:_MAX_CANDIDATES]
-    order = np.argsort(strata[candidate_index], kind="stable")
-    counts = np.unique(strata[candidate_index], return_counts=True)[1]
-    # The first candidate of each stratum has place 0, the second has place 1, and so on.
-    place_in_stratum = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)
-    return candidate_index[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
-
-
-def shuffle_range(count: int) -> Array:
-    """Return the integers from 0 to `count` - 1 in random order, which is always the same."""
-    # Arrays of int64 would take too much memory.
-    return np.random.default_rng(1).permutation(np.arange(count, dtype=np.int32))
-
-
-class MistakeRenderer:
-    """Renders one scene, at one size, with simulated mistakes.
-
-    A picture is defined by formulas (functions for values such as the radiance), and a mistake by
-    the formulas that it replaces.
-
-    Parameters
-    ----------
-    source : Scene or (h, w, 3) uint8 array
-        The scene at this size; or, if there is no scene, the codes of the reference picture.
-    reference_codes : (3, n) uint8 array
-        8-bit codes of the n pixels of the reference picture.
-    surface_index : (n,) int array
-        Index of the surface that each pixel shows; -1 for the background.
-    width : int
-        Width of the picture in pixels.
-    base_formulas : dict of str to callable
-        Formulas, by name, that replace the usual ones in all pictures.
-
-    Attributes
-    ----------
-    pixel_count, surface_count : int
-        Number of pixels in the picture, and of surfaces in the scene.
-    mistakes : dict of str to Mistake
-        The mistakes that can be rendered, by keyword, in the order of the table of mistakes.
-    sample_index : (m,) int array
-        Pixel indices in random order.  The first of them show all surfaces, lit and in shadow.
-    first_round_size : int
-        Number of pixels at which all causes are rendered; smaller in scenes with many surfaces.
-    """
-
-    def __init__(
-        self, source: Scene | Codes, reference_codes: Array, surface_index: Array, width: int,
-        base_formulas: Formulas,
-    ) -> None:  # fmt: skip
-        self.reference_codes, self.surface_index = reference_codes, surface_index
-        self.width, self.base_formulas = width, base_formulas
-        self.pixel_count = reference_codes.shape[1]
-        self._blank_codes = np.broadcast_to(np.uint8(0), reference_codes.shape)
-        size = {"width": width, "height": self.pixel_count // width}
-        self._inputs = make_formula_inputs(source) | size
-        scene = source if isinstance(source, Scene) else Scene(**size)
-        self.surface_count = len(scene.surfaces)
-        pixel_share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
-        self.first_round_size = max(40, int(pixel_share * _FIRST_PIXELS))
-        self.mistakes = mistakes.list_mistakes(scene)
-        first_pixel = self.make_cache(np.array([0]), self._blank_codes)
-        self.mistakes = {
-            keyword: mistake for keyword, mistake in self.mistakes.items()
-            if (changes := self.get_formulas((keyword,))) and first_pixel.can_compute_codes(changes)
-        }  # fmt: skip
-        subset_index = choose_from_strata(surface_index, MAX_PIXELS // 32)
-        strata = surface_index[subset_index]
-        if isinstance(source, Scene):
-            for is_lit in self.evaluate([base_formulas], subset_index, name="lit")[0][:4]:
-                strata = 2 * strata + is_lit
-        sample_size = max(500, _MAX_INTERSECTIONS // max(20, 20 * self.surface_count))
-        self.sample_index = subset_index[choose_from_strata(strata, sample_size)]
-
-    def get_formulas(self, cause: Cause) -> Formulas:
-        """Collect the formulas that simulate the given mistakes.
-
-        Parameters
-        ----------
-        cause : tuple of str
-            Keywords of mistakes that are made together.
-
-        Returns
-        -------
-        dict of str to callable
-            The formulas, by name, that replace those of the reference picture.  Empty if two
-            mistakes replace the same formula, and so exclude each other.
-        """
-        return join_formulas([self.base_formulas, *(self.mistakes[key].formulas for key in cause)])
-
-    def needs_fitting(self, keyword: str) -> bool:
-        """Test whether a mistake depends on a number estimated from the submitted picture.
-
-        For example, the formula `fitted_gamma` estimates a wrong gamma.
-
-        Parameters
-        ----------
-        keyword : str
-            Keyword of the mistake, such as "gamma".
-        """
-        names = collect_parameters(self.mistakes[keyword].formulas)
-        return any(name.startswith("fitted_") for name in names)
-
-    def make_cache(
-        self, pixel_index: Array, submitted_codes: Array, fitting_cache: FormulaCache | None = None
-    ) -> FormulaCache:
-        """Create a cache that evaluates formulas, such as the radiance, at the given pixels.
-
-        Parameters
-        ----------
-        pixel_index : (k,) int array
-            Indices of the pixels.
-        submitted_codes : (3, n) uint8 array
-            8-bit codes of all n pixels of the submitted picture.
-        fitting_cache : FormulaCache, optional
-            The cache whose pixels are used to fit parameters such as gamma.  By default,
-            the pixels of the new cache are used.
-        """
-        row, column = np.divmod(pixel_index, self.width)
-        pixel_inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixel_index]}
-        return FormulaCache(self._inputs | pixel_inputs, fitting_cache)
-
-    def split_pixels(self, pixel_index: Array) -> Iterator[Array]:
-        """Divide an array of pixel indices into batches that take little memory to render."""
-        size = max(100, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
-        return (pixel_index[start : start + size] for start in range(0, len(pixel_index), size))
-
-    def evaluate(
-        self, formula_maps: Sequence[Formulas], pixel_index: Array,
-        submitted_codes: Array | None = None, fitting_cache: FormulaCache | None = None,
-        name: str = "codes",
-    ) -> Array:  # fmt: skip
-        """Evaluate a formula at some pixels of several pictures, which contain different mistakes.
-
-        Parameters
-        ----------
-        formula_maps : sequence of dict of str to callable
-            For each picture, the formulas, by name, that replace those of the reference picture.
-        pixel_index : (k,) int array
-            Indices of the pixels.
-        submitted_codes : (3, n) uint8 array, optional
-            8-bit codes of all n pixels of the submitted picture; by default, black.
-        fitting_cache : FormulaCache, optional
-            The cache whose pixels are used to fit parameters such as gamma.  By default, the
-            parameters are fitted separately for each batch of pixels.
-        name : str
-            Name of the formula to evaluate; by default, the 8-bit codes.
-
-        Returns
-        -------
-        values : (pictures, ..., k) array
-            The values of the formula; for the codes, (pictures, 3, k).
-        """
-        submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
-        caches = (self.make_cache(batch, submitted_codes, fitting_cache)
-                  for batch in self.split_pixels(pixel_index))  # fmt: skip
-        values = [[cache.get_value(name, formulas) for formulas in formula_maps]
-                  for cache in caches]  # fmt: skip
-        return np.concatenate(values, axis=-1)
-
-    @cached_property
-    def cause_groups(self) -> dict[Cause, list[Cause]]:
-        """Causes grouped by the picture that they give; the key of a group is its first cause.
-
-        A cause is one mistake, alone or with a variant.  A variant is another correct way to write
-        a tracer; it changes how some mistakes look.
-
-        Mistakes that depend on numbers estimated from a submitted picture are omitted.  So are
-        mistakes that concern a single surface or light, if the scene has many surfaces.
-        """
-        variants = ((), *((keyword,) for keyword in mistakes.VARIANTS if keyword in self.mistakes))
-        has_many_surfaces = self.surface_count > _MAX_PAIRED_SURFACES
-        causes = [
-            cause for keyword, mistake in self.mistakes.items() for variant in variants
-            if keyword not in mistakes.VARIANTS and not self.needs_fitting(keyword)
-            and not (has_many_surfaces and mistake.concerns_one_object)
-            and self.get_formulas(cause := (keyword, *variant))
-        ]  # fmt: skip
-        causes.sort(key=len)  # so that a group begins with a cause without a variant, if possible
-        pixel_index = self.sample_index[:_GROUPING_PIXELS]
-        pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixel_index)
-        # Keep these mistakes: they may show only with another one that raises the radiance above 1.
-        groups: dict[bytes, list[Cause]] = {
-            keyword.encode(): [(keyword,)]
-            for keyword in mistakes.OVEREXPOSURE_ONLY if keyword in self.mistakes
-        }  # fmt: skip
-        for cause, picture in zip(causes, pictures, strict=True):
-            group = groups.setdefault(picture.tobytes(), [])
-            if cause[:1] not in group:
-                group.append(cause)
-        groups.pop(self.reference_codes[:, pixel_index].tobytes(), None)
-        return {group[0]: group for group in groups.values()}
-
-    @cached_property
-    def single_causes(self) -> list[Cause]:
-        """All causes of one mistake, some with a variant: another correct way to write a tracer."""
-        singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
-        return singles + [cause for cause in chain(*self.cause_groups.values()) if cause[1:]]
-
-    @cached_property
-    def rendered_pairs(self) -> tuple[dict[Cause, tuple[Cause, Cause]], Array, Array]:
-        """The pairs of mistakes to try, rendered at k pixels.
-
-        Item 0 maps each pair, which is a cause of two mistakes, to the two causes that it joins.
-        Item 1 contains the rendered 8-bit codes (pairs, 3, k), and item 2 the pixel indices (k,).
-        """
-        pixel_index = self.sample_index[: self.first_round_size]
-        # Several samples per pixel would take too long, and rounding is determined at the end.
-        skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
-        skipped_keys |= {*mistakes.ROUNDINGS}
-        causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
-        pairs = {pair: (cause_a, cause_b) for cause_a, cause_b in combinations(causes, 2)
-                 if (pair := self.join_causes(cause_a, cause_b))}  # fmt: skip
-        formula_maps = [self.get_formulas(pair) for pair in pairs]
-        no_codes = np.zeros((0, 3, len(pixel_index)), dtype=np.uint8)
-        return pairs, self.evaluate(formula_maps, pixel_index) if pairs else no_codes, pixel_index
-
-    def join_causes(self, cause_a: Cause, cause_b: Cause) -> Cause:
-        """Join two causes into one.
-
-        Parameters
-        ----------
-        cause_a, cause_b : tuple of str
-            Keywords of mistakes that are made together, perhaps followed by the keyword of a
-            variant (another correct way to write a tracer).
-
-        Returns
-        -------
-        tuple of str
-            The keywords of both causes, with the variant last.  Empty if the mistakes exclude each
-            other, or if both causes contain a variant.
-        """
-        variants = [keyword for keyword in (*cause_a, *cause_b) if keyword in mistakes.VARIANTS]
-        cause = (*remove_variants((*cause_a, *cause_b)), *variants)
-        return cause if len(variants) < 2 and self.get_formulas(cause) else ()
 
 
 class Submission:
@@ -388,7 +143,7 @@ class Submission:
         is_wrong = self.is_wrong[order]
         # Indices of wrong pixels, then of right ones, both in random order.
         self._shuffled_pixels = [order[mask][:MAX_PIXELS].copy() for mask in (is_wrong, ~is_wrong)]
-        max_count = min(MAX_PIXELS, _MAX_INTERSECTIONS // max(1, renderer.surface_count))
+        max_count = min(MAX_PIXELS, MAX_INTERSECTIONS // max(1, renderer.surface_count))
         final = self._choose_blocks(max_count) if reencode else (*self._choose_pixels(max_count), 0)
         self._final_pixels, self._final_weights, self._final_width = final
         # For each measured cause, the numbers of unexplained and of inexact pixels.
@@ -552,6 +307,11 @@ class Submission:
         self._cache_counts([cause])
         return self._counts_by_cause[cause][1]
 
+    def _is_exact(self, cause: Cause) -> bool:
+        """Test whether a cause reproduces nearly all pixels that it explains exactly."""
+        inexact_count = self._count_inexact(cause) - self._count_unexplained(cause)
+        return inexact_count <= max(_FEW_PIXELS, _MAX_INEXACT_SHARE * self._count_inexact(()))
+
     def _rank_causes(self, causes: list[Cause]) -> list[Cause]:
         """Select the causes that leave the fewest pixels unexplained, and rank them.
 
@@ -607,21 +367,16 @@ class Submission:
         order = np.argsort(unexplained_counts, kind="stable")[:max_causes]
         return [causes[index] for index in order if unexplained_counts[index] <= max_unexplained]
 
-    def find_mistakes(self) -> Finding:
-        """Search for the mistakes that explain the submitted picture.
+    def find_mistakes(self, *, may_be_pair: bool = True) -> Finding:
+        """Search for the mistakes that explain the submitted picture, or come closest to it.
 
-        Pairs of mistakes are tried only if no single mistake explains the picture almost exactly.
-
-        Returns
-        -------
-        Finding
-            The causes that explain the picture.  If there are none, perhaps a hint: the cause that
-            comes closest to explaining it.
+        Pairs of mistakes are tried only if no single mistake explains the picture almost exactly,
+        and if `may_be_pair`.
         """
         single_causes = self._add_rounding(self._rank_causes(self.renderer.single_causes))
         pairs, causes = list[Cause](), self._select_good_causes(single_causes)
         single_count: float = self._count_unexplained(causes[0]) if causes else np.inf
-        if single_count > _MAX_UNEXPLAINED:
+        if single_count > _MAX_UNEXPLAINED and may_be_pair:
             pairs = self._add_rounding(self._select_best_pairs())
             good_pairs = self._select_good_causes(list(filter(self._needs_both_mistakes, pairs)))
             if good_pairs and _LARGE_RATIO * self._count_unexplained(good_pairs[0]) <= single_count:
@@ -629,12 +384,17 @@ class Submission:
         # A pair is preferred only if it leaves less than half as many pixels unexplained.
         best_cause = min(causes[:1] or single_causes + pairs, default=(), key=lambda cause: (
             (1 + (cause in pairs)) * self._count_unexplained(cause)))  # fmt: skip
-        if 2 * self._count_unexplained(best_cause) > self.wrong_count:
-            return Finding((), self.wrong_count)
-        unexplained_count = self._count_unexplained_in_full(best_cause)
-        if causes and unexplained_count <= self._max_unexplained:
-            return Finding(tuple(dict.fromkeys(map(remove_variants, causes))), unexplained_count)
-        return Finding((), unexplained_count, remove_variants(best_cause))
+        if causes:
+            unexplained_count = self._count_unexplained_in_full(best_cause)
+            if unexplained_count <= self._max_unexplained:
+                return Finding(
+                    tuple(dict.fromkeys(map(remove_variants, causes))), unexplained_count
+                )
+        max_unexplained = _MAX_HINT_SHARE * self.wrong_count
+        if self._count_unexplained(best_cause) <= max_unexplained and self._is_exact(best_cause):
+            unexplained_count = self._count_unexplained_in_full(best_cause)
+            return Finding((), unexplained_count, remove_variants(best_cause))
+        return Finding((), self.wrong_count)
 
     def _count_unexplained_in_full(self, cause: Cause) -> int:
         """Count the pixels of the complete picture that a cause leaves unexplained."""
@@ -656,9 +416,11 @@ class Submission:
         """
         renderer, background = self.renderer, mistakes.BACKGROUND
         groups = {background: [background]} | renderer.cause_groups
-        all_pairs, codes, pixel_index = renderer.rendered_pairs
-        is_unexplained = compare_levels(codes, self.codes[:, pixel_index]) > self.tolerance
-        order, items = np.argsort(is_unexplained.sum(axis=1), kind="stable"), [*all_pairs.items()]
+        rendered = renderer.rendered_pairs
+        differences = compare_levels(rendered.codes, self.codes[:, rendered.pixel_index])
+        is_unexplained = differences > self.tolerance
+        order = np.argsort(is_unexplained.sum(axis=1), kind="stable")
+        items = [*rendered.causes_by_pair.items()]
         causes_by_pair = dict(items[index] for index in order[:_MAX_CAUSE_COUNT])
         if self.codes[:, renderer.surface_index < 0].any():
             causes_by_pair |= {pair: (background, other) for other in groups
@@ -668,6 +430,8 @@ class Submission:
         pairs = {pair: None for best_pair in best_pairs
                  for causes in product(*(groups[cause] for cause in causes_by_pair[best_pair]))
                  if (pair := renderer.join_causes(*causes))}  # fmt: skip
+        # A variant may show only in a pair.
+        pairs |= {varied: None for pair in best_pairs for varied in renderer.add_variants(pair)}
         return self._rank_causes([*pairs]) if len(pairs) > len(best_pairs) else best_pairs
 
     def _needs_both_mistakes(self, cause: Cause) -> bool:
@@ -719,12 +483,16 @@ class Submission:
             The selected causes, in the order of the table of mistakes.
         """
         max_unexplained = min(self._max_unexplained, self.wrong_count - 1)
-        causes = [cause for cause in causes if self._count_unexplained(cause) <= max_unexplained]
+        causes = [
+            cause
+            for cause in causes
+            if self._count_unexplained(cause) <= max_unexplained and self._is_exact(cause)
+        ]
         if not causes:
             return []
         unexplained_limit = _LARGE_RATIO * max(1, min(map(self._count_unexplained, causes)))
         causes = [cause for cause in causes if self._count_unexplained(cause) < unexplained_limit]
-        max_inexact = _LARGE_RATIO * max(min(map(self._count_inexact, causes)), _MAX_UNEXPLAINED)
+        max_inexact = _LARGE_RATIO * max(min(map(self._count_inexact, causes)), _FEW_PIXELS)
         causes = [cause for cause in causes if self._count_inexact(cause) <= max_inexact]
         keywords, needs_fitting = [*self.renderer.mistakes], self.renderer.needs_fitting
         causes = [cause for cause in causes if not any(map(needs_fitting, cause))] or causes
@@ -755,23 +523,6 @@ class Submission:
         chosen_causes = list[Cause]()
         for cause, cause_candidates in zip(causes, candidates, strict=True):
             best_cause = min(cause_candidates, key=self._count_inexact)
-            max_inexact = _LARGE_RATIO * max(self._count_inexact(best_cause), _MAX_UNEXPLAINED)
+            max_inexact = _LARGE_RATIO * max(self._count_inexact(best_cause), _FEW_PIXELS)
             chosen_causes.append(best_cause if max_inexact < self._count_inexact(cause) else cause)
         return chosen_causes
-
-
-def remove_variants(cause: Cause) -> Cause:
-    """Remove the keywords of variants from a cause.
-
-    Parameters
-    ----------
-    cause : tuple of str
-        Keywords of mistakes that are made together, and of variants.  A variant is another correct
-        way to write a tracer; it changes how some mistakes look.
-
-    Returns
-    -------
-    tuple of str
-        The keywords of the mistakes.
-    """
-    return tuple(keyword for keyword in cause if keyword not in mistakes.VARIANTS)

@@ -15,11 +15,12 @@ from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from reference.handins.mistakes import make_sample_formulas, parse_formulas
-from reference.handins.search import MAX_PIXELS, Submission
+from reference.handins.renderer import MAX_PIXELS, MistakeRenderer
+from reference.handins.search import Submission
+from reference.judges.arrays import Bools, Ints
 from reference.pictures import Codes, compare_levels, to_picture
 
 # Maximum number of lights for which all sets of lights are tried at each pixel.
@@ -28,10 +29,17 @@ _MAX_LIGHTS = 4
 # this many pixels, and the origins of its shadow rays are lifted from the surface by these
 # multiples of their distance from the origin of coordinates.
 _MAX_ROUNDED_SHARE, _SAMPLE_OFFSET, _SHADOW_LIFTS = 0.001, 0.05, (-1e-3, 0, 1e-3)
-# Speckles: the minimum share of the picture that loses light; the maximum number of other wrong
-# pixels, relative to the pixels that lose light; and the minimum frequency with which neighbours in
-# a row or column differ, relative to that of independent pixels.
-_MIN_SPECKLE_SHARE, _MAX_OTHER_ERRORS, _MIN_RANDOMNESS = 0.005, 0.1, 0.3
+# Speckles: minimum share of the picture that loses light.
+_MIN_SPECKLE_SHARE = 0.005
+# Maximum share of the lit pixels of the speckled surfaces that lose light: above, they are black.
+_MAX_SPECKLE_SHARE = 0.97
+# Maximum number of other wrong pixels, relative to the pixels that lose light.
+_MAX_OTHER_ERRORS = 0.1
+# In random dots, pixels that are two apart differ as often as neighbours; at the edges of a dark
+# region, twice as often.  Limits of the ratio: acne had .68 to 1.05, other errors from 1.4.
+_RANDOM_RATIOS = (0.5, 1.2)
+# Minimum number of neighbours that differ: whole black surfaces have a few such at their edges.
+_MIN_CHANGES = 10
 # JPEG: the qualities to try, the minimum share of the wrong pixels that it must explain, and the
 # maximum size of the pictures in pixels.
 _QUALITIES, _MIN_SAME_SHARE, _MAX_JPEG_PIXELS = (*range(50, 100, 5), 98, 100), 0.9, 1_000_000
@@ -43,8 +51,8 @@ _MAX_PLACES, _MAX_WRONG_SHARE = 100, 0.005
 class LightErrors(NamedTuple):
     """For each light of a scene and each pixel of a picture, whether the light is wrong."""
 
-    is_missing: Shaped[NDArray[np.bool_], "lights n"]  # should reach the pixel, but does not
-    is_extra: Shaped[NDArray[np.bool_], "lights n"]  # should be blocked, but reaches the pixel
+    is_missing: Shaped[Bools, "lights n"]  # should reach the pixel, but does not
+    is_extra: Shaped[Bools, "lights n"]  # should be blocked, but reaches the pixel
 
 
 def find_light_errors(submission: Submission) -> LightErrors | None:
@@ -85,7 +93,8 @@ def find_light_errors(submission: Submission) -> LightErrors | None:
 def is_speckled(submission: Submission) -> bool:
     """Test for shadow acne: dark dots where surfaces shadow themselves because of rounding.
 
-    If there is shadow acne, nearly all wrong pixels lack light, and they are randomly scattered.
+    If there is shadow acne, nearly all wrong pixels lack light, and they are randomly scattered
+    over some faces.  Rounding may darken other faces completely.
     """
     renderer = submission.renderer
     if renderer.pixel_count > MAX_PIXELS or not (light_errors := find_light_errors(submission)):
@@ -96,22 +105,43 @@ def is_speckled(submission: Submission) -> bool:
     has_other_errors = submission.wrong_count - dark_count > _MAX_OTHER_ERRORS * dark_count
     if has_other_errors or dark_count <= _MIN_SPECKLE_SHARE * renderer.pixel_count:
         return False
-    every_pixel, surface_index = np.arange(renderer.pixel_count), renderer.surface_index
-    is_lit = renderer.evaluate([renderer.base_formulas], every_pixel, name="lit")[0].any(axis=0)
-    is_lit &= np.isin(surface_index, surface_index[is_dark])
-    dark_share = dark_count / is_lit.sum()
-    # Reshape the arrays to pictures (h, w).
-    is_lit, is_dark, surface_index = (array.reshape(-1, renderer.width)
-                                      for array in (is_lit, is_dark, surface_index))  # fmt: skip
-    for axis in (0, 1):
-        # Compare neighbours on the same surface: if the dots are random, many neighbours differ.
-        is_comparable = is_lit & np.roll(is_lit, 1, axis)
-        is_comparable &= surface_index == np.roll(surface_index, 1, axis)
-        differing_count = (is_comparable & (is_dark != np.roll(is_dark, 1, axis))).sum()
-        expected_count = 2 * dark_share * (1 - dark_share) * is_comparable.sum()
-        if differing_count <= _MIN_RANDOMNESS * expected_count:
-            return False
-    return True
+    is_lit = renderer.evaluate_everywhere("lit").any(axis=0)
+    face = np.where(is_lit, _number_faces(renderer), -1)
+    has_dark_pixels = np.isin(renderer.surface_index, renderer.surface_index[is_dark])
+    dark_share = dark_count / (is_lit & has_dark_pixels).sum()
+    return dark_share <= _MAX_SPECKLE_SHARE and all(
+        _is_random(is_dark.reshape(-1, renderer.width), face.reshape(-1, renderer.width), axis)
+        for axis in (0, 1)
+    )
+
+
+def _number_faces(renderer: MistakeRenderer) -> Shaped[Ints, "n"]:
+    """Number the faces of all surfaces; a sphere has one.  Return the face in each pixel."""
+    normal = renderer.evaluate_everywhere("n")
+    axis = np.abs(normal).argmax(axis=0)
+    is_negative = np.take_along_axis(normal, axis[None], axis=0)[0] < 0
+    face_of_box = 2 * axis + is_negative
+    is_on_sphere = renderer.evaluate_everywhere("on_sphere")
+    face: Ints = 6 * renderer.surface_index + np.where(is_on_sphere, 0, face_of_box)
+    return face
+
+
+def _is_random(is_dark: Shaped[Bools, "h w"], face: Shaped[Ints, "h w"], axis: int) -> bool:
+    """Test whether dark pixels are scattered at random on their faces, along one axis.
+
+    `face`: number of the face that each pixel shows; negative for pixels to ignore.
+    """
+    # How many neighbours differ, and how often pixels of one face differ that are 1 or 2 apart.
+    neighbour_changes, frequencies = 0, []
+    for shift in (1, 2):
+        is_comparable = (face >= 0) & (face == np.roll(face, shift, axis))
+        has_change = is_comparable & (is_dark != np.roll(is_dark, shift, axis))
+        neighbour_changes = neighbour_changes or int(has_change.sum())
+        frequencies.append(has_change.sum() / max(1, is_comparable.sum()))
+    if neighbour_changes <= _MIN_CHANGES:
+        return False
+    low, high = _RANDOM_RATIOS
+    return bool(low <= frequencies[1] / frequencies[0] <= high)
 
 
 def is_explained_by_rounding(submission: Submission) -> bool:
@@ -193,7 +223,7 @@ def find_reference_within(
     return None
 
 
-def find_wrong_edge(is_wrong: Shaped[NDArray[np.bool_], "h w"]) -> str:
+def find_wrong_edge(is_wrong: Shaped[Bools, "h w"]) -> str:
     """Find the edge ("first row", "last column", ...) that contains all wrong pixels of a picture.
 
     The result is empty if there is none, or if no pixel is wrong.

@@ -29,7 +29,7 @@ from reference.compare import compare_hand_in, main
 from reference.figures import get_largest_difference, measure_differences, write_comparison
 from reference.handins.diagnosis import Reference
 from reference.handins.formulas import Array
-from reference.handins.search import MistakeRenderer
+from reference.handins.renderer import MistakeRenderer
 from reference.handins.workers import map_in_workers
 from reference.pictures import Codes, read_picture
 from tracer import load_scene, render, to_codes

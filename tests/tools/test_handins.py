@@ -239,7 +239,7 @@ def test_single_levels() -> None:
 def test_an_incomplete_explanation_is_a_hint() -> None:
     """A shift, truncated levels, and a third mistake that is not in the table."""
     source = student.source_with("shift-right", "levels-truncated")
-    source = source.replace("EXPONENT", "(sh.exponent * (1 + 0.3 * (k == 3)))")
+    source = source.replace("EXPONENT", "(sh.exponent * (1 + 0.1 * (k == 2)))")
     codes = student.render_with_source(source, scene("four-spheres"))
     diagnosis = reference("four-spheres").diagnose(Picture(codes))
     assert (diagnosis.kind, diagnosis.hint) == ("unknown", "shift-right+levels-truncated")

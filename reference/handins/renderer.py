@@ -1,0 +1,307 @@
+"""Render a scene with simulated mistakes, at few or all pixels.
+
+A picture is defined by formulas (functions for values such as the radiance), and a mistake by the
+formulas that it replaces (see `mistakes.md`).  A *cause* is a tuple of keywords of mistakes that
+are made together.  It may end with the keyword of a *variant*: another correct way to write a
+tracer, which changes how some mistakes look.
+
+Pixels are numbered row by row.  Pictures are arrays of 8-bit codes with one column per pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from itertools import chain, combinations
+from typing import Annotated as Shaped
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reference.handins import mistakes
+from reference.handins.drawing import FormulaCache, join_formulas, make_formula_inputs
+from reference.handins.formulas import Array, Formulas, collect_parameters
+from reference.pictures import Codes
+from tracer import Scene
+
+# Number of pixels at which the pictures with different mistakes are compared with each other.
+_GROUPING_PIXELS = 2400
+# Number of pixels at which all pairs of mistakes are rendered, in scenes with few surfaces.
+_FIRST_PIXELS = 240
+# Minimum of this number, in scenes with many surfaces.
+_MIN_FIRST_PIXELS = 40
+# In scenes with more surfaces, mistakes that concern a single surface are not tried in pairs.
+_MAX_PAIRED_SURFACES = 40
+# Maximum number of pixels at which many causes are rendered.  A random subset represents a larger
+# picture.
+MAX_PIXELS = 131_072
+# The same for pixels times surfaces.
+MAX_INTERSECTIONS = 2_000_000
+# The sample of the picture has a pixel for this many of these intersections, and no fewer pixels
+# than the second number.
+_INTERSECTIONS_PER_SAMPLE, _MIN_SAMPLE_SIZE = 20, 500
+# The sample is chosen from this share of `MAX_PIXELS`.
+_SAMPLE_SHARE = 1 / 32
+# The sample represents light and shadow of at most this many lights.
+_MAX_SAMPLED_LIGHTS = 4
+# Maximum number of items from which items are chosen; a random subset represents more.
+_MAX_CANDIDATES = 1_000_000
+# Number of intersections in one batch of pixels: their arrays stay in the CPU cache.
+_INTERSECTIONS_PER_BATCH = 25_000
+# Minimum number of pixels in a batch: with fewer, the calls take longer than the arithmetic.
+_MIN_BATCH_SIZE = 100
+
+Cause: TypeAlias = tuple[str, ...]
+Ints32: TypeAlias = NDArray[np.int32]
+
+
+class RenderedPairs(NamedTuple):
+    """The pairs of mistakes to try, rendered at the same pixels."""
+
+    # By pair, which is a cause of two mistakes: the two causes that it joins.
+    causes_by_pair: dict[Cause, tuple[Cause, Cause]]
+    codes: Shaped[Codes, "pairs 3 n"]
+    pixel_index: Shaped[Ints32, "n"]
+
+
+def choose_from_strata(strata: Shaped[Array, "n"], max_count: int) -> Shaped[Ints32, "k"]:
+    """Choose items at random, about the same number from each stratum.
+
+    `max_count` is at most `_MAX_CANDIDATES`.  If there are fewer items, all are chosen.
+    """
+    candidate_index = shuffle_range(len(strata))[:_MAX_CANDIDATES]
+    order = np.argsort(strata[candidate_index], kind="stable")
+    counts = np.unique(strata[candidate_index], return_counts=True)[1]
+    # The first candidate of each stratum has place 0, the second has place 1, and so on.
+    place_in_stratum = np.arange(len(order)) - np.repeat(counts.cumsum() - counts, counts)
+    return candidate_index[order[np.argsort(place_in_stratum, kind="stable")[:max_count]]]
+
+
+def shuffle_range(count: int) -> Shaped[Ints32, "count"]:
+    """Return the integers from 0 to `count` - 1 in random order, which is always the same."""
+    # Arrays of int64 would take too much memory.
+    return np.random.default_rng(1).permutation(np.arange(count, dtype=np.int32))
+
+
+class MistakeRenderer:
+    """Renders one scene, at one size, with simulated mistakes.
+
+    Parameters
+    ----------
+    source
+        The scene at this size; or, if there is no scene, the reference picture.
+    surface_index
+        The surface that each pixel shows; -1 for the background.
+    base_formulas
+        Formulas, by name, that replace the usual ones in all pictures.
+    """
+
+    reference_codes: Shaped[Codes, "3 n"]
+    surface_index: Shaped[Array, "n"]
+    width: int
+    pixel_count: int
+    surface_count: int
+    # The mistakes that can be rendered, by keyword, in the order of the table of mistakes.
+    mistakes: dict[str, mistakes.Mistake]
+    # Number of pixels at which all causes are rendered; smaller in scenes with many surfaces.
+    first_round_size: int
+
+    def __init__(
+        self,
+        source: Scene | Shaped[Codes, "h w 3"],
+        reference_codes: Shaped[Codes, "3 n"],
+        surface_index: Shaped[Array, "n"],
+        width: int,
+        base_formulas: Formulas,
+    ) -> None:
+        self.reference_codes = reference_codes
+        self.surface_index = surface_index
+        self.width = width
+        self.base_formulas = base_formulas
+        self.pixel_count = reference_codes.shape[1]
+        self._blank_codes = np.broadcast_to(np.uint8(0), reference_codes.shape)
+        height = self.pixel_count // width
+        self._inputs = make_formula_inputs(source) | {"width": width, "height": height}
+        self._has_scene = isinstance(source, Scene)
+        scene = source if isinstance(source, Scene) else Scene(width=width, height=height)
+        self.surface_count = len(scene.surfaces)
+        pixel_share = min(1.0, _MAX_PAIRED_SURFACES / max(1, self.surface_count))
+        self.first_round_size = max(_MIN_FIRST_PIXELS, int(pixel_share * _FIRST_PIXELS))
+        self.mistakes = mistakes.list_mistakes(scene)
+        first_pixel = self.make_cache(np.array([0]), self._blank_codes)
+        self.mistakes = {
+            keyword: mistake
+            for keyword, mistake in self.mistakes.items()
+            if (changes := self.get_formulas((keyword,))) and first_pixel.can_compute_codes(changes)
+        }
+
+    @cached_property
+    def sample_index(self) -> Shaped[Ints32, "m"]:
+        """Pixels in random order.  The first of them show all surfaces, lit and in shadow."""
+        subset_index = choose_from_strata(self.surface_index, int(_SAMPLE_SHARE * MAX_PIXELS))
+        strata = self.surface_index[subset_index]
+        if self._has_scene:
+            is_lit = self.evaluate([self.base_formulas], subset_index, name="lit")[0]
+            for is_lit_by_light in is_lit[:_MAX_SAMPLED_LIGHTS]:
+                strata = 2 * strata + is_lit_by_light
+        intersections = _INTERSECTIONS_PER_SAMPLE * max(1, self.surface_count)
+        sample_size = max(_MIN_SAMPLE_SIZE, MAX_INTERSECTIONS // intersections)
+        return subset_index[choose_from_strata(strata, sample_size)]
+
+    @cached_property
+    def variants(self) -> list[str]:
+        """The variants that give the right picture of this scene."""
+        return [keyword for keyword in mistakes.VARIANTS if self._is_right((keyword,))]
+
+    def _is_right(self, cause: Cause) -> bool:
+        """Test whether the mistakes of a cause, if they can be rendered at all, change nothing."""
+        if not self.mistakes.keys() >= {*cause}:
+            return False
+        pixel_index = self.sample_index[:_GROUPING_PIXELS]
+        codes = self.evaluate([self.get_formulas(cause)], pixel_index)[0]
+        return bool((codes == self.reference_codes[:, pixel_index]).all())
+
+    def get_formulas(self, cause: Cause) -> Formulas:
+        """Collect the formulas that simulate a cause.
+
+        Empty if two mistakes replace the same formula, and so exclude each other.
+        """
+        return join_formulas([self.base_formulas, *(self.mistakes[key].formulas for key in cause)])
+
+    def needs_fitting(self, keyword: str) -> bool:
+        """Test whether a mistake has a number estimated from the submission, as `fitted_gamma`."""
+        names = collect_parameters(self.mistakes[keyword].formulas)
+        return any(name.startswith("fitted_") for name in names)
+
+    def make_cache(
+        self,
+        pixel_index: Shaped[Array, "k"],
+        submitted_codes: Shaped[Codes, "3 n"],
+        fitting_cache: FormulaCache | None = None,
+    ) -> FormulaCache:
+        """Create a cache that evaluates formulas, such as the radiance, at the given pixels.
+
+        The numbers of fitted mistakes are estimated from the pixels of `fitting_cache`; by default,
+        from those of the new cache.
+        """
+        row, column = np.divmod(pixel_index, self.width)
+        pixel_inputs = {"i": column, "j": row, "submitted_codes": submitted_codes[:, pixel_index]}
+        return FormulaCache(self._inputs | pixel_inputs, fitting_cache)
+
+    def split_pixels(self, pixel_index: Shaped[Array, "k"]) -> Iterator[Shaped[Array, "batch"]]:
+        """Divide pixels into batches that take little memory to render."""
+        size = max(_MIN_BATCH_SIZE, _INTERSECTIONS_PER_BATCH // max(1, self.surface_count))
+        return (pixel_index[start : start + size] for start in range(0, len(pixel_index), size))
+
+    def evaluate(
+        self,
+        formula_maps: Sequence[Formulas],
+        pixel_index: Shaped[Array, "k"],
+        submitted_codes: Shaped[Codes, "3 n"] | None = None,
+        fitting_cache: FormulaCache | None = None,
+        name: str = "codes",
+    ) -> Shaped[Array, "pictures ... k"]:
+        """Evaluate a formula at some pixels of several pictures, which contain different mistakes.
+
+        Parameters
+        ----------
+        formula_maps
+            For each picture, the formulas, by name, that replace those of the reference picture.
+        submitted_codes
+            The submitted picture; by default, black.
+        fitting_cache
+            As in `make_cache`.  By default, numbers are estimated separately in each batch.
+        """
+        submitted_codes = self._blank_codes if submitted_codes is None else submitted_codes
+        caches = (
+            self.make_cache(batch, submitted_codes, fitting_cache)
+            for batch in self.split_pixels(pixel_index)
+        )
+        values = [
+            [cache.get_value(name, formulas) for formulas in formula_maps] for cache in caches
+        ]
+        return np.concatenate(values, axis=-1)
+
+    def evaluate_everywhere(self, name: str) -> Shaped[Array, "... n"]:
+        """Evaluate a formula of the reference picture at all pixels."""
+        every_pixel = np.arange(self.pixel_count)
+        values: Array = self.evaluate([self.base_formulas], every_pixel, name=name)[0]
+        return values
+
+    @cached_property
+    def cause_groups(self) -> dict[Cause, list[Cause]]:
+        """Causes of one mistake, grouped by the picture that they give.
+
+        The key of a group is its first cause, which has no variant if possible.  Mistakes with
+        estimated numbers are omitted.  So are mistakes that concern a single surface or light, if
+        the scene has many surfaces.
+        """
+        has_many_surfaces = self.surface_count > _MAX_PAIRED_SURFACES
+        keywords = [
+            keyword
+            for keyword, mistake in self.mistakes.items()
+            if keyword not in mistakes.VARIANTS
+            and not self.needs_fitting(keyword)
+            and not (has_many_surfaces and mistake.concerns_one_object)
+        ]
+        causes = [
+            *((keyword,) for keyword in keywords),
+            *chain(*(self.add_variants((keyword,)) for keyword in keywords)),
+        ]
+        pixel_index = self.sample_index[:_GROUPING_PIXELS]
+        pictures = self.evaluate([self.get_formulas(cause) for cause in causes], pixel_index)
+        groups: dict[bytes, list[Cause]] = {
+            keyword.encode(): [(keyword,)]
+            for keyword in mistakes.ALWAYS_PAIRED
+            if keyword in self.mistakes
+        }
+        for cause, picture in zip(causes, pictures, strict=True):
+            group = groups.setdefault(picture.tobytes(), [])
+            if cause[:1] not in group:
+                group.append(cause)
+        groups.pop(self.reference_codes[:, pixel_index].tobytes(), None)
+        return {group[0]: group for group in groups.values()}
+
+    @cached_property
+    def single_causes(self) -> list[Cause]:
+        """All causes of one mistake, some with a variant."""
+        singles: list[Cause] = [(key,) for key in self.mistakes if key not in mistakes.VARIANTS]
+        return singles + [cause for cause in chain(*self.cause_groups.values()) if cause[1:]]
+
+    @cached_property
+    def rendered_pairs(self) -> RenderedPairs:
+        """All pairs of mistakes that do not exclude each other."""
+        pixel_index = self.sample_index[: self.first_round_size]
+        # Several samples per pixel would take too long, and rounding is determined at the end.
+        skipped_keys = {key for key in self.mistakes if "samples" in self.mistakes[key].formulas}
+        skipped_keys |= {*mistakes.ROUNDINGS}
+        causes = [cause for cause in self.cause_groups if skipped_keys.isdisjoint(cause)]
+        causes_by_pair = {
+            pair: (cause_a, cause_b)
+            for cause_a, cause_b in combinations(causes, 2)
+            if (pair := self.join_causes(cause_a, cause_b))
+        }
+        formula_maps = [self.get_formulas(pair) for pair in causes_by_pair]
+        no_codes = np.zeros((0, 3, len(pixel_index)), dtype=np.uint8)
+        codes = self.evaluate(formula_maps, pixel_index) if causes_by_pair else no_codes
+        return RenderedPairs(causes_by_pair=causes_by_pair, codes=codes, pixel_index=pixel_index)
+
+    def join_causes(self, cause_a: Cause, cause_b: Cause) -> Cause:
+        """Join two causes into one, with the variant last.
+
+        Empty if the mistakes exclude each other, or if both causes contain a variant.
+        """
+        variants = [keyword for keyword in (*cause_a, *cause_b) if keyword in mistakes.VARIANTS]
+        cause = (*remove_variants((*cause_a, *cause_b)), *variants)
+        return cause if len(variants) < 2 and self.get_formulas(cause) else ()
+
+    def add_variants(self, cause: Cause) -> Iterator[Cause]:
+        """Yield a cause with each variant that the scene has and that it does not exclude."""
+        joined_causes = (self.join_causes(cause, (variant,)) for variant in self.variants)
+        return filter(None, joined_causes)
+
+
+def remove_variants(cause: Iterable[str]) -> Cause:
+    """Remove the keywords of variants from a cause."""
+    return tuple(keyword for keyword in cause if keyword not in mistakes.VARIANTS)
