@@ -356,8 +356,8 @@ def convert_to_grey(weights: tuple[float, float, float], channels: Array) -> Arr
         Three equal rows.
     """
     # Without the tiny addend, rounding could make the mean of equal integers slightly too small.
-    mean: Array = np.tensordot(weights, channels, 1) + 1e-9
-    return mean + 0 * channels
+    grey: Array = np.tensordot(weights, channels, 1) + 1e-9 + 0 * channels
+    return grey
 
 
 def compute_median(is_selected: Array, values: Array, default: float) -> float:
@@ -444,8 +444,9 @@ def guess_hits(reference_picture: Array, x: Array, y: Array, submitted_codes: Ar
     is_surface : (n,) bool array
         False for background pixels.
     """
-    is_bright: Array = interpolate_light(reference_picture, x, y).any(axis=0)
-    return is_bright | ~submitted_codes.any(axis=0)
+    is_bright = interpolate_light(reference_picture, x, y).any(axis=0)
+    is_surface: Array = np.logical_or(is_bright, ~submitted_codes.any(axis=0))
+    return is_surface
 
 
 _OWN_FUNCTIONS: tuple[Callable[..., Any], ...] = (
