@@ -317,9 +317,11 @@ def wrap(function: Callable[..., Any], owner: type | None = None) -> Callable[..
 
 def wrap_class(owner: Any) -> None:
     """Make a class check its fields, and the arguments and results of its methods."""
+    dataclass_options = vars(owner).get("__dataclass_params__")
+    is_init_generated = dataclass_options is not None and dataclass_options.init
     for name, member in list(vars(owner).items()):
-        if name == "__new__":
-            continue  # that of a NamedTuple has its fields as arguments
+        if name == "__new__" or (name == "__init__" and is_init_generated):
+            continue  # that of a NamedTuple or a dataclass has its fields as arguments
         if isinstance(member, FunctionType):
             # Fields do not exist before __init__.
             setattr(owner, name, wrap(member, None if name == "__init__" else owner))

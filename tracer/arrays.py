@@ -10,6 +10,7 @@ of `typing.Annotated`, and `tests/shapes.py`, which explains the notation, check
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Annotated as Shaped
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -127,6 +128,14 @@ def take(vectors: Triple | Floats, index: Ints | slice) -> Triple:
     """
     # `take` is 1.5 times as fast as indexing with an array.
     x, y, z = (row[index] if isinstance(index, slice) else row.take(index) for row in vectors)
+    return x, y, z
+
+
+def take_columns(
+    vectors: Shaped[Triple, "#m n"], column_index: Shaped[Ints, "k"]
+) -> Shaped[Triple, "#m k"]:
+    """Select columns of vectors."""
+    x, y, z = (component[:, column_index] for component in vectors)
     return x, y, z
 
 

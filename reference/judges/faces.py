@@ -32,7 +32,9 @@ from numpy.typing import NDArray
 
 from reference.judges.arrays import Bools, Floats, Ints
 from tracer import Scene
+from tracer.geometry.box import Boxes
 from tracer.geometry.silhouette import find_edge_planes
+from tracer.geometry.sphere import Spheres
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import compute_light_geometry
 from tracer.trace.occlusion import find_shadows
@@ -127,7 +129,8 @@ class Faces:
         self.prepared_scene = prepared_scene = PreparedScene(scene)
         self.frame, is_eye_inside = prepared_scene.frame, prepared_scene.is_eye_inside
         self.prepared_lights = lights = prepared_scene.prepare_lights()
-        spheres, boxes = prepared_scene.spheres, prepared_scene.boxes
+        self.spheres = spheres = Spheres.from_surfaces(self.frame, scene.surfaces)
+        self.boxes = boxes = Boxes.from_surfaces(self.frame, scene.surfaces)
         self.sphere_count, self.object_count = spheres.objects.size, is_eye_inside.size
         self.light_position, self.center = lights.from_eye, np.array(spheres.from_eye)
         self.radius, self.eye_power = spheres.radius, spheres.power
@@ -170,7 +173,7 @@ class Faces:
         # Positions of the sides' planes, and their offsets from the eye.  The last three axes of
         # every array for boxes are: coordinate (x, y, z), side (low, high), box.
         offset = np.stack([low, high], axis=1)
-        side_position = np.stack([scene.boxes.min_pt, scene.boxes.max_pt], axis=1)
+        side_position = np.stack([self.boxes.min_pt, self.boxes.max_pt], axis=1)
         faces_eye = offset * [[-1], [1]] * np.where(scene.is_eye_inside[sphere_count:], 1, -1) > 0
         has_extent = low < high
         has_area = (has_extent[[1, 2, 0]] & has_extent[[2, 0, 1]])[:, None]
@@ -199,7 +202,7 @@ class Faces:
         box_index = np.broadcast_to(np.arange(sphere_count, self.object_count), offset.shape)
         self.object_index = append_sides(sphere_index, box_index)
         self.is_planar = self.object_index >= sphere_count
-        sphere_bounds = scene.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
+        sphere_bounds = self.spheres.center + np.multiply.outer([-1, 1], radius)[:, None]
         object_bounds = np.append(sphere_bounds, side_position.swapaxes(0, 1), axis=2)
         self.bounding_box = object_bounds[:, :, self.object_index]
         may_be_visible = append_sides(np.full(sphere_count, True), faces_eye & has_area)
@@ -317,9 +320,13 @@ class Faces:
         box_count = self.object_count - self.sphere_count
         face_index = np.empty(hits.sample_index.size, dtype=np.intp)
         for group in hits.groups:
-            is_high_side = (group.normal_sign > 0) ^ hits.scene.is_eye_inside[group.run_object]
-            side_index = 2 * group.face_axis + is_high_side
-            run_face_index = group.run_object + group.shape.is_planar * box_count * side_index
+            is_high_side = (group.planes.normal_sign > 0) ^ hits.scene.is_eye_inside[
+                group.run_object
+            ]
+            side_index = 2 * group.planes.face_axis + is_high_side
+            run_face_index = (
+                group.run_object + group.shape.has_planar_faces * box_count * side_index
+            )
             face_index[group.interval] = group.repeat_runs(run_face_index)
         # A ray through the rim of a flat box may hit a side without area: use its visible face.
         sheet_face_index = self.sheet_face_index[self.object_index[face_index]]

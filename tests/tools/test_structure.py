@@ -21,7 +21,7 @@ FOLDERS = ("tracer", "converters", "reference", "tests")
 # Maximum lines of code in a module and in a function.
 MAX_MODULE_LINES, MAX_FUNCTION_LINES = 300, 45
 # Maximum number of modules of the tracer in a chain in which each imports the next.
-MAX_DEPTH = 15
+MAX_DEPTH = 16
 
 # Packages and modules of the tracer, from the lowest layer to the highest.
 LAYERS = ["version", "arrays", "messages", "children", "files", "scene", "geometry", "world"]

@@ -27,12 +27,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import chain
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Floats, Ints, Triple, dot, find, map_xyz, scale, take
+from tracer.arrays import Floats, Ints, Triple, dot, find, scale, take, take_columns
 from tracer.geometry.camera import CameraFrame
+from tracer.geometry.shape import CURVED_FACE, NO_AXIS, Shape
+from tracer.geometry.silhouette import bound_variation
 from tracer.trace.hits import Hits
 
 # The six points of a cell relative to its centre, in units of the cell's width: the centre; the
@@ -173,30 +176,6 @@ def compute_rays(
     return center_ray_x + offset_right, center_ray_y + offset_down, ray_forward
 
 
-def bound_variation(values: Floats) -> Floats:
-    """Bound how much each edge function differs, in its cell, from its value at the centre.
-
-    An edge function is a function of the position in the picture that is zero on an edge.  In a
-    cell (a pixel, or a square part of a pixel), a quadratic polynomial approximates the function.
-
-    Parameters
-    ----------
-    values : (6, ...) float array
-        Values of each edge function at six points of the cell (see `compute_rays`).
-
-    Returns
-    -------
-    max_difference : (...) float array
-        Upper bound on the absolute difference between the values of the polynomial at the centre
-        and at any other point of the cell.
-    """
-    center, right, left, lower, upper, corner = values
-    linear_part = np.abs(right - left) + np.abs(lower - upper)
-    square_part = np.abs(right + left - 2 * center) + np.abs(lower + upper - 2 * center)
-    mixed_part = np.abs(corner - right - lower + center)
-    return np.asarray(0.5 * linear_part + 0.5 * square_part + mixed_part)
-
-
 def fit_lines(edges: Iterable[EdgeValues], tolerance: float) -> tuple[Lines, Ints]:
     """Fit a straight line to each edge in a cell, and find the cells with curved edges.
 
@@ -284,93 +263,42 @@ def _fit_line_batch(edges: EdgeValues, tolerance: float) -> tuple[Lines, Ints]:
 
 
 class InverseDepth(NamedTuple):
-    """The surfaces at n hits, in a form that is fast to intersect with rays from the eye.
+    """The faces at n hits, extended beyond their rims, in a form that is fast to intersect.
 
-    A ray d from the eye meets a surface at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2):
-
-    - For a plane n . x = n . p, k = n / (n . p) and w = 0.  The square root is omitted.
-    - For a sphere with the centre C and the radius r, k = C / P and w = 1 / P, with P = C^2 - r^2.
-      This is the near intersection or, if the eye is inside (P < 0), the far one.
-
-    Attributes
-    ----------
-    k : tuple of three (n,) float arrays
-        Components of the vector k of each surface, in camera axes.
-    w : (n,) float array
-        The number w of each surface; 0 for planes.
+    A ray d from the eye meets a planar face, with the unit normal n and the hit p, at t d where
+    1 / t = d . n / (n . p).
     """
 
-    k: Triple
-    w: Floats
+    shapes: list[Shape]  # shapes with curved faces
+    scaled_normal: Shaped[Triple, "n"]  # n / (n . p)
+    curved_object: Shaped[Ints, "n"]  # object index of hits on curved faces; -1 for planar faces
 
     @classmethod
     def from_hits(cls, hits: Hits) -> InverseDepth:
-        """Compute the coefficients of the surfaces at n hits.
-
-        A ray d from the eye meets a sphere at t d, where 1 / t = k . d + sqrt((k . d)^2 - w d^2),
-        and a plane where 1 / t = k . d.  The coefficients are the vector k and the number w.
-
-        Parameters
-        ----------
-        hits : Hits
-            The n hits, on spheres or on faces of boxes.
-
-        Returns
-        -------
-        surfaces : InverseDepth
-            The sphere of each hit on a sphere, and the plane of the face of each hit on a box.  If
-            the eye is on the sphere, the tangent plane at the hit replaces the sphere.
-        """
-        spheres = hits.scene.spheres
-        k, w = np.empty(hits.from_eye.shape), np.zeros(hits.from_eye.shape[1])
+        normal = np.empty(hits.from_eye.shape)
+        curved_object = np.empty(hits.from_eye.shape[1], dtype=np.intp)
         for group in hits.groups:
-            interval = group.interval
-            # Start with tangent planes.  Spheres replace them unless the eye is on the sphere.
-            k[:, interval] = [group.expand_to_hits(n / -group.eye_height) for n in group.normal]
-            if not group.shape.is_planar:
-                sphere_index = spheres.objects.to_local(group.repeat_runs(group.run_object))
-                power = spheres.power[sphere_index]  # squared distance minus squared radius
-                center = np.array(take(spheres.from_eye, sphere_index))
-                w[interval] = np.where(power != 0, 1 / power, 0)
-                k[:, interval] = np.where(power != 0, center / power, k[:, interval])
-        return cls((k[0], k[1], k[2]), w)
+            planes = group.planes
+            run_object = np.where(planes.face_axis == NO_AXIS, group.run_object, -1)
+            curved_object[group.interval] = group.repeat_runs(run_object)
+            for axis, component in enumerate(planes.normal):
+                normal[axis, group.interval] = group.expand_to_hits(component / -planes.eye_height)
+        shapes = [shape for shape in hits.scene.shapes if shape.has_curved_face]
+        return cls(shapes, (normal[0], normal[1], normal[2]), curved_object)
 
-    def take(self, surface_index: Ints) -> InverseDepth:
-        """Select surfaces by index.
+    def take(self, surface_index: Shaped[Ints, "m"]) -> InverseDepth:
+        """Select faces by index."""
+        normal = take(self.scaled_normal, surface_index)
+        return InverseDepth(self.shapes, normal, self.curved_object[surface_index])
 
-        Parameters
-        ----------
-        surface_index : (m,) int array
-            Indices of the surfaces to select.
-
-        Returns
-        -------
-        selected_surfaces : InverseDepth
-            The m selected surfaces, in the order of `surface_index`.
-        """
-        return InverseDepth(take(self.k, surface_index), self.w[surface_index])
-
-    def compute_inverse_t(self, ray: Triple) -> Floats:
-        """Compute 1 / t for six rays to each surface, where t * ray is the point on the surface.
-
-        For a ray d, 1 / t = k . d + sqrt((k . d)^2 - w d^2), where k and w are the coefficients of
-        the surface.  For a plane, and for a ray that misses its sphere, 1 / t = k . d.
-
-        Parameters
-        ----------
-        ray : tuple of three (6, n) or (1, n) float arrays
-            Components of rays from the eye, in camera axes.  Column i contains the six rays to
-            surface i.  A single row applies to all six rays.
-
-        Returns
-        -------
-        inverse_t : (6, n) float array
-            1 / t of each ray.
-        """
-        inverse_t = dot(self.k, ray)
-        sphere_index = find(self.w)  # w is 0 for planes
-        if sphere_index.size:
-            d = map_xyz(lambda component: component[:, sphere_index], ray)
-            radicand = inverse_t[:, sphere_index] ** 2 - self.w[sphere_index] * dot(d, d)
-            inverse_t[:, sphere_index] += np.sqrt(np.maximum(radicand, 0))
+    def compute_inverse_t(self, ray: Shaped[Triple, "#6 n"]) -> Shaped[Floats, "6 n"]:
+        """Compute 1 / t for six rays to each face, where t * ray is the point on the face."""
+        inverse_t = dot(self.scaled_normal, ray)
+        for shape in self.shapes:
+            column = find(shape.objects.contains(self.curved_object))
+            if column.size:
+                curved_ray = take_columns(ray, column)
+                inverse_t[:, column] = shape.compute_inverse_t(
+                    CURVED_FACE, self.curved_object[column], curved_ray
+                )
         return inverse_t

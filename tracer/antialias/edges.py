@@ -13,12 +13,12 @@ the *footprint* of the hit, which is the part of the surface that is visible in 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
+from typing import Annotated as Shaped
 from typing import NamedTuple
 
 import numpy as np
 
-from tracer.antialias.edge_functions import EdgeValues, InverseDepth, bound_variation, compute_rays
+from tracer.antialias.edge_functions import EdgeValues, InverseDepth, compute_rays
 from tracer.arrays import (
     Bools,
     Floats,
@@ -31,17 +31,14 @@ from tracer.arrays import (
     scale,
     split_indices,
     take,
+    take_columns,
 )
 from tracer.geometry.camera import CameraFrame
-from tracer.geometry.silhouette import compute_miss_angles, evaluate_box_edges, find_edge_planes
+from tracer.geometry.shape import NO_AXIS, Shape
 from tracer.trace.hits import Hits
 from tracer.trace.lighting import LightGeometry
 from tracer.trace.samples import find_object_spans
 from tracer.world.prepared_scene import PreparedScene
-
-# Footprints on a face are divided by the cosine at the far end of the cell, which tends to 0 at the
-# horizon.  At least this fraction of the cosine at the hit is used, so footprints are finite.
-_MIN_COSINE_RATIO = 1e-3
 
 
 def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
@@ -63,15 +60,10 @@ def compute_footprint_radii(hits: Hits, cell_width: float) -> Floats:
     footprint_radius = np.empty(distance.size)
     for group in hits.groups:
         cell_radius = hits.from_eye[2][group.interval] * cell_angle
-        cosine = group.expand_to_hits(group.eye_height) / distance[group.interval]
-        if group.shape.is_planar:
-            radius = _compute_face_radii(cell_radius, cosine, cell_angle)
-        else:
-            # A strip of width r along the silhouette of a sphere of radius R shows a part of the
-            # sphere that is at most sqrt(2 r R) wide.
-            curvature = group.repeat_runs(hits.scene.curvature[group.run_object])
-            radius = np.fmin(cell_radius / cosine, np.sqrt(2 * cell_radius / curvature))
-        footprint_radius[group.interval] = radius
+        cosine = group.expand_to_hits(group.planes.eye_height) / distance[group.interval]
+        footprint_radius[group.interval] = group.shape.compute_footprint_radii(
+            group.run_object, group.run_length, cell_radius, cosine, cell_angle
+        )
     return footprint_radius
 
 
@@ -92,29 +84,6 @@ def _compute_cell_angle(frame: CameraFrame, cell_width: float) -> float:
         angles.
     """
     return 0.5 * cell_width * float(np.hypot(frame.pixel_width, frame.pixel_height)) / frame.depth
-
-
-def _compute_face_radii(cell_radius: Floats, cosine: Floats, cell_angle: float) -> Floats:
-    """Compute the radius of the part of a planar face that is visible in each of n cells.
-
-    A cell is a pixel, or a square part of a pixel.  The ray through its centre hits the face.
-
-    Parameters
-    ----------
-    cell_radius : (n,) float array
-        Radius of the circle around the cell at the depth of the hit, in the scene's unit of length.
-    cosine : (n,) float array
-        Cosine of the angle between the normal of the face and the direction to the eye.
-    cell_angle : float
-        Angle that half the diagonal of the cell subtends at the eye, in radians.
-
-    Returns
-    -------
-    footprint_radius : (n,) float array
-        Radius of the visible patch around each hit, in the scene's unit of length.
-    """
-    # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
-    return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))
 
 
 def find_silhouette_pixels(
@@ -196,32 +165,16 @@ def evaluate_silhouettes(
     edge_values : EdgeValues
         For each edge, the index of the cell, and the edge function at the six points.
     """
-    frame, spheres, boxes = scene.frame, scene.spheres, scene.boxes
     viewpoint_index, cell_index, object_index = candidates
-    sphere_columns = find(spheres.objects.contains(object_index))
-    if sphere_columns.size:
-        sphere_index = spheres.objects.to_local(object_index[sphere_columns])
-        sphere_ray = map_xyz(lambda component: component[:, sphere_columns], ray)
-        eye_to_viewpoint = take(frame.point_to_camera(viewpoint), viewpoint_index[sphere_columns])
-        center = map_xyz(np.subtract, take(spheres.from_eye, sphere_index), eye_to_viewpoint)
-        values = compute_miss_angles(sphere_ray, center, spheres.radius[sphere_index])
-        yield EdgeValues(cell_index[sphere_columns], values)
-    box_columns = find(boxes.objects.contains(object_index))
-    if box_columns.size:
-        box_index = boxes.objects.to_local(object_index[box_columns])
-        box_viewpoint = viewpoint.T[:, viewpoint_index[box_columns]]
-        corners = boxes.min_pt[:, box_index], boxes.max_pt[:, box_index]
-        to_low, to_high = (corner - box_viewpoint for corner in corners)
-        normals = frame.rotate_to_camera(find_edge_planes(to_low, to_high))
-        box_ray = map_xyz(lambda component: component[:, box_columns], ray)
-        values = evaluate_box_edges(normals, box_ray)
-        variation, center_value = bound_variation(values), values[0]
-        # An edge of the outline ends where the value for a neighbouring edge becomes negative.
-        may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
-        # A normal of 0 stands for no edge.  But if all six are 0, the viewpoint is in the box or on
-        # its surface, so the outline is unknown.
-        may_cross &= (variation > 0) | ~(variation > 0).any(axis=0)
-        yield EdgeValues(cell_index[box_columns[may_cross.nonzero()[1]]], values[:, may_cross])
+    for shape in scene.shapes:
+        column = find(shape.objects.contains(object_index))
+        if column.size:
+            edges = shape.find_silhouettes(
+                object_index[column],
+                viewpoint.T[:, viewpoint_index[column]],
+                take_columns(ray, column),
+            )
+            yield EdgeValues(cell_index[column[edges.item_index]], edges.values)
 
 
 class CellSurfaces(NamedTuple):
@@ -309,120 +262,81 @@ class CellSurfaces(NamedTuple):
         yield from self._find_face_intersections(hidden_hits, visible_hit_index, is_close)
 
     def _find_face_intersections(
-        self, hidden_hits: Hits, visible_hit_index: Ints, is_close: Bools
+        self,
+        hidden_hits: Hits,
+        visible_hit_index: Shaped[Ints, "n"],
+        is_close: Shaped[Bools, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each surface and box face that may meet.
+        """Yield edge-function values for each surface and planar face that may meet.
 
-        The surface is visible at the centre of a cell (a pixel, or a square part of a pixel).  The
-        face belongs to a box behind the surface.  The ray through the centre hits the box, but not
-        necessarily this face.  The edge function is zero where the surface meets the face.
+        The face belongs to an object behind the surface.  The ray through the centre of the cell
+        hits the object, but not necessarily this face.
 
         Parameters
         ----------
-        hidden_hits : Hits
-            The n hits behind visible hits.  Hits on spheres are skipped.
-        visible_hit_index : (n,) int array
+        visible_hit_index
             Index of the visible hit in front of each hidden hit, on the same ray from the eye.
-        is_close : (n,) bool array
-            Whether the two surfaces may meet near the hidden hit; ignored if the eye is in the box.
-
-        Yields
-        ------
-        edge_values : EdgeValues
-            For each pair of a surface and a face, the index of the cell, and the edge function
-            1 / t1 - 1 / t2 at six points of the cell (see `compute_rays`).  The ray through each
-            point meets the surface at t1 * ray, and the plane of the face at t2 * ray.
+        is_close
+            Whether the two surfaces may meet near the hidden hit; ignored if the eye is inside the
+            object.
         """
-        scene, hidden_object = hidden_hits.scene, hidden_hits.hit_object
-        frame, boxes = scene.frame, scene.boxes
-        cell_angle = _compute_cell_angle(frame, self.cell_width)
-        is_eye_inside = scene.is_eye_inside[hidden_object]
-        hidden_index = find((is_close | is_eye_inside) & boxes.objects.contains(hidden_object))
-        box_index = boxes.objects.to_local(hidden_object[hidden_index])
-        is_eye_inside, hit_index = is_eye_inside[hidden_index], visible_hit_index[hidden_index]
-        from_eye = take(hidden_hits.from_eye, hidden_index)
-        distance = hidden_hits.distance[hidden_index]
-        visible_distance = self.hits.distance[hit_index]
-        footprint_radius = self.footprint_radius[hit_index]
-        for axis in range(3):
-            # Coordinates of the hidden hit and of a face along the axis, relative to the eye.
-            hit_offset = frame.project_onto_axis(from_eye, axis)
-            low_face, high_face = boxes.min_pt[axis, box_index], boxes.max_pt[axis, box_index]
-            is_high_face = is_eye_inside == (hit_offset > 0)
-            plane_offset = np.where(is_high_face, high_face, low_face) - frame.eye[axis]
-            # The ray meets the plane at plane_t times the vector from the eye to the hidden hit.
-            plane_t = plane_offset / hit_offset
-            cell_radius, cosine = plane_t * from_eye[2] * cell_angle, np.abs(hit_offset) / distance
-            max_gap = footprint_radius + _compute_face_radii(cell_radius, cosine, cell_angle)
-            may_cross_cell = np.abs(plane_t * distance - visible_distance) <= max_gap
-            yield from self._compare_with_planes(axis, hit_index, plane_offset, may_cross_cell)
+        cell_angle = _compute_cell_angle(hidden_hits.scene.frame, self.cell_width)
+        hidden_object, hidden_distance = hidden_hits.hit_object, hidden_hits.distance
+        is_candidate = is_close | hidden_hits.scene.is_eye_inside[hidden_object]
+        visible_distance = self.hits.distance
+        for group in hidden_hits.groups:
+            if not group.shape.has_planar_faces:
+                continue
+            hidden_index = group.interval.start + find(is_candidate[group.interval])
+            object_index, hit_index = hidden_object[hidden_index], visible_hit_index[hidden_index]
+            to_hit, distance = (
+                take(hidden_hits.from_eye, hidden_index),
+                hidden_distance[hidden_index],
+            )
+            faces = group.shape.intersect_other_faces(object_index, to_hit, cell_angle)
+            for face_code, item_index, t, radius in faces:
+                face_hit = hit_index[item_index]
+                gap = np.abs(t * distance[item_index] - visible_distance[face_hit])
+                may_meet = gap <= self.footprint_radius[face_hit] + radius
+                yield from self._compare_with_face(
+                    group.shape, face_code, object_index[item_index[may_meet]], face_hit[may_meet]
+                )
 
     def find_creases(self) -> Iterator[EdgeValues]:
         """Yield edge-function values for each cell that a crease may cross.
 
-        A crease is an edge between two visible faces of a box.  The edge function is zero on the
-        crease.  The ray through the centre of the cell (a pixel, or a square part of a pixel) hits
-        one of the faces.
-
-        Yields
-        ------
-        edge_values : EdgeValues
-            For each crease, the index of the cell, and the edge function 1 / t1 - 1 / t2 at six
-            points of the cell (see `compute_rays`).  The ray through each point meets the planes of
-            the two faces at t1 * ray and t2 * ray.
+        A crease is an edge between two visible faces of an object.  The ray through the centre of
+        the cell hits one of the faces.
         """
-        scene, frame = self.hits.scene, self.hits.scene.frame
-        face_positions = scene.boxes.min_pt, scene.boxes.max_pt
-        # Hits are grouped by shape, and a group is divided into runs: consecutive hits on one face.
-        # A crease lies between this face and a face that is perpendicular to another axis.  Offsets
-        # are coordinates along this axis, relative to the eye.
-        for group, axis in product(self.hits.groups, range(3)):
-            is_other_axis = group.face_axis != axis
-            if not group.shape.is_planar or not np.any(is_other_axis):
-                continue
-            hit_index = np.arange(group.interval.start, group.interval.stop)
-            hit_offset = frame.project_onto_axis(take(self.hits.from_eye, group.interval), axis)
-            box_index = scene.boxes.objects.to_local(group.run_object)
-            for face_position, normal_sign in zip(face_positions, (-1, 1), strict=True):
-                run_offset = face_position[axis, box_index] - frame.eye[axis]
-                is_visible = scene.is_eye_inside[group.run_object] | (normal_sign * run_offset < 0)
-                face_offset = group.repeat_runs(run_offset)
-                is_near = np.abs(hit_offset - face_offset) < self.footprint_radius[group.interval]
-                may_cross_cell = is_near & group.repeat_runs(is_visible & is_other_axis)
-                yield from self._compare_with_planes(axis, hit_index, face_offset, may_cross_cell)
+        for group in self.hits.groups:
+            faces = group.shape.find_near_faces(
+                group.run_object,
+                group.run_length,
+                group.planes.face_axis,
+                self.hits.from_eye[:, group.interval],
+                self.footprint_radius[group.interval],
+            )
+            for face_code, index_in_group in faces:
+                object_index = group.repeat_runs(group.run_object)[index_in_group]
+                hit_index = group.interval.start + index_in_group
+                yield from self._compare_with_face(group.shape, face_code, object_index, hit_index)
 
-    def _compare_with_planes(
-        self, axis: int, hit_index: Ints, plane_offset: Floats, may_cross_cell: Bools
+    def _compare_with_face(
+        self,
+        shape: Shape,
+        face_code: int,
+        object_index: Shaped[Ints, "n"],
+        hit_index: Shaped[Ints, "n"],
     ) -> Iterator[EdgeValues]:
-        """Yield edge-function values for each surface and plane that may meet.
+        """Yield edge-function values for each visible surface and face of an object.
 
-        The surface is visible at the centre of a cell (a pixel, or a square part of a pixel).  The
-        plane is perpendicular to an axis of the scene.  The edge function is zero where the surface
-        meets the plane.
-
-        Parameters
-        ----------
-        axis : int
-            The axis of the scene: 0, 1 or 2.
-        hit_index : (n,) int array
-            For each pair, the index of the hit where the surface is visible.
-        plane_offset : (n,) float array
-            Coordinate of each plane along the axis, relative to the eye.
-        may_cross_cell : (n,) bool array
-            Whether the plane may meet the surface in the cell.  Other pairs are skipped.
-
-        Yields
-        ------
-        edge_values : EdgeValues
-            For each pair, the index of the cell, and the edge function 1 / t1 - 1 / t2 at six
-            points of the cell (see `compute_rays`).  The ray through each point meets the surface
-            at t1 * ray, and the plane at t2 * ray.
+        The edge function is 1 / t1 - 1 / t2: the ray through a point of the cell meets the surface
+        at t1 * ray, and the face at t2 * ray.  It is zero where the surface meets the face.
         """
-        for batch in split_indices(find(may_cross_cell)):
+        for batch in split_indices(np.arange(hit_index.size)):
             ray, surface_inverse_t = self.trace_rays(hit_index[batch])
-            axis_component = self.hits.scene.frame.project_onto_axis(ray, axis)
-            plane_inverse_t = axis_component / plane_offset[batch]
-            yield EdgeValues(self.cell_index[hit_index[batch]], surface_inverse_t - plane_inverse_t)
+            face_inverse_t = shape.compute_inverse_t(face_code, object_index[batch], ray)
+            yield EdgeValues(self.cell_index[hit_index[batch]], surface_inverse_t - face_inverse_t)
 
     def evaluate_shadow_edges(
         self, light_position: Floats, edge_candidates: Ints
@@ -476,19 +390,27 @@ class CellSurfaces(NamedTuple):
             cell (see `compute_rays`): the cosine of the angle between the normal and the direction
             to the light, which is zero on the terminator.
         """
-        scene, hit_object = self.hits.scene, self.hits.hit_object
+        scene = self.hits.scene
         light_from_eye = scene.frame.point_to_camera(geometry.lights.near_position)
-        # The normal turns by at most this angle within the footprint, in radians.
-        max_turn = self.footprint_radius * scene.curvature[hit_object]
-        may_cross = geometry.n_dot_l**2 < max_turn * max_turn * geometry.squared_distance
-        for pair_index in split_indices(find(may_cross)):
-            light_index, hit_index = np.divmod(pair_index, max_turn.size)
-            ray, inverse_t = self.trace_rays(hit_index)
-            # The ray meets the sphere at t * ray.  All vectors are divided by t.
-            sphere_index = scene.spheres.objects.to_local(hit_object[hit_index])
-            center = take(scene.spheres.from_eye, sphere_index)
-            normal = map_xyz(np.subtract, ray, scale(center, inverse_t))
-            light_over_t = scale(take(light_from_eye, light_index), inverse_t)
-            to_light = map_xyz(np.subtract, light_over_t, ray)
-            length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
-            yield EdgeValues(self.cell_index[hit_index], dot(normal, to_light) / length_product)
+        for group in self.hits.groups:
+            if not group.shape.has_curved_face:
+                continue
+            is_curved = group.planes.face_axis == NO_AXIS
+            curvature = np.where(is_curved, scene.curvature[group.run_object], 0)
+            # The normal turns by at most this angle within the footprint, in radians.
+            max_turn = self.footprint_radius[group.interval] * group.repeat_runs(curvature)
+            n_dot_l = geometry.n_dot_l[:, group.interval]
+            squared_distance = geometry.squared_distance[:, group.interval]
+            may_cross = n_dot_l**2 < max_turn * max_turn * squared_distance
+            hit_object = group.repeat_runs(group.run_object)
+            for pair_index in split_indices(find(may_cross)):
+                light_index, index_in_group = np.divmod(pair_index, max_turn.size)
+                hit_index = group.interval.start + index_in_group
+                ray, inverse_t = self.trace_rays(hit_index)
+                # The ray meets the surface at t * ray.  All vectors are divided by t.
+                normal = group.shape.compute_normals(hit_object[index_in_group], ray, inverse_t)
+                light_over_t = scale(take(light_from_eye, light_index), inverse_t)
+                to_light = map_xyz(np.subtract, light_over_t, ray)
+                length_product = np.sqrt(dot(normal, normal) * dot(to_light, to_light))
+                cosine = dot(normal, to_light) / length_product
+                yield EdgeValues(self.cell_index[hit_index], cosine)

@@ -1,18 +1,33 @@
-"""Axis-aligned boxes: intersections with rays from the eye, and tests of shadow segments.
+"""Axis-aligned boxes: see `shape` for what the methods promise.
 
-`Boxes` has the same methods and attributes as `Spheres`.
+In this module, `box_index` numbers the boxes.  A *slab* is the space between the planes of two
+opposite faces (Kay and Kajiya, Ray tracing complex scenes, 1986).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated as Shaped
 from typing import ClassVar
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, map_xyz, repeat_runs, take, take_2d
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Sides,
+    Triple,
+    dot,
+    find,
+    map_xyz,
+    repeat_runs,
+    take,
+    take_2d,
+)
 from tracer.geometry.camera import CameraFrame, ScreenBounds
-from tracer.geometry.numbering import ObjectRange, get_box_range
+from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import (
     INSIDE,
     LIGHT_TOLERANCE,
@@ -22,55 +37,35 @@ from tracer.geometry.rounding import (
     SURFACE_TOLERANCE,
     compute_hit_tolerance,
 )
-from tracer.geometry.silhouette import find_edge_planes
-from tracer.scene.model import Surfaces
+from tracer.geometry.shape import (
+    FaceHits,
+    Shape,
+    SilhouetteEdges,
+    TangentPlanes,
+    compute_plane_footprints,
+)
+from tracer.geometry.silhouette import bound_variation, evaluate_box_edges, find_edge_planes
+from tracer.scene.model import Box, Surfaces
 
 
-@dataclass(frozen=True, eq=False)
-class Boxes:
-    """The n boxes of a scene, prepared for the rays of one camera.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Boxes(Shape):
+    """The boxes of a scene."""
 
-    Attributes
-    ----------
-    is_planar, frame, objects, bounds, is_eye_inside, curvature, coordinate_bound
-        As in `Spheres`.
-    min_pt, max_pt : (3, n) float arrays
-        Corners with the smallest and with the largest coordinates x, y and z.
-    planes : tuple of three (6, n) float arrays
-        Coefficients a, b and c of six planes for each box, through the eye and silhouette edges.  A
-        ray with the direction (ray_x, ray_y, depth) meets the box only if
-        a * ray_x + b * ray_y + c >= 0 for all six planes.
-    """
+    has_planar_faces: ClassVar = True
+    has_curved_face: ClassVar = False
 
-    is_planar: ClassVar = True
-
-    frame: CameraFrame
-    objects: ObjectRange
-    min_pt: Floats
-    max_pt: Floats
-    planes: Triple
-    bounds: ScreenBounds
-    is_eye_inside: Bools
-    curvature: Floats
-    coordinate_bound: Floats
+    # Corners with the smallest and with the largest coordinates, in scene axes.
+    min_pt: Shaped[Floats, "3 objects"]
+    max_pt: Shaped[Floats, "3 objects"]
+    # Coefficients a, b and c of six planes for each box, through the eye and silhouette edges.  A
+    # ray meets the box only if a * ray_x + b * ray_y + c >= 0 for all six planes.
+    planes: Shaped[Triple, "6 objects"]
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Boxes:
-        """Extract the boxes of a scene, and precompute the data for tracing camera rays.
-
-        Parameters
-        ----------
-        frame : CameraFrame
-            The camera.
-        surfaces : Surfaces
-            All surfaces of the scene.
-
-        Returns
-        -------
-        boxes : Boxes
-            All n boxes, with the planes through their silhouette edges, and bounding rectangles.
-        """
-        min_pt, max_pt = surfaces.min_pt.T.copy(), surfaces.max_pt.T.copy()
+        table = surfaces.tables[Box]
+        min_pt, max_pt = table["min_pt"].T.copy(), table["max_pt"].T.copy()
         eye_to_low, eye_to_high = (corner - frame.eye[:, None] for corner in (min_pt, max_pt))
         is_eye_inside = np.all((eye_to_low <= 0) & (eye_to_high >= 0), axis=0)
         normals = frame.rotate_to_camera(find_edge_planes(eye_to_low, eye_to_high))
@@ -78,43 +73,28 @@ class Boxes:
         is_eye_on_face = is_eye_inside & (np.concatenate([eye_to_low, eye_to_high]) == 0)
         for normal_component, axis in zip(normals, frame.axes, strict=True):
             np.copyto(normal_component, np.append(axis, -axis)[:, None], where=is_eye_on_face)
-        coordinate_bound: Floats = np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0)
-        objects, curvature = get_box_range(surfaces), np.zeros(is_eye_inside.size)
-        planes = normals[0], normals[1], normals[2] * frame.depth
-        bounds = _find_screen_bounds(frame, eye_to_low, eye_to_high)
-        camera_data = planes, bounds, is_eye_inside, curvature
-        return cls(frame, objects, min_pt, max_pt, *camera_data, coordinate_bound)
+        return cls(
+            frame=frame,
+            objects=get_object_range(surfaces, Box),
+            min_pt=min_pt,
+            max_pt=max_pt,
+            planes=(normals[0], normals[1], normals[2] * frame.depth),
+            bounds=_find_screen_bounds(frame, eye_to_low, eye_to_high),
+            is_eye_inside=is_eye_inside,
+            curvature=np.zeros(is_eye_inside.size),
+            coordinate_bound=np.maximum(np.abs(min_pt), np.abs(max_pt)).sum(axis=0),
+        )
 
-    def compute_bounding_boxes(self) -> tuple[Floats, Floats]:
-        """Return two opposite corners of each of the n boxes, in scene axes.
-
-        Returns
-        -------
-        low, high : (3, n) float arrays
-            Smallest and largest coordinates of each box.
-        """
+    def compute_bounding_boxes(
+        self,
+    ) -> tuple[Shaped[Floats, "3 objects"], Shaped[Floats, "3 objects"]]:
         return self.min_pt, self.max_pt
 
     # Intersections with rays from the eye.
 
-    def find_x_range(self, object_index: Ints, top: Floats, height: float) -> tuple[Floats, Floats]:
-        """Bound the x coordinates at which each of n boxes may appear in a row of the picture.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each box among all objects of the scene.
-        top : (n,) float array
-            Top edge of the row for each box, in pixels from the top of the picture.
-        height : float
-            Height of the rows, in pixels; 0 for horizontal lines across the picture.
-
-        Returns
-        -------
-        left, right : (n,) float arrays
-            Smallest and largest x coordinates at which the box may appear in the row, in pixels
-            from the left edge of the picture.  If left > right, the box does not appear in the row.
-        """
+    def find_x_range(
+        self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
         frame, box_index = self.frame, self.objects.to_local(object_index)
         ray_y = frame.to_ray_y(top + height / 2)
         min_ray_x, max_ray_x = np.full(box_index.size, -np.inf), np.full(box_index.size, np.inf)
@@ -132,37 +112,13 @@ class Boxes:
         return frame.to_picture_x(min_ray_x), frame.to_picture_x(max_ray_x)
 
     def intersect(
-        self, object_index: Ints, ray_y: Floats, ray_x: Floats, ray_count: Ints | None
-    ) -> tuple[Floats, Sides]:
-        """Compute where rays from the eye hit boxes, and which faces they hit.
-
-        The method is that of slabs (Kay and Kajiya, Ray tracing complex scenes, 1986).  A slab is
-        the space between the planes of two opposite faces.  A ray that lies in one of these planes
-        counts as inside the slab.
-
-        A ray has the direction (ray_x, ray_y, depth), in camera axes.  The rays of one
-        row that are tested with the same box form a span.
-
-        Parameters
-        ----------
-        object_index : (spans,) int array
-            Index of the box of each span, among all objects of the scene.
-        ray_y : (spans,) float array
-            Downward component of the rays in each span.
-        ray_x : (n,) float array
-            Rightward component of each ray, span by span.
-        ray_count : (spans,) int array or None
-            Number of rays in each span; None if each span has one ray.
-
-        Returns
-        -------
-        t : (n,) float array
-            Each ray hits the box at t times its direction; t is infinity if the ray misses.  If the
-            eye is inside the box or on its surface, the hit is where the ray leaves the box.
-        face_code : (n,) int8 array
-            Code of the face that is hit: twice the axis (0, 1 or 2) of its normal, plus 1 if the
-            normal towards the eye points in the positive direction of the axis.
-        """
+        self,
+        object_index: Shaped[Ints, "spans"],
+        ray_y: Shaped[Floats, "spans"],
+        ray_x: Shaped[Floats, "n"],
+        ray_count: Shaped[Ints, "spans"] | None,
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Sides, "n"]]:
+        """See `Shape.intersect`; a ray that lies in the plane of a face counts as in its slab."""
         frame, box_index = self.frame, self.objects.to_local(object_index)
         enter_ts, leave_ts, face_codes = [], [], []
         for axis in range(3):
@@ -194,134 +150,75 @@ class Boxes:
         return np.where(is_hit & (t > 0), t, np.inf), face_code
 
     def compute_tangent_planes(
-        self, object_index: Ints, run_length: Ints, to_hit: Floats, t: Floats, face_code: Sides
-    ) -> tuple[Ints, Floats, Floats, Triple, Floats]:
-        """Compute the plane of the face on which each run of hits lies.
-
-        A run consists of consecutive hits on the same face of the same box.
-
-        Parameters
-        ----------
-        object_index : (runs,) int array
-            Index of each run's box among all objects of the scene.
-        run_length : (runs,) int array
-            Number of hits in each run.
-        to_hit, t : (3, n) and (n,) float arrays
-            Ignored: only `Spheres.compute_tangent_planes` uses them.
-        face_code : (n,) int8 array
-            Code of the face that is hit: twice the axis of its normal, plus 1 if the normal towards
-            the eye points in the positive direction of the axis.
-
-        Returns
-        -------
-        face_axis : (runs,) int array
-            Axis to which the face is perpendicular: 0, 1 or 2.
-        normal_sign : (runs,) float array
-            1 if the normal points in the positive direction of this axis, otherwise -1.
-        face_position : (runs,) float array
-            Coordinate of the face along this axis, in scene axes.
-        normal : tuple of three (runs,) float arrays
-            Unit normals that face the eye, in camera axes.
-        eye_height : (runs,) float array
-            Distance of the eye from the plane of the face.
-        """
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        to_hit: Shaped[Floats, "3 n"],
+        t: Shaped[Floats, "n"],
+        face_code: Shaped[Sides, "n"],
+    ) -> TangentPlanes:
         box_index = self.objects.to_local(object_index)
         run_face_code = face_code.take(run_length.cumsum() - run_length)
         face_axis = run_face_code.astype(np.intp) >> 1
         normal_sign = np.where(run_face_code & 1, 1.0, -1.0)
-        low, high = (take_2d(corner, face_axis, box_index) for corner in (self.min_pt, self.max_pt))
-        face_position = np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
-        eye_height = normal_sign * (self.frame.eye[face_axis] - face_position)
+        face_position = self._get_face_position(box_index, face_axis, normal_sign)
         right, down, ahead = (np.asarray(normal_sign * axis[face_axis]) for axis in self.frame.axes)
-        return face_axis, normal_sign, face_position, (right, down, ahead), eye_height
+        return TangentPlanes(
+            normal=(right, down, ahead),
+            eye_height=normal_sign * (self.frame.eye[face_axis] - face_position),
+            face_axis=face_axis,
+            normal_sign=normal_sign,
+            face_position=face_position,
+        )
+
+    def _get_face_position(
+        self,
+        box_index: Shaped[Ints, "n"],
+        face_axis: Shaped[Ints, "n"] | int,
+        normal_sign: Shaped[Floats, "n"] | float,
+    ) -> Shaped[Floats, "n"]:
+        """Look up the coordinate, along its axis, of the face whose normal has this sign.
+
+        The normal is that on the side of the eye.
+        """
+        low, high = (take_2d(corner, face_axis, box_index) for corner in (self.min_pt, self.max_pt))
+        return np.where(self.is_eye_inside[box_index] == (normal_sign > 0), low, high)
 
     # Tests of shadow segments: segments from hits to lights.
 
-    def get_corners(self, object_index: Ints) -> tuple[Triple, Triple]:
-        """Look up two opposite corners of each given box.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each box, among all objects of the scene.
-
-        Returns
-        -------
-        low, high : tuples of three (n,) float arrays
-            Smallest and largest coordinates x, y and z of each box, in scene axes.
-        """
+    def get_corners(
+        self, object_index: Shaped[Ints, "n"]
+    ) -> tuple[Shaped[Triple, "n"], Shaped[Triple, "n"]]:
+        """Look up the corners with the smallest and with the largest coordinates."""
         box_index = self.objects.to_local(object_index)
         return take(self.min_pt, box_index), take(self.max_pt, box_index)
 
-    def find_light_side(self, object_index: Ints, light: Triple) -> Sides:
-        """Determine whether lights are outside or inside n boxes.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each box among all objects of the scene.
-        light : tuple of three float arrays
-            Coordinates x, y and z of the lights, in scene axes, broadcastable with (n,).
-
-        Returns
-        -------
-        side : int8 array
-            `INSIDE` if the light is inside the box; `OUTSIDE` if it is outside or on the surface.
-            The shape is that of `object_index` and the lights, broadcast together.
-        """
+    def find_light_side(
+        self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
+    ) -> Shaped[Sides, "... n"]:
+        """See `Shape.find_light_side`; a light on a face counts as outside."""
         distance = self.measure_distance(object_index, light)
         return np.where(distance < 0, INSIDE, OUTSIDE).astype(np.int8)
 
-    def measure_distance(self, object_index: Ints, point: Triple) -> Floats:
-        """Compute the signed distances of points from n boxes.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each box among all objects of the scene.
-        point : tuple of three float arrays
-            Coordinates x, y and z of the points, in scene axes, broadcastable with (n,).
-
-        Returns
-        -------
-        distance : float array
-            Largest signed distance from the planes of the six faces; negative inside the box.  The
-            shape is that of `object_index` and the points, broadcast together.
-        """
+    def measure_distance(
+        self, object_index: Shaped[Ints, "n"], point: Shaped[Triple, "... #n"]
+    ) -> Shaped[Floats, "... n"]:
+        """Compute the largest signed distances of points from the planes of the six faces."""
         low, high = self.get_corners(object_index)
         plane_distances = *map_xyz(np.subtract, low, point), *map_xyz(np.subtract, point, high)
         return np.asarray(np.max(plane_distances, axis=0))
 
     def occludes(
         self,
-        object_index: Ints,
-        hit: Triple,
-        light: Triple,
-        light_side: Sides,
-        growth: Floats | None = None,
-    ) -> Bools:
-        """Test whether each of n boxes blocks the segment from a hit to a light.
+        object_index: Shaped[Ints, "n"],
+        hit: Shaped[Triple, "n"],
+        light: Shaped[Triple, "n"],
+        light_side: Shaped[Sides, "n"],
+        growth: Shaped[Floats, "n"] | None = None,
+    ) -> Shaped[Bools, "n"]:
+        """See `Shape.occludes`; a segment in the plane of a face is not blocked.
 
-        A segment is blocked if it crosses the surface of the box strictly between its ends.  A
-        segment in the plane of a face is not blocked.  Before the test, ends within rounding error
-        of such a plane are moved onto the plane.
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index of each box among all objects of the scene.
-        hit, light : tuples of three (n,) float arrays
-            Coordinates x, y and z of the two ends of each segment, in scene axes.
-        light_side : (n,) int8 array
-            Ignored: only `Spheres.occludes` uses it.
-        growth : (n,) float array, optional
-            Distance by which the box is grown on all sides before the test; negative to shrink it.
-            A box that shrinks to nothing blocks nothing.
-
-        Returns
-        -------
-        occludes : (n,) bool array
-            Whether the box blocks the segment.
+        Before the test, ends within rounding error of such a plane are moved onto the plane.
         """
         low, high = self.get_corners(object_index)
         if growth is not None:
@@ -336,29 +233,12 @@ class Boxes:
         return occludes
 
     def test_capsules(
-        self, object_index: Ints, axis_start: Triple, axis_end: Triple, capsule_radius: Floats
-    ) -> tuple[Bools, Bools]:
-        """Test whether each of n boxes blocks some or all of the segments in a capsule.
-
-        The segments start at most `capsule_radius` away from the point `axis_start`, and all lead
-        to the point `axis_end` (Haines and Wallace, Shaft culling, 1991).
-
-        Parameters
-        ----------
-        object_index : (n,) int array
-            Index, among all objects of the scene, of the box to test with each capsule.
-        axis_start, axis_end : tuples of three (n,) float arrays
-            Coordinates x, y and z of the two ends of each capsule's axis, in scene axes.
-        capsule_radius : (n,) float array
-            Radius of each capsule: the maximum distance of its points from its axis.
-
-        Returns
-        -------
-        may_block : (n,) bool array
-            Whether the box may block a segment: false only if it certainly blocks none.
-        blocks_all : (n,) bool array
-            Whether the box blocks all segments: true only if this is certain.
-        """
+        self,
+        object_index: Shaped[Ints, "n"],
+        axis_start: Shaped[Triple, "n"],
+        axis_end: Shaped[Triple, "n"],
+        capsule_radius: Shaped[Floats, "n"],
+    ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
         # Allow for the distance by which `occludes` moves the ends of a segment.
         coordinate_bound = self.coordinate_bound[self.objects.to_local(object_index)]
         capsule_radius = capsule_radius + 2 * SURFACE_TOLERANCE * coordinate_bound
@@ -383,6 +263,85 @@ class Boxes:
         may_block = (enter_t <= leave_t) & (leave_t >= 0) & (enter_t <= 1) & ~contains_capsule
         blocks_all: Bools = (shrunk_enter_t < shrunk_leave_t) & (enter_t > 0) & (leave_t < 1)
         return may_block, blocks_all
+
+    # Edges.
+
+    def find_silhouettes(
+        self,
+        object_index: Shaped[Ints, "n"],
+        viewpoint: Shaped[Floats, "3 n"],
+        ray: Shaped[Triple, "#6 n"],
+    ) -> SilhouetteEdges:
+        """See `Shape.find_silhouettes`; a box has up to six edges."""
+        box_index = self.objects.to_local(object_index)
+        to_low = self.min_pt[:, box_index] - viewpoint
+        to_high = self.max_pt[:, box_index] - viewpoint
+        normals = self.frame.rotate_to_camera(find_edge_planes(to_low, to_high))
+        values = evaluate_box_edges(normals, ray)
+        variation, center_value = bound_variation(values), values[0]
+        # An edge of the outline ends where the value for a neighbouring edge becomes negative.
+        may_cross = (np.abs(center_value) <= variation) & (center_value >= -variation).all(axis=0)
+        # A normal of 0 stands for no edge.  But if all six are 0, the viewpoint is in the box or on
+        # its surface, so the outline is unknown.
+        may_cross &= (variation > 0) | ~(variation > 0).any(axis=0)
+        return SilhouetteEdges(item_index=may_cross.nonzero()[1], values=values[:, may_cross])
+
+    def compute_inverse_t(
+        self, face_code: int, object_index: Shaped[Ints, "n"], ray: Shaped[Triple, "#m n"]
+    ) -> Shaped[Floats, "m n"]:
+        axis, normal_sign = _decode_face(face_code)
+        box_index = self.objects.to_local(object_index)
+        offset = self._get_face_position(box_index, axis, normal_sign) - self.frame.eye[axis]
+        inverse_t: Floats = self.frame.project_onto_axis(ray, axis) / offset
+        return inverse_t
+
+    def find_near_faces(
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        face_axis: Shaped[Ints, "runs"],
+        to_hit: Shaped[Floats, "3 n"],
+        max_distance: Shaped[Floats, "n"],
+    ) -> Iterator[tuple[int, Shaped[Ints, "k"]]]:
+        box_index = self.objects.to_local(object_index)
+        is_eye_inside = self.is_eye_inside[box_index]
+        for axis in range(3):
+            is_other_axis = face_axis != axis
+            if not is_other_axis.any():
+                continue
+            # Offsets are coordinates along the axis, relative to the eye.
+            hit_offset = self.frame.project_onto_axis((to_hit[0], to_hit[1], to_hit[2]), axis)
+            for face_code in (2 * axis, 2 * axis + 1):
+                normal_sign = _decode_face(face_code)[1]
+                position = self._get_face_position(box_index, axis, normal_sign)
+                offset = position - self.frame.eye[axis]
+                is_visible = is_eye_inside | (normal_sign * offset < 0)
+                is_near = np.abs(hit_offset - repeat_runs(offset, run_length)) < max_distance
+                yield face_code, find(is_near & repeat_runs(is_visible & is_other_axis, run_length))
+
+    def intersect_other_faces(
+        self, object_index: Shaped[Ints, "n"], to_hit: Shaped[Triple, "n"], cell_angle: float
+    ) -> Iterator[FaceHits]:
+        box_index, distance = self.objects.to_local(object_index), np.sqrt(dot(to_hit, to_hit))
+        for axis in range(3):
+            # Offsets are coordinates along the axis, relative to the eye.
+            hit_offset = self.frame.project_onto_axis(to_hit, axis)
+            # The normal of a visible face points against the ray.
+            for face_code in (2 * axis, 2 * axis + 1):
+                normal_sign = _decode_face(face_code)[1]
+                index = find((hit_offset <= 0) == (normal_sign > 0))
+                position = self._get_face_position(box_index[index], axis, normal_sign)
+                # The ray meets the plane at t times the vector from the eye to the hit.
+                t = (position - self.frame.eye[axis]) / hit_offset[index]
+                cell_radius = t * to_hit[2][index] * cell_angle
+                cosine = np.abs(hit_offset[index]) / distance[index]
+                footprint_radius = compute_plane_footprints(cell_radius, cosine, cell_angle)
+                yield FaceHits(face_code, index, t, footprint_radius)
+
+
+def _decode_face(face_code: int) -> tuple[int, float]:
+    """Return the axis of a face, and the sign of the normal on the side of the eye."""
+    return face_code >> 1, 1.0 if face_code & 1 else -1.0
 
 
 def _intersect_slab(

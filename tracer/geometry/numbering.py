@@ -1,9 +1,14 @@
-"""Numbering of objects: all objects of a scene have indices together, shape by shape.
+"""Numbering of objects.
 
-The spheres come first, then the boxes, each in the order of their arrays in `Surfaces`.  Only this
-module depends on that order; other modules use an `ObjectRange` to relate indices to shapes.
+An object has up to four numbers:
 
-Everywhere in the tracer, `object_index` is an index among all objects of the scene.
+- `object_index`, everywhere in the tracer: its row in the arrays of `Surfaces`.  They contain one
+  kind of surface after the other, in the order of `Surfaces.tables`.
+- `sphere_index`, `box_index`: its row among the objects of its kind.  Only the modules of shapes
+  use this number, because their arrays contain one kind only; `ObjectRange` converts to it.
+- `file_index`: its place in the scene file, which decides ties.  `Surfaces` as a sequence, and all
+  that users see, has this order.
+- `shader_index`: its shader, which several objects may share.
 """
 
 from __future__ import annotations
@@ -14,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tracer.arrays import Bools, Ints
-from tracer.scene.model import Surfaces
+from tracer.scene.model import Kind, Surfaces
 
 
 class ObjectRange(NamedTuple):
-    """The consecutive indices of the objects of one shape, among all objects of the scene."""
+    """The consecutive object indices of all objects of one kind."""
 
     start: int
     size: int
@@ -35,16 +40,15 @@ class ObjectRange(NamedTuple):
         return (object_index >= self.start) & (object_index < self.start + self.size)
 
     def to_local(self, object_index: Shaped[Ints, "n"]) -> Shaped[Ints, "n"]:
-        """Convert indices of objects of this shape to indices among them.
+        """Convert object indices of this kind to rows among the objects of the kind.
 
         The result may be `object_index` itself.
         """
         return object_index - self.start if self.start else object_index
 
 
-def get_sphere_range(surfaces: Surfaces) -> ObjectRange:
-    return ObjectRange(0, len(surfaces.radius))
-
-
-def get_box_range(surfaces: Surfaces) -> ObjectRange:
-    return ObjectRange(len(surfaces.radius), len(surfaces.min_pt))
+def get_object_range(surfaces: Surfaces, kind: Kind) -> ObjectRange:
+    kinds = list(surfaces.counts)
+    earlier_kinds = kinds[: kinds.index(kind)]
+    start = sum(surfaces.counts[earlier_kind] for earlier_kind in earlier_kinds)
+    return ObjectRange(start=start, size=surfaces.counts[kind])

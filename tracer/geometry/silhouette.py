@@ -1,9 +1,14 @@
-"""Silhouettes of boxes and spheres, seen from a viewpoint: the eye or a light.
+"""Silhouettes of boxes and spheres, seen from a *viewpoint*: the eye or a light.
 
-An edge function is a smooth function of a ray from the viewpoint that is zero on the silhouette.
+An *edge function* is a smooth function of a ray from the viewpoint that is zero on the silhouette.
+To find the edges that may cross a cell of the picture (a pixel, or a square part of a pixel), edge
+functions are evaluated for six rays, through six *points of the cell*: the centre; the centres of
+the right, left, lower and upper sides; and the lower right corner.
 """
 
 from __future__ import annotations
+
+from typing import Annotated as Shaped
 
 import numpy as np
 
@@ -93,3 +98,15 @@ def compute_miss_angles(ray: Triple, center: Triple, radius: Floats) -> Floats:
     tangent_length = np.sqrt((distance - radius) * (distance + radius))
     angle: Floats = center_angle - np.arctan2(radius, tangent_length)
     return angle
+
+
+def bound_variation(values: Shaped[Floats, "6 ..."]) -> Floats:
+    """Bound how much edge functions differ, in a cell, from their values at the centre.
+
+    The bound applies to the quadratic polynomials through the values at the six points of the cell.
+    """
+    center, right, left, lower, upper, corner = values
+    linear_part = np.abs(right - left) + np.abs(lower - upper)
+    square_part = np.abs(right + left - 2 * center) + np.abs(lower + upper - 2 * center)
+    mixed_part = np.abs(corner - right - lower + center)
+    return np.asarray(0.5 * linear_part + 0.5 * square_part + mixed_part)

@@ -1,17 +1,6 @@
-"""Spheres: intersections with rays from the eye, and tests of shadow segments.
+"""Spheres: see `shape` for what the methods promise.
 
-`Boxes` has the same methods, which are documented here.  Their `object_index` numbers all objects
-of the scene (see `ObjectRange`), while `sphere_index` numbers the spheres.
-
-A ray starts at the eye and has the direction (ray_x, ray_y, depth) in camera axes (see
-`CameraFrame`); the rays of one row of the picture have the same `ray_y`.  A *span* consists of rays
-of one row that are tested with the same sphere.  A *shadow segment* leads from a hit to a light.
-Points, and the ends of segments, are in scene axes.
-
-The result for a pair of a ray and an object depends on this pair only.  It is the same to the last
-bit whatever else the scene contains, and however pairs are arranged in batches.
-
-Infinities and NaN are valid intermediate results, so callers turn off floating-point warnings.
+In this module, `sphere_index` numbers the spheres.
 """
 
 from __future__ import annotations
@@ -22,9 +11,21 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from tracer.arrays import Bools, Floats, Ints, Sides, Triple, dot, find, map_xyz, repeat_runs, take
+from tracer.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Sides,
+    Triple,
+    dot,
+    find,
+    map_xyz,
+    repeat_runs,
+    scale,
+    take,
+)
 from tracer.geometry.camera import CameraFrame, ScreenBounds
-from tracer.geometry.numbering import ObjectRange, get_sphere_range
+from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import (
     LIGHT_TOLERANCE,
     MIN_POWER,
@@ -35,10 +36,9 @@ from tracer.geometry.rounding import (
     compute_hit_tolerance,
     determine_side,
 )
-from tracer.scene.model import Surfaces
-
-# Stands for the axis of a face (0, 1 or 2) at hits on spheres, which have no faces.
-NO_FACE = 3
+from tracer.geometry.shape import NO_AXIS, Shape, SilhouetteEdges, TangentPlanes
+from tracer.geometry.silhouette import compute_miss_angles
+from tracer.scene.model import Sphere, Surfaces
 
 
 class _Discs(NamedTuple):
@@ -53,49 +53,45 @@ class _Discs(NamedTuple):
     ray_ahead: Shaped[Floats, "n"]  # forward component of rays in the plane
 
 
-@dataclass(frozen=True, eq=False)
-class Spheres:
-    """The spheres of a scene, prepared for the rays of one camera."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Spheres(Shape):
+    """The spheres of a scene."""
 
-    is_planar: ClassVar = False  # whether objects of this shape consist of planar faces
+    has_planar_faces: ClassVar = False
+    has_curved_face: ClassVar = True
 
-    frame: CameraFrame
-    objects: ObjectRange
-    center: Shaped[Floats, "3 spheres"]  # in scene axes
-    radius: Shaped[Floats, "spheres"]
-    from_eye: Shaped[Triple, "spheres"]  # vectors from the eye to the centres, in camera axes
+    center: Shaped[Floats, "3 objects"]  # in scene axes
+    radius: Shaped[Floats, "objects"]
+    from_eye: Shaped[Triple, "objects"]  # vectors from the eye to the centres, in camera axes
     # |centre - eye|^2 - radius^2: positive if the eye is outside, 0 if it is on the sphere.
-    power: Shaped[Floats, "spheres"]
-    bounds: ScreenBounds  # bounding rectangles in the picture
-    is_eye_inside: Shaped[Bools, "spheres"]  # or on the surface
-    curvature: Shaped[Floats, "spheres"]  # 1 / radius; 0 for planar shapes
-    # Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on the
-    # surface are proportional to it.
-    coordinate_bound: Shaped[Floats, "spheres"]
+    power: Shaped[Floats, "objects"]
 
     @classmethod
     def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Spheres:
-        """Extract the spheres of a scene, and precompute what rays of its camera need."""
-        center, radius = surfaces.center.T.copy(), surfaces.radius
-        from_eye = frame.point_to_camera(surfaces.center)
+        table = surfaces.tables[Sphere]
+        center, radius = table["center"].T.copy(), table["radius"]
+        from_eye = frame.point_to_camera(table["center"])
         distance = np.sqrt(dot(from_eye, from_eye))
         eye_height = distance - radius
         # If the eye lies on a sphere, rounding errors must not move it off the sphere.
         is_eye_on_sphere = np.abs(eye_height) <= UNIT_TOLERANCE * radius
         power = np.where(is_eye_on_sphere, 0, eye_height * (distance + radius))
-        (right, down, ahead), radius2 = from_eye, radius * radius
-        slopes = (
-            _find_slope_range(offset, ahead, radius2, offset * offset + ahead * ahead - radius2)
-            for offset in (down, right)
+        return cls(
+            frame=frame,
+            objects=get_object_range(surfaces, Sphere),
+            center=center,
+            radius=radius,
+            from_eye=from_eye,
+            power=power,
+            bounds=_find_screen_bounds(frame, from_eye, radius),
+            is_eye_inside=power <= 0,
+            curvature=1 / radius,
+            coordinate_bound=np.abs(center).sum(axis=0) + radius,
         )
-        objects, coordinate_bound = get_sphere_range(surfaces), np.abs(center).sum(axis=0) + radius
-        camera_data = from_eye, power, ScreenBounds.from_slopes(frame, *slopes), power <= 0
-        return cls(frame, objects, center, radius, *camera_data, 1 / radius, coordinate_bound)
 
     def compute_bounding_boxes(
         self,
-    ) -> tuple[Shaped[Floats, "3 spheres"], Shaped[Floats, "3 spheres"]]:
-        """Compute the smallest and the largest coordinates of each sphere, in scene axes."""
+    ) -> tuple[Shaped[Floats, "3 objects"], Shaped[Floats, "3 objects"]]:
         return self.center - self.radius, self.center + self.radius
 
     # Intersections with rays from the eye.
@@ -103,12 +99,6 @@ class Spheres:
     def find_x_range(
         self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Find the smallest and largest x at which each sphere may appear in a row of the picture.
-
-        The row of sphere i extends from y = top[i] to top[i] + height; with height 0, it is a line.
-        Positions are in pixels from the upper left corner of the picture.  If the sphere does not
-        appear in the row, then left > right or both are NaN.
-        """
         # If a ray of the row meets the sphere, then a ray through the centre line of the row meets
         # the sphere grown by the distance between the two rays.
         frame, sphere_index = self.frame, self.objects.to_local(object_index)
@@ -116,11 +106,15 @@ class Spheres:
         slope_margin = 0.5 * height * frame.pixel_height / frame.depth
         max_depth = np.maximum(self.from_eye[2][sphere_index] + radius, 0)
         grown_radius = radius + slope_margin * max_depth
+        # The power of the eye is the same with respect to the disc in any plane through the eye.
         power = self.power[sphere_index] - (grown_radius - radius) * (grown_radius + radius)
         discs = self._cut_discs(sphere_index, grown_radius, frame.to_ray_y(top + height / 2))
-        center_right, center_ahead, disc_radius2, ray_ahead = discs
-        low_slope, high_slope = _find_slope_range(center_right, center_ahead, disc_radius2, power)
-        return frame.to_picture_x(low_slope * ray_ahead), frame.to_picture_x(high_slope * ray_ahead)
+        min_slope, max_slope = _find_slope_range(
+            discs.center_right, discs.center_ahead, discs.radius2, power
+        )
+        left = frame.to_picture_x(min_slope * discs.ray_ahead)
+        right = frame.to_picture_x(max_slope * discs.ray_ahead)
+        return left, right
 
     def _cut_discs(
         self,
@@ -132,12 +126,16 @@ class Spheres:
 
         The given radius replaces the sphere's own.
         """
-        (center_right, down, forward), depth = take(self.from_eye, sphere_index), self.frame.depth
+        right, down, ahead = take(self.from_eye, sphere_index)
+        depth = self.frame.depth
         ray_ahead = np.sqrt(ray_y * ray_y + depth * depth)
-        plane_distance = (down * depth - forward * ray_y) / ray_ahead
-        center_ahead = (down * ray_y + forward * depth) / ray_ahead
-        disc_radius2 = (radius - plane_distance) * (radius + plane_distance)
-        return _Discs(center_right, center_ahead, disc_radius2, ray_ahead)
+        plane_distance = (down * depth - ahead * ray_y) / ray_ahead
+        return _Discs(
+            center_right=right,
+            center_ahead=(down * ray_y + ahead * depth) / ray_ahead,
+            radius2=(radius - plane_distance) * (radius + plane_distance),
+            ray_ahead=ray_ahead,
+        )
 
     def intersect(
         self,
@@ -146,38 +144,28 @@ class Spheres:
         ray_x: Shaped[Floats, "n"],
         ray_count: Shaped[Ints, "spans"] | None,
     ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
-        """Compute where rays from the eye hit spheres, span by span.
+        """See `Shape.intersect`.
 
-        Parameters
-        ----------
-        ray_count
-            Number of rays in each span; None if each span has one ray.
-
-        Returns
-        -------
-        t
-            The ray hits the sphere at t times its direction; infinity if it misses.  If the eye is
-            inside the sphere or on its surface, the hit is where the ray leaves.
-        radial_dot
-            Absolute dot product of the ray's direction and the vector from the centre to the hit.
+        The second result is the absolute dot product of the ray's direction and the vector from the
+        centre to the hit.
         """
         sphere_index, depth = self.objects.to_local(object_index), self.frame.depth
         discs = self._cut_discs(sphere_index, self.radius[sphere_index], ray_y)
-        center_right, center_ahead, disc_radius2, ray_ahead = discs
         length2 = repeat_runs(ray_y * ray_y + depth * depth, ray_count)
         length2 = ray_x * ray_x + length2
         # Solve A t^2 - 2 B t + C = 0 with A = `length2`, B = `dot_product` and C = `power`.  The
         # nearer root is C / (B + sqrt(B^2 - A C)).  For precision, the square root is computed from
         # the disc in the plane of the span (Haines, Günther and Akenine-Möller, Precision
         # improvements for ray/sphere intersection, Ray Tracing Gems, ch. 7).
-        cross_product = repeat_runs(center_right * ray_ahead, ray_count)
-        cross_product -= repeat_runs(center_ahead, ray_count) * ray_x
-        radial_dot = np.sqrt(length2 * repeat_runs(disc_radius2, ray_count) - cross_product**2)
-        dot_product = repeat_runs(center_right, ray_count) * ray_x
-        dot_product += repeat_runs(center_ahead * ray_ahead, ray_count)
+        cross_product = repeat_runs(discs.center_right * discs.ray_ahead, ray_count)
+        cross_product -= repeat_runs(discs.center_ahead, ray_count) * ray_x
+        radial_dot = np.sqrt(length2 * repeat_runs(discs.radius2, ray_count) - cross_product**2)
+        dot_product = repeat_runs(discs.center_right, ray_count) * ray_x
+        dot_product += repeat_runs(discs.center_ahead * discs.ray_ahead, ray_count)
         divisor = dot_product + radial_dot
         power = self.power[sphere_index]
-        is_eye_outside_all, power = np.all(power > 0), repeat_runs(power, ray_count)
+        is_eye_outside_all = np.all(power > 0)
+        power = repeat_runs(power, ray_count)
         t = power / divisor
         if not is_eye_outside_all:  # the farther root, in the form with less cancellation
             far_t = np.where(dot_product > 0, divisor / length2, power / (dot_product - radial_dot))
@@ -192,18 +180,7 @@ class Spheres:
         to_hit: Shaped[Floats, "3 n"],
         t: Shaped[Floats, "n"],
         radial_dot: Shaped[Floats, "n"],
-    ) -> tuple[
-        Shaped[Ints, "runs"],
-        Shaped[Floats, ""],
-        Shaped[Floats, ""],
-        Shaped[Triple, "n"],
-        Shaped[Floats, "n"],
-    ]:
-        """Compute the last five fields of `ShapeHits`, which describe tangent planes at hits.
-
-        A run consists of consecutive hits on the same sphere.  Pass the vectors from the eye to the
-        hits, in camera axes, and the results of `intersect` for them.
-        """
+    ) -> TangentPlanes:
         sphere_index = self.objects.to_local(object_index)
         # If the eye is inside, the normal that faces it points to the centre.
         side_sign = np.where(self.is_eye_inside[sphere_index], -1.0, 1.0)
@@ -211,23 +188,26 @@ class Spheres:
         centers = (repeat_runs(component[sphere_index], run_length) for component in self.from_eye)
         components = zip(to_hit, centers, strict=True)
         right, down, ahead = ((point - center) * signed_curvature for point, center in components)
-        face_axis = np.full(sphere_index.size, NO_FACE)
-        eye_height = radial_dot * np.abs(signed_curvature) * t
-        return face_axis, np.ones(()), np.zeros(()), (right, down, ahead), eye_height
+        no_number = np.full(sphere_index.size, np.nan)
+        return TangentPlanes(
+            normal=(right, down, ahead),
+            eye_height=radial_dot * np.abs(signed_curvature) * t,
+            face_axis=np.full(sphere_index.size, NO_AXIS),
+            normal_sign=no_number,
+            face_position=no_number,
+        )
 
-    # Tests of shadow segments: segments from hits to lights.
+    # Tests of shadow segments.
 
     def find_light_side(
         self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
     ) -> Shaped[Sides, "... n"]:
-        """Determine whether lights are `OUTSIDE`, `ON` or `INSIDE` spheres."""
         tolerance = LIGHT_TOLERANCE * self.coordinate_bound[self.objects.to_local(object_index)]
         return determine_side(self.measure_distance(object_index, light), tolerance)
 
     def measure_distance(
         self, object_index: Shaped[Ints, "n"], point: Shaped[Triple, "... #n"]
     ) -> Shaped[Floats, "... n"]:
-        """Compute the distances of points from the surfaces of spheres; negative inside."""
         sphere_index = self.objects.to_local(object_index)
         to_center = map_xyz(np.subtract, take(self.center, sphere_index), point)
         return np.sqrt(dot(to_center, to_center)) - self.radius[sphere_index]
@@ -240,19 +220,9 @@ class Spheres:
         light_side: Shaped[Sides, "n"],
         growth: Shaped[Floats, "n"] | None = None,
     ) -> Shaped[Bools, "n"]:
-        """Test whether each sphere blocks the segment from a hit to a light.
+        """See `Shape.occludes`.
 
-        A segment is blocked if it crosses the surface strictly between its ends.  Ends within
-        rounding error of the surface count as on the surface.  If the hit is on the sphere, the
-        segment starts on the eye's side of the surface.
-
-        Parameters
-        ----------
-        light_side
-            The result of `find_light_side`.
-        growth
-            Distance by which to grow the sphere before the test; negative to shrink it.  A sphere
-            that shrinks to nothing blocks nothing.
+        If the hit is on the sphere, the segment starts on the eye's side of the surface.
         """
         sphere_index = self.objects.to_local(object_index)
         to_light = map_xyz(np.subtract, light, hit)
@@ -290,18 +260,6 @@ class Spheres:
         axis_end: Shaped[Triple, "n"],
         capsule_radius: Shaped[Floats, "n"],
     ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
-        """Test whether each sphere blocks some, or all, of the segments in a capsule.
-
-        The segments start at most `capsule_radius` away from `axis_start`, and all end at
-        `axis_end` (Haines and Wallace, Shaft culling, 1991).
-
-        Returns
-        -------
-        may_block
-            False only if the sphere certainly blocks no segment.
-        blocks_all
-            True only if the sphere certainly blocks all segments.
-        """
         sphere_index = self.objects.to_local(object_index)
         center, radius = take(self.center, sphere_index), self.radius[sphere_index]
         axis = map_xyz(np.subtract, axis_end, axis_start)
@@ -326,6 +284,77 @@ class Spheres:
         may_block = ~(misses | contains_capsule)
         blocks_all = starts_outside & ~(is_before_start | is_past_end) & cuts_line
         return may_block, blocks_all
+
+    # Edges.
+
+    def find_silhouettes(
+        self,
+        object_index: Shaped[Ints, "n"],
+        viewpoint: Shaped[Floats, "3 n"],
+        ray: Shaped[Triple, "#6 n"],
+    ) -> SilhouetteEdges:
+        sphere_index = self.objects.to_local(object_index)
+        eye_to_viewpoint = self.frame.point_to_camera(viewpoint.T)
+        center = map_xyz(np.subtract, take(self.from_eye, sphere_index), eye_to_viewpoint)
+        miss_angle = compute_miss_angles(ray, center, self.radius[sphere_index])
+        return SilhouetteEdges(item_index=np.arange(sphere_index.size), values=miss_angle)
+
+    def compute_inverse_t(
+        self, face_code: int, object_index: Shaped[Ints, "n"], ray: Shaped[Triple, "#m n"]
+    ) -> Shaped[Floats, "m n"]:
+        """See `Shape.compute_inverse_t`; for a ray d that misses its sphere, 1 / t = k . d.
+
+        A ray d meets the sphere with the centre C at t d, where 1 / t = k . d + sqrt((k . d)^2 -
+        w d^2), with k = C / P, w = 1 / P and the power P of the eye.  This is the near intersection
+        or, if the eye is inside (P < 0), the far one.
+        """
+        sphere_index = self.objects.to_local(object_index)
+        power, center = self.power[sphere_index], take(self.from_eye, sphere_index)
+        squared_length = dot(ray, ray)
+        inverse_t: Floats = dot(map_xyz(lambda component: component / power, center), ray)
+        radicand = inverse_t**2 - 1 / power * squared_length
+        inverse_t += np.sqrt(np.maximum(radicand, 0))
+        if not power.all():
+            # If the eye is on the sphere, the ray leaves it where 1 / t = d^2 / (2 C . d).
+            inverse_t = np.where(power == 0, squared_length / (2 * dot(center, ray)), inverse_t)
+        return inverse_t
+
+    def compute_normals(
+        self,
+        object_index: Shaped[Ints, "n"],
+        ray: Shaped[Triple, "#m n"],
+        inverse_t: Shaped[Floats, "m n"],
+    ) -> Shaped[Triple, "m n"]:
+        # The vector from the centre C to the point t * ray, divided by t.
+        center = take(self.from_eye, self.objects.to_local(object_index))
+        return map_xyz(np.subtract, ray, scale(center, inverse_t))
+
+    def compute_footprint_radii(
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        cell_radius: Shaped[Floats, "n"],
+        cosine: Shaped[Floats, "n"],
+        cell_angle: float,
+    ) -> Shaped[Floats, "n"]:
+        # A strip of width r along the silhouette of a sphere of radius R shows a part of the
+        # sphere that is at most sqrt(2 r R) wide.
+        curvature = repeat_runs(self.curvature[self.objects.to_local(object_index)], run_length)
+        max_width = np.sqrt(2 * cell_radius / curvature)
+        return np.asarray(np.fmin(cell_radius / cosine, max_width))
+
+
+def _find_screen_bounds(
+    frame: CameraFrame, center: Shaped[Triple, "n"], radius: Shaped[Floats, "n"]
+) -> ScreenBounds:
+    """Compute bounding rectangles of spheres, given by vectors from the eye to their centres."""
+    right, down, ahead = center
+    radius2 = radius * radius
+    y_slopes, x_slopes = (
+        _find_slope_range(offset, ahead, radius2, offset * offset + ahead * ahead - radius2)
+        for offset in (down, right)
+    )
+    return ScreenBounds.from_slopes(frame, y_slopes, x_slopes)
 
 
 def _find_slope_range(

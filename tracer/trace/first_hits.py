@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracer.arrays import BATCH_SIZE, Floats, Ints, split_indices
+from tracer.arrays import BATCH_SIZE, Floats, Ints, find, map_xyz, split_indices
+from tracer.geometry.shape import NO_AXIS
 from tracer.scene.model import Scene
 from tracer.trace.hits import Hits
 from tracer.trace.samples import Scattered
@@ -63,12 +64,14 @@ class FirstHits:
         distance[sample_index] = hits.distance
         point[sample_index] = np.transpose(hits.get_points(slice(None)))
         for group in hits.groups:
-            if group.shape.is_planar:  # exact, unlike normals converted from camera axes
-                face_axis, sign = map(group.repeat_runs, (group.face_axis, group.normal_sign))
-                normal[group.sample_index] = 0
-                normal[group.sample_index, face_axis] = sign
-            else:
-                normal[group.sample_index] = np.transpose(frame.rotate_to_scene(group.normal))
+            normal[group.sample_index] = np.transpose(
+                frame.rotate_to_scene(map_xyz(group.expand_to_hits, group.planes.normal))
+            )
+            # Normals of planar faces are exact, unlike normals converted from camera axes.
+            axis, sign = map(group.repeat_runs, (group.planes.face_axis, group.planes.normal_sign))
+            planar = find(axis != NO_AXIS)
+            normal[group.sample_index[planar]] = 0
+            normal[group.sample_index[planar], axis[planar]] = sign[planar]
         return cls(surface, distance, normal, point)
 
 

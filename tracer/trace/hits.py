@@ -3,8 +3,7 @@
 Hits are grouped by the shape of the object that they lie on.  Within a group, they are divided into
 *runs*: consecutive samples of one row that hit the same face of the same object.
 
-Each hit has a tangent plane.  On planar shapes, all hits of a run have the same plane, and its
-values are stored once for each run; on other shapes they are stored for each hit.
+Each hit has a tangent plane: see `TangentPlanes`.
 """
 
 from __future__ import annotations
@@ -16,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.arrays import Floats, Ints, Triple, dot, map_xyz, repeat_runs, take
+from tracer.geometry.shape import NO_AXIS, Shape, TangentPlanes
 from tracer.trace.samples import Samples
-from tracer.world.prepared_scene import PreparedScene, Shape
+from tracer.world.prepared_scene import PreparedScene
 
 
 class ShapeHits(NamedTuple):
@@ -28,15 +28,7 @@ class ShapeHits(NamedTuple):
     sample_index: Shaped[Ints, "n"]
     run_length: Shaped[Ints, "runs"]  # number of hits
     run_object: Shaped[Ints, "runs"]  # object index
-    face_axis: Shaped[Ints, "runs"]  # perpendicular to the face; `NO_FACE` for spheres
-    # For boxes, (runs,): direction of the face's normal along this axis (1 or -1), and coordinate
-    # of the face along it; meaningless for spheres.
-    normal_sign: Floats
-    face_position: Floats
-    # For each tangent plane: the unit normal that faces the eye, in camera axes, and the distance
-    # of the eye.
-    normal: Shaped[Triple, "planes"]
-    eye_height: Shaped[Floats, "planes"]
+    planes: TangentPlanes
 
     def repeat_runs(self, run_values: Shaped[NDArray[Any], "runs"]) -> Any:
         """Repeat the value of each run for all hits of the run."""
@@ -44,7 +36,7 @@ class ShapeHits(NamedTuple):
 
     def expand_to_hits(self, plane_values: Shaped[Floats, "planes"]) -> Shaped[Floats, "n"]:
         """Look up the value of the tangent plane at each hit."""
-        return self.repeat_runs(plane_values) if self.shape.is_planar else plane_values
+        return plane_values if self.shape.has_curved_face else self.repeat_runs(plane_values)
 
     def compute_height(
         self, point: Shaped[Floats, "3"], to_point: Shaped[Triple, "n"]
@@ -54,10 +46,16 @@ class ShapeHits(NamedTuple):
         The point is in scene axes, and the vectors from the hits to it are in camera axes.  The
         height is positive on the side of the eye.
         """
-        if not self.shape.is_planar:
-            return dot(self.normal, to_point)
+        planes = self.planes
+        if not self.shape.has_planar_faces:
+            return dot(planes.normal, to_point)
         # In scene axes, a point in the plane of a face has a height of exactly 0.
-        return self.expand_to_hits(self.normal_sign * (point[self.face_axis] - self.face_position))
+        coordinate = point.take(planes.face_axis, mode="clip")
+        height: Floats = self.repeat_runs(planes.normal_sign * (coordinate - planes.face_position))
+        if not self.shape.has_curved_face:
+            return height
+        is_curved = self.repeat_runs(planes.face_axis == NO_AXIS)
+        return np.where(is_curved, dot(planes.normal, to_point), height)
 
 
 class Hits(NamedTuple):
@@ -78,19 +76,23 @@ class Hits(NamedTuple):
 
     @property
     def face_axis(self) -> Shaped[Ints, "n"]:
-        """Axis to which the face at each hit is perpendicular; `NO_FACE` for spheres."""
-        group_axes = [group.repeat_runs(group.face_axis) for group in self.groups]
+        """Axis to which the face at each hit is perpendicular; `NO_AXIS` if it is curved."""
+        group_axes = [group.repeat_runs(group.planes.face_axis) for group in self.groups]
         return np.concatenate([np.zeros(0, dtype=np.intp), *group_axes])
 
     @property
     def eye_height(self) -> Shaped[Floats, "n"]:
         """Distance of the eye from the tangent plane at each hit."""
-        return np.concatenate([group.expand_to_hits(group.eye_height) for group in self.groups])
+        return np.concatenate(
+            [group.expand_to_hits(group.planes.eye_height) for group in self.groups]
+        )
 
     @property
     def normal(self) -> Shaped[Triple, "n"]:
         """Unit normals that face the eye, in camera axes."""
-        group_normals = [map_xyz(group.expand_to_hits, group.normal) for group in self.groups]
+        group_normals = [
+            map_xyz(group.expand_to_hits, group.planes.normal) for group in self.groups
+        ]
         x, y, z = map(np.concatenate, zip(*group_normals, strict=True))
         return x, y, z
 

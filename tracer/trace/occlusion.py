@@ -66,10 +66,10 @@ from tracer.arrays import (
     take_2d,
 )
 from tracer.geometry.rounding import ON
+from tracer.geometry.shape import Shape
 from tracer.trace.hits import Hits
-from tracer.trace.samples import Scattered
 from tracer.world.light_grid import LightGrid
-from tracer.world.prepared_scene import Lights, Shape
+from tracer.world.prepared_scene import Lights
 
 # Maximum number of packets in one query of the light grid, and maximum number of shadow edges that
 # are collected before duplicates are removed.  Both limit memory.
@@ -599,16 +599,9 @@ def _compute_bounding_spheres(hits: Hits, first_hit: Ints) -> tuple[Floats, Floa
     radius : (m,) float array
         Radii of the spheres.
     """
-    if isinstance(hits.samples, Scattered) or hits.scene.spheres.is_eye_inside.any():
-        # The sphere encloses the bounding box of the hits.
-        corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
-        opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
-    else:
-        # The hits lie on a straight line, or on an arc of less than half a circle.  So they are in
-        # the sphere whose diameter is the segment from the first hit to the last.
-        last_hit = np.append(first_hit[1:], hits.from_eye.shape[1]) - 1
-        corner = hits.from_eye.take(first_hit, axis=1)
-        opposite_corner = hits.from_eye.take(last_hit, axis=1)
+    # The sphere encloses the bounding box of the hits.
+    corner = np.minimum.reduceat(hits.from_eye, first_hit, axis=1)
+    opposite_corner = np.maximum.reduceat(hits.from_eye, first_hit, axis=1)
     half_diagonal = 0.5 * (opposite_corner - corner)
     center = hits.scene.frame.point_to_scene(take(corner + half_diagonal, slice(None)))
     return np.array(center), np.sqrt((half_diagonal * half_diagonal).sum(axis=0))

@@ -18,7 +18,8 @@ import numpy as np
 
 from tracer.arrays import Floats, Ints, enumerate_ranges, find, mark_run_starts
 from tracer.geometry.camera import CameraFrame
-from tracer.world.prepared_scene import PreparedScene, Shape
+from tracer.geometry.shape import Shape
+from tracer.world.prepared_scene import PreparedScene
 
 # Spans are widened by this many pixels on both sides: far more than their rounding errors.
 _SPAN_PADDING = 0.5

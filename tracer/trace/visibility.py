@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from tracer.arrays import Bools, Floats, Ints, find, join_ranges, mark_run_starts, repeat_runs
 from tracer.geometry.camera import CameraFrame
+from tracer.geometry.shape import Shape
 from tracer.trace.hits import Hits, ShapeHits
 from tracer.trace.samples import Samples
-from tracer.world.prepared_scene import PreparedScene, Shape
+from tracer.world.prepared_scene import PreparedScene
 
 # Runs of scattered samples end at the borders of squares of this width, in pixels.
 _RUN_WIDTH = 4.0
@@ -68,8 +69,7 @@ class _Intersections(NamedTuple):
     sample_index: Shaped[Ints, "n"]
     ray_x: Shaped[Floats, "n"]
     t: Shaped[Floats, "n"]
-    # Second result of `Spheres.intersect` or `Boxes.intersect`; for boxes, the face that is hit.
-    hit_data: Shaped[NDArray[Any], "n"]
+    hit_data: Shaped[NDArray[Any], "n"]  # see `Shape.intersect`
 
     @property
     def pair_object(self) -> Shaped[Ints, "n"]:
@@ -96,8 +96,10 @@ class _Intersections(NamedTuple):
 
         A run of scattered samples lies in one row of pixels, and its hits are close together.
         """
-        is_planar = self.shape.is_planar
-        is_start = mark_run_starts(self.hit_data) if is_planar else np.zeros(depth.size, dtype=bool)
+        if self.shape.has_planar_faces:
+            is_start = mark_run_starts(self.hit_data)  # face codes
+        else:
+            is_start = np.zeros(depth.size, dtype=np.bool_)
         if self.sample_count is None:
             x, y = samples.get_positions(self.sample_index)
             strip, depth_layer = np.floor(x / _RUN_WIDTH), frame.assign_layer(depth, _RUN_WIDTH)
@@ -164,11 +166,19 @@ def _build_hits(scene: PreparedScene, samples: Samples, groups: list[_Intersecti
         run_start = group.find_run_starts(samples, frame, group_from_eye[2])
         run_length = np.diff(run_start, append=end - start)
         run_object = group.pair_object[run_start]
-        tangent_planes = group.shape.compute_tangent_planes(
+        planes = group.shape.compute_tangent_planes(
             run_object, run_length, group_from_eye, group.t, group.hit_data
         )
-        fields = group.shape, slice(start, end), group.sample_index, run_length, run_object
-        shape_hits.append(ShapeHits(*fields, *tangent_planes))
+        shape_hits.append(
+            ShapeHits(
+                shape=group.shape,
+                interval=slice(start, end),
+                sample_index=group.sample_index,
+                run_length=run_length,
+                run_object=run_object,
+                planes=planes,
+            )
+        )
     run_start = np.concatenate([no_hits, [0], *(group.run_length for group in shape_hits)]).cumsum()
     sample_index = np.concatenate([no_hits, *(group.sample_index for group in shape_hits)])
     run_object = np.concatenate([no_hits, *(group.run_object for group in shape_hits)])

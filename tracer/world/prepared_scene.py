@@ -10,20 +10,22 @@ from collections.abc import Iterator
 from math import sqrt
 from threading import Lock
 from typing import Annotated as Shaped
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from tracer.arrays import BATCH_SIZE, Bools, Floats, Sides, mark_run_starts
 from tracer.geometry.box import Boxes
 from tracer.geometry.camera import CameraFrame, ScreenBounds, compute_frame
+from tracer.geometry.numbering import get_object_range
 from tracer.geometry.rounding import POSITION_ROUNDING
+from tracer.geometry.shape import Shape
 from tracer.geometry.sphere import Spheres
 from tracer.scene.model import Phong, Scene, Surfaces
 from tracer.world.light_grid import LightGrid, build_light_grid
 
-# All objects of one kind; `Spheres` documents the methods.
-Shape: TypeAlias = Spheres | Boxes
+# All kinds of objects, in the order of `Surfaces.tables`.
+SHAPES: tuple[type[Shape], ...] = (Spheres, Boxes)
 
 # In one batch of samples, the maximum number of pairs of a sample and an object on its ray; in one
 # batch of lights, the maximum number of lights, and of pairs of a light and an object.
@@ -39,6 +41,9 @@ _MAX_CACHED_BYTES = 1 << 26
 # the width, between 0.98 and 1.06 times.
 _PACKET_SCALE = 0.75
 
+# The hash of an object is the sum of its numbers, each times one of these factors.
+_HASH_FACTORS = np.sqrt([2, 3, 5, 7, 11])
+
 
 class Lights(NamedTuple):
     """A batch of lights, with the data that shadow tests need."""
@@ -46,7 +51,7 @@ class Lights(NamedTuple):
     position: Shaped[Floats, "lights 3"]  # in scene axes
     from_eye: Shaped[Floats, "lights 3"]  # in camera axes
     intensity: Shaped[Floats, "lights 3"]  # linear RGB
-    side: Shaped[Sides, "lights objects"]  # from `Spheres.find_light_side`
+    side: Shaped[Sides, "lights objects"]  # from `Shape.find_light_side`
     grid: LightGrid | None  # None if no object can be in shadow
 
     @property
@@ -74,9 +79,7 @@ class PreparedScene:
 
     surfaces: Surfaces
     frame: CameraFrame
-    spheres: Spheres
-    boxes: Boxes
-    shapes: tuple[Shape, ...]  # `spheres` and `boxes`, except for those without objects
+    shapes: tuple[Shape, ...]  # those with at least one object, in the order of their indices
     bounds: ScreenBounds  # of all objects
     is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
     curvature: Shaped[Floats, "objects"]  # 1 / radius for spheres, and 0 for boxes
@@ -97,9 +100,7 @@ class PreparedScene:
     def __init__(self, scene: Scene, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.surfaces = surfaces = scene.surfaces
         self.frame = frame = compute_frame(scene.camera, scene.width, scene.height, offset)
-        self.spheres = Spheres.from_surfaces(frame, surfaces)
-        self.boxes = Boxes.from_surfaces(frame, surfaces)
-        shapes: tuple[Shape, ...] = self.spheres, self.boxes  # in the order of their indices
+        shapes = [shape.from_surfaces(frame, surfaces) for shape in SHAPES]
         self._all_shapes, self.shapes = shapes, tuple(s for s in shapes if s.objects.size)
         self.is_duplicate = _find_duplicates(surfaces)
         bounds = ScreenBounds(*map(np.concatenate, zip(*(s.bounds for s in shapes), strict=True)))
@@ -175,14 +176,13 @@ class PreparedScene:
 
 def _find_duplicates(surfaces: Surfaces) -> Shaped[Bools, "objects"]:
     """Find the objects that have the same geometry as an object earlier in the file."""
-    # Describe each object by six numbers.  The last is infinite for spheres and finite for boxes,
-    # so no sphere equals a box.
-    radius, box_geometry = surfaces.radius, [*surfaces.min_pt.T, *surfaces.max_pt.T]
-    sphere_geometry = [*surfaces.center.T, radius, radius, radius + np.inf]
-    geometry = np.concatenate([sphere_geometry, box_geometry], axis=1)
-    # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
-    geometry_hash = (np.sqrt([[2], [3], [5], [7], [11]]) * geometry[:5]).sum(axis=0)
-    sorted_index = np.lexsort((surfaces.file_index, geometry_hash))
-    is_duplicate = np.empty(sorted_index.size, dtype=np.bool_)
-    is_duplicate[sorted_index] = ~mark_run_starts(*geometry[:, sorted_index])
+    is_duplicate = np.empty(len(surfaces), dtype=np.bool_)
+    for kind, columns in surfaces.tables.items():
+        objects = get_object_range(surfaces, kind).slice
+        numbers = [row for column in columns.values() for row in np.atleast_2d(column.T)]
+        # Sort by a hash, then by file order: equal objects become neighbours, the earliest first.
+        hash_terms = [factor * row for factor, row in zip(_HASH_FACTORS, numbers, strict=False)]
+        sorted_index = np.lexsort((surfaces.file_index[objects], np.sum(hash_terms, axis=0)))
+        is_first = mark_run_starts(*(row[sorted_index] for row in numbers))
+        is_duplicate[objects][sorted_index] = ~is_first
     return is_duplicate

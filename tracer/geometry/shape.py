@@ -1,0 +1,318 @@
+"""The contract of a shape: what the tracer asks of all objects of one kind.
+
+Each kind of surface has a subclass of `Shape`, whose methods say only what differs from this
+contract.  The other modules name no subclass, except for the list `SHAPES` in `prepared_scene`.
+
+A ray starts at the eye and has the direction (ray_x, ray_y, depth) in camera axes (see
+`CameraFrame`); the rays of one row of the picture have the same `ray_y`.  A *span* consists of rays
+of one row that are tested with the same object.  A *run* consists of consecutive hits on the same
+face of the same object.  A *shadow segment* leads from a hit to a light.  Points, and the ends of
+segments, are in scene axes.  `object_index` numbers all objects of the scene (see `ObjectRange`).
+
+An object has planar faces, each perpendicular to an axis of the scene, or one curved face, or both.
+The *face code* of a planar face is 2 * axis, plus 1 if the normal that faces the eye points in the
+positive direction of the axis; the code of a curved face is `CURVED_FACE`.
+
+What other modules rely on, and `tests/accuracy/test_shapes.py` checks:
+
+- Objects are convex.  So an object never shades its own points that face a light, and it covers a
+  pixel if it covers the pixel's upper and lower edges.
+- The result for a pair of a ray and an object depends on this pair only.  It is the same to the
+  last bit whatever else the scene contains, and however pairs are arranged in batches.
+- If faces of two objects lie in the same plane, a ray meets them at the same t to the last bit, so
+  the order of the file decides which of them is visible.
+- No formula contains a power of a length above the fourth: coordinates may be as large as 1e75.
+- Infinities and NaN are valid intermediate results, so callers turn off floating-point warnings.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated as Shaped
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.arrays import Bools, Floats, Ints, Sides, Triple
+from tracer.geometry.camera import CameraFrame, ScreenBounds
+from tracer.geometry.numbering import ObjectRange
+from tracer.scene.model import Surfaces
+
+# Stands for the axis of a planar face (0, 1 or 2) at hits on curved faces.
+NO_AXIS = 3
+
+CURVED_FACE = 2 * NO_AXIS
+
+# Footprints on a plane are divided by the cosine at the far end of the cell, which tends to 0 at
+# the horizon.  At least this fraction of the cosine at the hit is used, so footprints are finite.
+_MIN_COSINE_RATIO = 1e-3
+
+
+class TangentPlanes(NamedTuple):
+    """The planes that touch the surface at hits.
+
+    If the shape has a curved face, there is one plane for each hit, otherwise one for each run.
+    """
+
+    normal: Shaped[Triple, "planes"]  # unit normals that face the eye, in camera axes
+    eye_height: Shaped[Floats, "planes"]  # distance of the eye
+    face_axis: Shaped[Ints, "runs"]  # axis perpendicular to the face; `NO_AXIS` if it is curved
+    # Direction of the face's normal along this axis (1 or -1), and coordinate of the face; NaN for
+    # curved faces.
+    normal_sign: Shaped[Floats, "runs"]
+    face_position: Shaped[Floats, "runs"]
+
+
+class SilhouetteEdges(NamedTuple):
+    """Edges of outlines, each with the values of its edge function for six rays."""
+
+    item_index: Shaped[Ints, "edges"]  # of the object and its rays, among the arguments
+    values: Shaped[Floats, "6 edges"]
+
+
+class FaceHits(NamedTuple):
+    """Points where rays meet the planes or curved surfaces of faces with one face code."""
+
+    face_code: int
+    item_index: Shaped[Ints, "k"]  # of the object and its ray, among the arguments
+    t: Shaped[Floats, "k"]
+    footprint_radius: Shaped[Floats, "k"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shape(ABC):
+    """All objects of one kind, prepared for the rays of one camera."""
+
+    has_planar_faces: ClassVar[bool]
+    has_curved_face: ClassVar[bool]
+
+    frame: CameraFrame
+    objects: ObjectRange
+    bounds: ScreenBounds  # bounding rectangles in the picture
+    is_eye_inside: Shaped[Bools, "objects"]  # or on the surface
+    curvature: Shaped[Floats, "objects"]  # maximum curvature: 1 / radius, or 0 if all is planar
+    # Upper bound on |x| + |y| + |z| of all points of the object.  Rounding errors of points on the
+    # surface are proportional to it.
+    coordinate_bound: Shaped[Floats, "objects"]
+
+    @classmethod
+    @abstractmethod
+    def from_surfaces(cls, frame: CameraFrame, surfaces: Surfaces) -> Shape:
+        """Extract the objects of a scene, and precompute what rays of its camera need."""
+
+    @abstractmethod
+    def compute_bounding_boxes(
+        self,
+    ) -> tuple[Shaped[Floats, "3 objects"], Shaped[Floats, "3 objects"]]:
+        """Compute the smallest and the largest coordinates of each object, in scene axes."""
+
+    # Intersections with rays from the eye.
+
+    @abstractmethod
+    def find_x_range(
+        self, object_index: Shaped[Ints, "n"], top: Shaped[Floats, "n"], height: float
+    ) -> tuple[Shaped[Floats, "n"], Shaped[Floats, "n"]]:
+        """Find the smallest and largest x at which each object may appear in a row of the picture.
+
+        The row of object i extends from y = top[i] to top[i] + height.  With height 0, it is a
+        line, and the result is exact except for rounding errors: antialiasing concludes that the
+        object covers what lies between.  Positions are in pixels from the upper left corner of the
+        picture.  If the object does not appear in the row, then left > right or one is NaN.
+        """
+
+    @abstractmethod
+    def intersect(
+        self,
+        object_index: Shaped[Ints, "spans"],
+        ray_y: Shaped[Floats, "spans"],
+        ray_x: Shaped[Floats, "n"],
+        ray_count: Shaped[Ints, "spans"] | None,
+    ) -> tuple[Shaped[Floats, "n"], Shaped[NDArray[Any], "n"]]:
+        """Compute where rays from the eye hit objects, span by span.
+
+        Parameters
+        ----------
+        ray_count
+            Number of rays in each span; None if each span has one ray.
+
+        Returns
+        -------
+        t
+            The ray hits the object at t times its direction; infinity if it misses.  If the eye is
+            inside the object or on its surface, the hit is where the ray leaves.
+        hit_data
+            If objects have planar faces, the code of the face that is hit; otherwise any number
+            that `compute_tangent_planes` needs.
+        """
+
+    @abstractmethod
+    def compute_tangent_planes(
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        to_hit: Shaped[Floats, "3 n"],
+        t: Shaped[Floats, "n"],
+        hit_data: Shaped[NDArray[Any], "n"],
+    ) -> TangentPlanes:
+        """Compute the tangent planes at hits.
+
+        Pass the vectors from the eye to the hits, in camera axes, and the results of `intersect`.
+        """
+
+    # Tests of shadow segments.
+
+    @abstractmethod
+    def find_light_side(
+        self, object_index: Shaped[Ints, "n"], light: Shaped[Triple, "... #n"]
+    ) -> Shaped[Sides, "... n"]:
+        """Determine whether lights are `OUTSIDE`, `ON` or `INSIDE` objects."""
+
+    @abstractmethod
+    def measure_distance(
+        self, object_index: Shaped[Ints, "n"], point: Shaped[Triple, "... #n"]
+    ) -> Shaped[Floats, "... n"]:
+        """Compute the distances of points from the surfaces of objects; negative inside.
+
+        Outside, the result may be less than the distance, but is positive.
+        """
+
+    @abstractmethod
+    def occludes(
+        self,
+        object_index: Shaped[Ints, "n"],
+        hit: Shaped[Triple, "n"],
+        light: Shaped[Triple, "n"],
+        light_side: Shaped[Sides, "n"],
+        growth: Shaped[Floats, "n"] | None = None,
+    ) -> Shaped[Bools, "n"]:
+        """Test whether each object blocks the segment from a hit to a light.
+
+        A segment is blocked if it crosses the surface strictly between its ends.  Ends within
+        rounding error of the surface count as on the surface.
+
+        Parameters
+        ----------
+        light_side
+            The result of `find_light_side`.
+        growth
+            Distance by which to grow the object before the test; negative to shrink it.  An object
+            that shrinks to nothing blocks nothing.
+        """
+
+    @abstractmethod
+    def test_capsules(
+        self,
+        object_index: Shaped[Ints, "n"],
+        axis_start: Shaped[Triple, "n"],
+        axis_end: Shaped[Triple, "n"],
+        capsule_radius: Shaped[Floats, "n"],
+    ) -> tuple[Shaped[Bools, "n"], Shaped[Bools, "n"]]:
+        """Test whether each object blocks some, or all, of the segments in a capsule.
+
+        The segments start at most `capsule_radius` away from `axis_start`, and all end at
+        `axis_end` (Haines and Wallace, Shaft culling, 1991).
+
+        Returns
+        -------
+        may_block
+            False only if the object certainly blocks no segment.
+        blocks_all
+            True only if the object certainly blocks all segments.
+        """
+
+    # Edges.  A cell is a pixel or a square part of a pixel, and six rays pass through six of its
+    # points: see `silhouette`.
+
+    @abstractmethod
+    def find_silhouettes(
+        self,
+        object_index: Shaped[Ints, "n"],
+        viewpoint: Shaped[Floats, "3 n"],
+        ray: Shaped[Triple, "#6 n"],
+    ) -> SilhouetteEdges:
+        """Find the edges of outlines, seen from a viewpoint, that may cross a cell.
+
+        The rays lead from the viewpoint, in camera axes.  The edge function is zero where a ray
+        touches the edge.  All values are 0 or NaN if the viewpoint is inside the object.
+        """
+
+    @abstractmethod
+    def compute_inverse_t(
+        self, face_code: int, object_index: Shaped[Ints, "n"], ray: Shaped[Triple, "#m n"]
+    ) -> Shaped[Floats, "m n"]:
+        """Compute 1 / t of rays from the eye, where t * ray is on a face of each object.
+
+        The face is extended beyond its rim: a planar face to the whole plane.  If the ray misses a
+        curved face, the result is any smooth continuation.
+        """
+
+    def compute_normals(
+        self,
+        object_index: Shaped[Ints, "n"],
+        ray: Shaped[Triple, "#m n"],
+        inverse_t: Shaped[Floats, "m n"],
+    ) -> Shaped[Triple, "m n"]:
+        """Compute normals of the curved face, of any length, where rays from the eye meet it.
+
+        Pass the results of `compute_inverse_t`.  The normals point outwards, in camera axes.
+        """
+        raise NotImplementedError
+
+    def compute_footprint_radii(
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        cell_radius: Shaped[Floats, "n"],
+        cosine: Shaped[Floats, "n"],
+        cell_angle: float,
+    ) -> Shaped[Floats, "n"]:
+        """Compute the radius of the part of the surface that is visible in a cell, around each hit.
+
+        Parameters
+        ----------
+        cell_radius
+            Radius of the circle around the cell at the depth of the hit.
+        cosine
+            Cosine of the angle between the normal and the direction to the eye.
+        cell_angle
+            Angle that half the diagonal of the cell subtends at the eye, in radians.
+        """
+        return compute_plane_footprints(cell_radius, cosine, cell_angle)
+
+    def find_near_faces(
+        self,
+        object_index: Shaped[Ints, "runs"],
+        run_length: Shaped[Ints, "runs"],
+        face_axis: Shaped[Ints, "runs"],
+        to_hit: Shaped[Floats, "3 n"],
+        max_distance: Shaped[Floats, "n"],
+    ) -> Iterator[tuple[int, Shaped[Ints, "k"]]]:
+        """Yield the codes of faces, with the indices of hits on other faces of the same object.
+
+        The face may be visible, and is at most `max_distance` away from the hit.
+        """
+        yield from ()
+
+    def intersect_other_faces(
+        self, object_index: Shaped[Ints, "n"], to_hit: Shaped[Triple, "n"], cell_angle: float
+    ) -> Iterator[FaceHits]:
+        """Yield where the ray through each hit meets the planes of the object's planar faces.
+
+        Only faces that may be visible from the eye count.  Besides the face that is hit, they are
+        faces that the ray just misses.
+        """
+        yield from ()
+
+
+def compute_plane_footprints(
+    cell_radius: Shaped[Floats, "n"], cosine: Shaped[Floats, "n"], cell_angle: float
+) -> Shaped[Floats, "n"]:
+    """Compute the radius of the part of a plane that is visible in each cell.
+
+    The arguments are those of `Shape.compute_footprint_radii`.
+    """
+    # At the far end of the cell, the cosine is smaller by at most `cell_angle`.
+    return cell_radius / (cosine * np.maximum(1 - cell_angle / cosine, _MIN_COSINE_RATIO))
